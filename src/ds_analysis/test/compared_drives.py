@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
-from ds_road import generate
+from ds_road import Road, generate
 from ds_sim.simulator import Outcome
 
-ROADS = [generate(np.random.default_rng(number)) for number in range(4)]
+
+@cache
+def road(number: int) -> Road:
+    """A random road, which is no mutant of another one."""
+    return generate(np.random.default_rng(number))
+
+
 OLD, NEW = Network(driver="old", sha256="a" * 64), Network(driver="new", sha256="b" * 64)
 
 
@@ -33,7 +40,7 @@ def pairs(
     return [
         PairedDrive(
             test=ComparedTest(
-                name=f"test-0-{first + number:04d}", road=ROADS[number % 4], seed=number, cell=(number % 2, 10),
+                name=f"test-0-{first + number:04d}", road=road(number), seed=number, cell=(number % 2, 10),
                 unsearched=number in unsearched,
             ),
             simulator=simulator,

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from compared_drives import NEW, OLD, outcome, pairs
 from scipy.stats import binomtest
@@ -30,9 +32,17 @@ from ds_analysis.comparison.paired_drives import (
     difference_interval,
     fewest_changes,
 )
-from ds_analysis.comparison.tables import cell_table, document_of, drive_table, markdown_of, simulator_table
+from ds_analysis.comparison.tables import (
+    cell_table,
+    document_of,
+    drive_table,
+    markdown_of,
+    networks_table,
+    simulator_table,
+)
 from ds_orchestrator.campaign.config import ConfigError
 from ds_report.comparison_page import grids_of, style_of_difference, write_comparison_page
+from ds_road import generate
 
 
 def compared(drives: list[PairedDrive], **more: Any) -> Comparison:
@@ -125,6 +135,23 @@ def test_tests_that_were_searched_against_the_reference_show_no_improvement() ->
 
 def test_tests_that_were_searched_against_the_reference_show_what_got_worse() -> None:
     assert compared(pairs("bullet", (12, 1, 3, 24)), origin="reference").simulators[0].verdict == "worse"
+
+
+def test_mutants_of_one_road_count_together() -> None:
+    """Twelve tests that newly fail are evidence; twelve variants of three roads are none."""
+    alone = pairs("bullet", (12, 0, 0, 12))
+    root = [generate(np.random.default_rng(50 + k // 4)) for k in range(24)]
+    mutants = [replace(one, test=replace(one.test, road=road)) for one, road in zip(alone, root, strict=True)]
+    assert PairedCounts.of(alone).p < 0.001 and PairedCounts.of(mutants).p > 0.2
+    assert compared(alone, origin="both").simulators[0].verdict == "worse"
+    assert compared(mutants, origin="both").simulators[0].verdict == "not significant"
+
+
+def test_of_many_candidates_none_is_called_better_by_luck() -> None:
+    one = compared(pairs("bullet", (0, 7, 4, 20)))
+    assert one.simulators[0].verdict == "better"
+    assert networks_table([one]).rows[1][-1] == "better on bullet"
+    assert {row[-1] for row in networks_table([one] * 4).rows[1:]} == {"not significant"}
 
 
 def test_one_newly_failing_test_asks_for_a_look() -> None:

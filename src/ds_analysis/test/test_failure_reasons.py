@@ -100,7 +100,9 @@ def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
     drift[:, 0] -= np.arange(len(drift)) * 0.03
     under = made_test(RIGHT, visibility=40.0)
     straight = reason_of(under, failed(drift, noise, RIGHT))
-    assert straight.kind == "leaves a straight" and straight.details.endswith("under visibility 40 m")
+    assert straight.kind == "leaves a straight" and straight.details.endswith(
+        ", in fog or haze with a visibility of 40 m (visibility)"
+    )
     locked = np.where(np.arange(300) % 3 > 0, 1.0, -0.2)
     for steering, led in ((np.full(300, 0.3), "always steers the same"), (locked, "is at full lock half of the time")):
         assert reason_of(made_test(RIGHT), failed(drift, steering, RIGHT)).kind == f"leaves a straight: it {led}"
@@ -115,7 +117,8 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     wide, drift = failed(path, steering_from(40.0, -0.4), RIGHT), straight_on(RIGHT)
     drift[:, 0] -= np.arange(len(drift)) * 0.03
     straight = failed(drift, steering_from(0.0, 0.2), RIGHT)
-    tests = [replace(made_test(RIGHT), test_id=f"bullet-0-{k:04d}", number=k) for k in range(9)]
+    # The same road under the same conditions would count once.
+    tests = [replace(made_test(RIGHT, visibility=50.0 + k), test_id=f"bullet-0-{k:04d}", number=k) for k in range(9)]
     executions = [replace(straight if k == 0 else wide, test_id=test.test_id) for k, test in enumerate(tests)]
     config = CampaignConfig(siblings=["bullet"], driver="autopilot")
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))

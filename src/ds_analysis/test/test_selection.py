@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_analysis.common.selection import ALPHA, Share, choose_split, p_of_leads
+from ds_analysis.common.selection import ALPHA, Share, choose_split, most_frequent, p_of_leads
 from ds_analysis.common.statistics import Array, Bools, Indices
 
 SIZES = {14: (4, 3, 2, 2, 2, 1), 40: (6, 5, 5, 3, 3, 3, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1)}
@@ -118,3 +118,12 @@ def test_the_best_of_three_is_named_only_if_its_lead_is_no_accident() -> None:
         named += bool((p_of_leads(np.where(agrees, 1.0, -1.0), rng) <= ALPHA).any())
     assert named / CAMPAIGNS <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / CAMPAIGNS)
     assert p_of_leads(np.ones((1, 12)), rng)[0] == pytest.approx(1 / 2000, abs=1e-3)
+
+
+def test_a_label_leads_only_if_the_second_is_clearly_rarer() -> None:
+    alone = np.arange(24)
+    assert most_frequent(["wide"] * 18 + ["cuts"] * 6, alone) == "wide"
+    assert most_frequent(["wide"] * 13 + ["cuts"] * 11, alone) is None
+    # The eighteen descend from three roads, the six from one.
+    assert most_frequent(["wide"] * 18 + ["cuts"] * 6, alone // 6) is None
+    assert most_frequent(["wide"] * 3, np.arange(3)) == "wide" and most_frequent([], np.arange(0)) is None

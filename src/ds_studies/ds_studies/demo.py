@@ -20,8 +20,8 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.store.folder_files import make_folder
 from ds_road import Road
 from ds_road.generation import generate
-from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.words import in_words
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -132,11 +132,8 @@ def searched(found: Sensitivity) -> Ranges:
 
 
 def searched_in_words(ranges: Ranges) -> str:
-    """Ranges for a terminal: `visibility 40 to 1000 m`."""
-    return ", ".join(
-        f"{name} {three_digits(low)} to {three_digits(high)} {FIELDS[name].unit}".rstrip()
-        for name, (low, high) in ranges.items()
-    )
+    """Ranges for a terminal: `in fog or haze with a visibility of 40 to 1000 m (visibility)`."""
+    return ", ".join(in_words(name, low, high) for name, (low, high) in ranges.items())
 
 
 def campaign_config(ranges: Ranges) -> CampaignConfig:

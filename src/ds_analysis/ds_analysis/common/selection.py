@@ -15,7 +15,10 @@ and mostly end as it does. Rules, fixed before they were applied to any campaign
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from scipy.stats import beta, t
@@ -34,6 +37,7 @@ MOST_PARTS = 100
 SEED = 55
 """Seed of permutations, signs and parts; any number does."""
 _ROUNDING = 1e-9
+Label = TypeVar("Label", bound=str)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,3 +184,32 @@ def p_of_leads(leads: Array, rng: np.random.Generator) -> Array:
     signs = rng.choice((-1.0, 1.0), (SIGNS, leads.shape[1]))
     largest = np.append((signs @ leads.T).max(axis=1), np.inf)  # the observed signs are one of the draws
     return np.asarray((largest >= leads.sum(axis=1)[:, None] - _ROUNDING).mean(axis=1))
+
+
+def p_of_difference(changes: Array, families: Indices) -> float:
+    """Two-sided p of no difference, by rule 3.
+
+    Args:
+        changes: (tests,) 1, 0 or -1: in which direction a test differs, if it does.
+        families: (tests,) number of the family, from 0.
+    """
+    lead = np.asarray(np.bincount(families, changes), np.float64)
+    return float(p_of_leads(np.stack((lead, -lead)), np.random.default_rng(SEED)).min())
+
+
+def most_frequent(labels: Sequence[Label], families: Indices, alpha: float = ALPHA) -> Label | None:
+    """The most frequent label, if it is clearly more frequent than the second one, by rule 3; else None.
+
+    The first against the second, two-sided, is a valid test of the first against all (Gutmann and Maymin, Annals of
+    Statistics 15, 1987).
+
+    Args:
+        labels: one for each test; where there is a single one, nothing is chosen.
+        families: (tests,) number of the family, from 0.
+        alpha: largest p.
+    """
+    ranked = [label for label, _ in Counter(labels).most_common(2)]
+    if len(ranked) < 2:
+        return ranked[0] if ranked else None
+    first, second = (np.array([label == one for label in labels], np.float64) for one in ranked)
+    return ranked[0] if p_of_difference(first - second, families) <= alpha else None

@@ -10,8 +10,9 @@ from typing import Literal
 
 import numpy as np
 
+from ds_analysis.common.selection import ALPHA
 from ds_analysis.common.table import p_in_words
-from ds_analysis.comparison.paired_drives import ALPHA, Network, PairedCounts, PairedDrive, adjusted, fewest_changes
+from ds_analysis.comparison.paired_drives import Network, PairedCounts, PairedDrive, adjusted, fewest_changes
 from ds_analysis.comparison.sequential import TOLERANCE
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
 
@@ -43,6 +44,11 @@ class SimulatorComparison:
     unsearched_p_adjusted: float
     verdict: Verdict
     margin_change: float | None
+
+    @property
+    def p_of_verdict(self) -> float:
+        """The adjusted p on which the verdict rests."""
+        return self.unsearched_p_adjusted if self.verdict == "better" else self.p_adjusted
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -326,14 +332,17 @@ def cautions_of(comparison: Comparison) -> list[str]:
         return []
     found = _of_selection(comparison)
     if comparison.origin != "random":
-        found.append("Tests of a search resemble each other, so p and intervals are too optimistic.")
+        found.append(
+            "Tests of a search resemble each other: p counts mutants of one road together, intervals are too narrow."
+        )
     family = family_of(comparison)
     needed = fewest_changes(family, sequential=comparison.is_sequential)
     changed = max((row.counts.newly_fail + row.counts.fixed for row in comparison.simulators), default=0)
     if changed < needed:
         found.append(
             f"Too few tests change for a conclusion about other roads: {changed} at most on one simulator; with "
-            f"{count(family, 'comparison')}, a significant difference needs {needed} in the same direction."
+            f"{count(family, 'comparison')}, a significant difference needs {needed} in the same direction, none a "
+            "mutant of another."
         )
     return found
 

@@ -11,9 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from ds_analysis.common.statistics import Array
+from ds_analysis.common.selection import ALPHA, p_of_difference
+from ds_analysis.common.statistics import Array, are_alone, families_of
 from ds_analysis.comparison.sequential import sequential_evidence
-from ds_orchestrator.maps.algebra import DRAWS, LEVEL
+from ds_orchestrator.maps.algebra import DRAWS
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
@@ -135,8 +136,6 @@ class PairedDrive:
         return self.candidate.fitness - self.reference.fitness
 
 
-ALPHA = 1.0 - LEVEL
-"""Significance level, as of the paper's tests (4.3.2)."""
 _PRIOR = 0.5
 """Added to each of the four counts: the Jeffreys prior of a multinomial; half an observation for each outcome is also
 what Agresti and Min add (Statistics in Medicine 24, 2005)."""
@@ -154,6 +153,7 @@ class PairedCounts:
         both_fail: both fail.
         both_pass: both pass.
         changes: every test in the order of the drives where these may stop at any time; see `sequential_evidence`.
+        p_of_families: p where tests are mutants of each other; see `ds_analysis.common.selection`.
 
     Examples:
         >>> from ds_analysis import PairedCounts
@@ -167,18 +167,23 @@ class PairedCounts:
     both_fail: int
     both_pass: int
     changes: tuple[int, ...] | None = None
+    p_of_families: float | None = None
 
     @classmethod
     def of(cls, drives: Iterable[PairedDrive], *, sequential: bool = False) -> PairedCounts:
         """Count drives; `sequential`: p and interval hold although the outcomes decided when the drives ended."""
+        drives = list(drives)
         changes = [drive.change for drive in drives]
-        found = Counter(changes)
+        found, signs = Counter(changes), tuple((one == "newly fails") - (one == "fixed") for one in changes)
+        families = families_of([drive.test.road for drive in drives if drive.test.road is not None])
+        related = len(families) == len(drives) and not are_alone(families)
         return cls(
             newly_fail=found["newly fails"],
             fixed=found["fixed"],
             both_fail=found["fails in both"],
             both_pass=found["passes in both"],
-            changes=tuple((one == "newly fails") - (one == "fixed") for one in changes) if sequential else None,
+            changes=signs if sequential else None,
+            p_of_families=p_of_difference(np.array(signs, np.float64), families) if related else None,
         )
 
     @property
@@ -212,11 +217,13 @@ class PairedCounts:
 
     @property
     def p(self) -> float:
-        """Two-sided p of McNemar's exact test that as many tests get worse as better; 1 if none changes."""
+        """Two-sided p of as many tests that get worse as better, by McNemar's exact test if all are independent."""
         from statsmodels.stats.contingency_tables import mcnemar
 
         if self.changes is not None:
             return sequential_evidence(self.changes, ALPHA)[0]
+        if self.p_of_families is not None:
+            return self.p_of_families
         table = [[self.both_pass, self.newly_fail], [self.fixed, self.both_fail]]
         return float(mcnemar(table, exact=True).pvalue)
 

@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from ds_analysis.common.selection import ALPHA
 from ds_analysis.common.table import Column, Table, Value, p_in_words
 from ds_analysis.comparison.analysis import Comparison, advice_of, answer_of, cautions_of, sentences_of
-from ds_analysis.comparison.paired_drives import ALPHA, PairedCounts, PairedDrive
+from ds_analysis.comparison.paired_drives import PairedCounts, PairedDrive
 from ds_orchestrator.search.features import feature_of
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import label_of
@@ -69,7 +70,9 @@ def networks_table(comparisons: Sequence[Comparison]) -> Table:
         counts = [row.counts for row in one.simulators]
         failures = [each.candidate_failures for each in counts]
         verdicts = ", ".join(
-            f"{row.verdict} on {row.simulator}" for row in one.simulators if row.verdict in ("worse", "better")
+            f"{row.verdict} on {row.simulator}"
+            for row in one.simulators
+            if row.verdict != "not significant" and row.p_of_verdict * len(comparisons) < ALPHA
         )
         newly, fixed = sum(each.newly_fail for each in counts), sum(each.fixed for each in counts)
         rows.append((one.candidate.label, *failures, sum(failures), newly, fixed, verdicts or "not significant"))
@@ -83,7 +86,7 @@ def networks_table(comparisons: Sequence[Comparison]) -> Table:
         rows=rows,
         notes=[
             f"Of {', '.join(f'{n} tests on {name}' for n, name in zip(tests, names, strict=True))}. Verdicts are "
-            "corrected for the simulators, not for the number of candidates: the best of many looks better than it is."
+            "corrected for the simulators (Holm) and for the number of candidates (Bonferroni)."
         ],
     )  # fmt: skip
 
@@ -243,8 +246,9 @@ _READING = (
     "stuck is a failure. Simulators are deterministic: the same network repeats its drives to the bit, so that a test "
     "that newly fails is no accident of one drive.",
     "The twin is the most faithful simulator, the others are cheap ones that are wrong in different ways.",
-    "p says whether that holds for other such roads: McNemar's exact test on the tests that changed; Holm's adjustment "
-    "takes the number of simulators into account. Significant: below 0.05. 95 % intervals: Jeffreys.",
+    "p says whether that holds for other such roads: McNemar's exact test on the tests that changed, or, of mutants, "
+    "random signs of whole families; Holm's adjustment takes the number of simulators into account. "
+    "Significant: below 0.05. 95 % intervals: Jeffreys.",
 )
 
 

@@ -17,8 +17,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_road.geometry import lane_curvature
-from ds_sim.conditions.model import FIELDS
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.words import in_words
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 MOST_FAILURES = 2_000
@@ -60,10 +59,11 @@ Groups = Mapping[str, Sequence[Reason]]
 
 
 def reasons_of(data: CampaignData, most: int = MOST_FAILURES) -> list[Reason]:
-    """Give the reason of every failure of a campaign; of evenly spread ones where there are more than `most`.
+    """Give the reason of every failure of a campaign, each scenario once; of evenly spread ones if more than `most`.
 
     Failures without frames, of a campaign restored from a table, are left out.
     """
+    data = data.distinct
     tests = {test.test_id: test for test in data.tests}
     failed = [e for e in data.executions if e.outcome.is_failure and e.test_id in tests]
     chosen = failed[:: -(-len(failed) // most)] if failed else []
@@ -113,12 +113,10 @@ def reason_of(test: Test, execution: Execution) -> Reason:
     elif not led and side and len(steering):
         led, since = _steering_into_bend(road, arc[:-1], steering, side)
         numbers += f", steers {since:.1f} s after the bend began" if led == "steers late" else ""
-    under = [
-        f"{name} {three_digits(value)} {FIELDS[name].unit}".rstrip() for name, value in test.conditions.changed.items()
-    ]
+    under = ", ".join(in_words(name, value) for name, value in test.conditions.changed.items())
     return Reason(
         test.test_id, execution.simulator, f"{how}: it {led}" if led else how,
-        f"{numbers}, under {', '.join(under)}" if under else numbers,
+        f"{numbers}, {under}" if under else numbers,
     )  # fmt: skip
 
 

@@ -6,8 +6,10 @@ import re
 from contextlib import closing
 from pathlib import Path
 
+import pytest
 from report_campaigns import make_campaign
 
+from ds_analysis.failures.reasons import Reason
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_report.failure_section import failure_section
@@ -16,14 +18,14 @@ from ds_report.html_report import environment
 
 def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_path: Path) -> None:
     config = CampaignConfig(siblings=["bullet", "softbody"], twin=None, driver="autopilot")
-    with closing(make_campaign(tmp_path, config, 6)) as store:
+    with closing(make_campaign(tmp_path, config, 6, roads=12)) as store:
         data = read_campaign(store)
         section = failure_section(data)
     assert section is not None
     failed = {(e.test_id, e.simulator) for e in data.executions if e.outcome.is_failure}
     sizes = [group.failures for group in section.groups]
     assert sum(sizes) == len(failed) and sizes == sorted(sizes, reverse=True)
-    assert f"({sizes[0]} of {len(failed)} failures)" in section.sentences[0]
+    assert f"{sizes[0]} of {len(failed)} failures" in section.sentences[0]
     for group in section.groups:
         assert (group.worst.test_id, group.worst.simulator) in failed
         assert sum(int(words.split()[0]) for words in group.where.split(", ")) == group.failures
@@ -32,6 +34,20 @@ def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_pat
     assert re.findall(r'href="#cell=[-\d]+&amp;test=([^"]+)"', html) == [
         group.worst.test_id for group in section.groups
     ]
+
+
+@pytest.mark.parametrize(("wide", "said"), [(14, "Most often (14 of 16 failures), the driver wide."), (9, "No way of")])
+def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wide: int, said: str
+) -> None:
+    config = CampaignConfig(siblings=["bullet"], twin=None, driver="autopilot")
+    with closing(make_campaign(tmp_path, config, 16, roads=16)) as store:
+        data = read_campaign(store)
+    kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
+    made = [Reason(test.test_id, "bullet", kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
+    monkeypatch.setattr("ds_report.failure_section.reasons_of", lambda data: made)
+    section = failure_section(data)
+    assert section is not None and section.sentences[0].startswith(said)
 
 
 def test_without_failures_there_is_no_section(tmp_path: Path) -> None:

@@ -67,11 +67,12 @@ def network_of_campaign(data: CampaignData) -> Network:
 
 
 def tests_of_campaign(folder: Path, data: CampaignData) -> GivenTests:
-    """Tests of a campaign, on every simulator on which its network has a verdict.
+    """Tests of a campaign, each scenario once, on every simulator on which its network has a verdict.
 
     Raises:
         ComparisonError: there is none.
     """
+    data = data.distinct
     executions = {(one.test_id, one.simulator): one for one in data.verdicts}
     if not executions:
         raise ComparisonError(

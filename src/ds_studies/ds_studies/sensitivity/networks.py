@@ -35,6 +35,7 @@ def networks_table(found: Sequence[Sensitivity]) -> Table:
         rows=rows,
         notes=[
             "On the simulator where that is least; 1: no failure up to the hardest value. Roads: completed without any "
-            f"condition, of {found[0].needed * len(found[0].simulators)}; each network is tested on its own."
+            f"condition, of {found[0].needed * len(found[0].simulators)}; each network is tested on its own. "
+            "Weakest to: the smallest of these shares, on these roads."
         ],
     )  # fmt: skip

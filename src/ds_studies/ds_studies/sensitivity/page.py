@@ -9,7 +9,7 @@ from ds_driver.whole_files import write_whole
 from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import CameraPicture, camera_pictures
 from ds_report.html_report import environment
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.words import in_words
 from ds_studies.sensitivity.analysis import Sensitivity
 
 RELOAD = 3
@@ -55,5 +55,5 @@ class SensitivityPage:
                 test_id="", sibling=worst.simulator, run=0, number=0, road=road, seed=seed, conditions=conditions
             )
             (self._pictures[key],) = camera_pictures([worst.simulator], test)
-        unit = f" {worst.factor.unit}" if worst.factor.unit else ""
-        return f"{worst.simulator} at {three_digits(worst.factor.value(level))}{unit}", self._pictures[key]
+        words = in_words(worst.factor.name, worst.factor.value(level))
+        return f"{worst.simulator} {words}", self._pictures[key]
