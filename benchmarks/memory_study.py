@@ -14,7 +14,7 @@ training each, on the same data; and these statistics.
   one training of a kind does not separate the kind from the training.
 - Secondary: failures; share of tests on which the simulators do not all say the same; nesting of failures; residual
   correlations beyond features; how each leaves the lane; Brier scores with each simulator in turn as the car, without a
-  drive and after four chosen ones, beside undriven features.
+  drive and after four drawn ones, beside features alone.
 """
 
 from __future__ import annotations
@@ -26,19 +26,31 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from benchmarks.prediction.budget_scores import Case, score
-from benchmarks.prediction.real_budget import SIMULATORS, BudgetTest, Gates, Runs, drive
+from benchmarks.predictors import MODEL, Ours, Predictor, Simple, score
 from scipy.stats import rankdata
 
+from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import OutcomeTable, table_of_runs
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.common.table import Column, Table, Value, write_tables
-from ds_analysis.prediction.predictors import HIERARCHICAL, UNDRIVEN
+from ds_analysis.prediction.predictors import FEATURES
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_cli.output import say
+from ds_cli.progress import ScreenListener
 from ds_driver.data.collection import unseen_roads
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.engines.drive_tests import Key, Progress, drive_tests, read_drives
 from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
+from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
+from ds_sim.gates.gate import Gate
+from ds_studies.same_roads import driven_road
+
+SIMULATORS = ("bullet", "softbody", "panda", "donkey")
+Runs = dict[str, list[DrivenRoad | None]]
+"""Simulator -> its drives in the tests' order; None for one that is not there."""
+Gates = dict[str, Mapping[Key, Gate]]
+"""Simulator -> what is known of the tests' validity there."""
 
 KINDS = {"convolutional": False, "residual": False, "transformer": False, "stacked": True, "recurrent": True}
 """Network -> whether it has memory."""
@@ -46,17 +58,51 @@ CONDITIONS = {"line_contrast": {"low": 0.4, "high": 1.0}, "visibility": {"low": 
 TESTS, SEED, RESAMPLES = 40, 3600, 2000
 
 
-def draw_tests(conditions: bool) -> list[BudgetTest]:
+def draw_tests(conditions: bool) -> list[Test]:
     """Draw the tests; the roads are the same with and without conditions."""
     space = ConditionSpace([SearchedCondition(name=name, **ends) for name, ends in CONDITIONS.items()])
     drawn = [space.draw(np.random.default_rng([SEED, 1, k])) for k in range(TESTS)]
     return [
-        BudgetTest(road=road, seed=SEED + k, conditions=drawn[k] if conditions else DEFAULT)
+        Test(
+            test_id=f"{k:04d}", sibling="", run=0, number=0, road=road, seed=SEED + k,
+            conditions=drawn[k] if conditions else DEFAULT,
+        )
         for k, road in enumerate(unseen_roads(TESTS, SEED))
-    ]
+    ]  # fmt: skip
 
 
-def table_of(runs: Runs, tests: list[BudgetTest], rows: list[int]) -> OutcomeTable:
+def drive(
+    out: Path,
+    driver: str,
+    tests: list[Test],
+    workers: int,
+    *,
+    gates: Gates | None,
+    known_only: bool,
+    simulators: list[str],
+) -> tuple[Runs, set[int]]:
+    """Drive the tests on every simulator, or read what was driven; also the rows that some gate excludes."""
+    runs: Runs = {}
+    invalid: set[int] = set()
+    for name in simulators:
+        settings = DriveSettings(
+            siblings=(name,), driver=driver, gates="none" if gates is None else "all", workers=workers
+        )
+        work, folder = {name: [replace(test, sibling=name) for test in tests]}, out / driver / name
+        if known_only:
+            found = read_drives(folder, work)
+        else:
+            say(f"{driver} on {name}")
+            known = None if gates is None else gates.get(name)
+            found = drive_tests(settings, work, folder, Progress(listen=ScreenListener, say=say), gates=known)
+        if gates is not None:
+            gates[name] = {**gates.get(name, {}), **found.gates}
+        runs[name] = [driven_road(found, test, name) for test in work[name]]
+        invalid |= {k for k, test in enumerate(tests) if (test.test_id, name) in found.excluded}
+    return runs, invalid
+
+
+def table_of(runs: Runs, tests: list[Test], rows: list[int]) -> OutcomeTable:
     """Outcomes of the tests that are valid everywhere, for every network."""
     known = {name: [run for k in rows if (run := of[k]) is not None] for name, of in runs.items()}
     return table_of_runs(known, conditions=[tests[k].conditions for k in rows])
@@ -103,17 +149,16 @@ def main() -> None:
         invalid: set[int] = set()
         for network in arguments.networks.split(","):
             place = arguments.out / name
-            found[network], valid = drive(
+            found[network], excluded = drive(
                 place,
                 network,
                 tests,
-                [],
                 arguments.workers,
                 gates=gates,
                 known_only=arguments.score,
                 simulators=simulators,
             )
-            invalid |= {k for of in valid.values() for k, one in enumerate(of) if not one}
+            invalid |= excluded
         if not arguments.score:
             continue
         kept = [k for k in range(TESTS) if k not in invalid]
@@ -124,18 +169,13 @@ def main() -> None:
             say(f"{name}, {network}: {len(table)} tests")
             failed = np.stack([table.failed(one) for one in simulators])
             apart = float((failed.any(axis=0) & ~failed.all(axis=0)).mean())
-            scores = [
-                score(Case(network=network, group="in turn", name=one, outside="", table=table.with_twin(one),
-                           clusters=table.test_ids))
-                for one in simulators
-            ]  # fmt: skip
+            predictors: dict[str, Predictor] = {MODEL: Ours(), FEATURES: Simple(FEATURES)}
+            scored = [
+                score(table.with_twin(one).with_twin(None), table.failed(one), predictors).errors for one in simulators
+            ]
             brier = [
-                float(np.mean([errors.mean() for errors in of]))
-                for of in (
-                    [one.plain[UNDRIVEN] for one in scores],
-                    [one.plain[HIERARCHICAL] for one in scores],
-                    [one.after["information", 4][HIERARCHICAL] for one in scores],
-                )
+                float(np.mean([errors[key].mean() for errors in scored]))
+                for key in ((0, FEATURES), (0, MODEL), (4, MODEL))
             ]
             agrees = agreement(table.lateral, np.arange(len(table)))
             rows.append((name, network, KINDS[network], *map(int, failed.sum(axis=1)), agrees, apart, *brier))
@@ -156,7 +196,7 @@ def main() -> None:
             )
         )
     if arguments.score:
-        columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "undriven", "model", "four"]
+        columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "features", "model", "four"]
         summary = Table(name="memory", title="Agreement", columns=[Column(one) for one in columns], rows=rows, notes=[])
         write_tables([summary, *tables], arguments.out)
 

@@ -6,46 +6,55 @@
 Each simulator of a table is the car in turn, predicted from the others. A predictor has two methods:
 
 - `fit(siblings)`: an `OutcomeTable` without the car's outcomes; called once for each car.
-- `predict(drives)`: (tests,) probabilities of failure, of all tests, given the car's drives so far, `MarginDrive`s. The
-  outcomes of driven tests are filled in for every predictor.
+- `predict(drives)`: (tests,) probabilities of failure, of all tests, given the car's drives so far. The outcomes of
+  driven tests are filled in for every predictor.
 
-Drives are proposed as `ds real propose` does, or drawn at random (mean of `DRAWS` orders). Scores are Brier scores over
-all tests. `benchmarks/prediction/foreign` says what the columns of two of others' tables are. *Controls* are the same
-tables with the car's outcomes moved to other tests: siblings that say nothing about it. Intervals are 95 % over cars
-and families, resampled together. Fixed before the tables were scored: tables, budgets, rules, predictors.
+Tests are drawn at random (mean of `DRAWS` orders). Scores are Brier scores over all tests, intervals are 95 % over cars
+and families, resampled together. `calls` counts how often a test is called safe or failing, and is not. `help` counts
+what `ds real update` says of the siblings, of cars of four kinds: as it is; *control*, its outcomes moved to other
+tests; *opposite*, which fails where the siblings fail least; *other*, which follows a feature that they do not.
+`benchmarks/foreign` says what the columns of two of others' tables are. Fixed before the tables were scored: tables,
+budgets, predictors and every constant of ours.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from benchmarks.prediction.budget_scores import RATE, SHIFTED, learned
-from scipy.special import expit, logit
+from scipy.optimize import minimize_scalar
+from scipy.special import expit, log_expit, logit
 
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.common.statistics import Array, Indices
-from ds_analysis.common.table import Column, Table, write_tables
+from ds_analysis.common.statistics import Array, Bools, Indices
+from ds_analysis.common.table import Column, Table, Value, write_tables
 from ds_analysis.outcomes.folders import read_table
-from ds_analysis.prediction.predictors import UNDRIVEN, merged, undriven_probabilities
-from ds_analysis.prediction.real.drive_choice import choose
-from ds_analysis.prediction.twin_prediction import MarginDrive, outcomes_of, predict_twin
+from ds_analysis.prediction.betting import sibling_help
+from ds_analysis.prediction.mixture import Drive, Prediction, predict
+from ds_analysis.prediction.predictors import FEATURES, features_alone, merged
+from ds_analysis.prediction.verdicts import called
 from ds_cli.output import say
 
 OURS = Path("docs/data/outcomes")
-BUDGETS, DRAWS, CONTROLS = (0, 4, 8), 6, 3
+BUDGETS, DRAWS = (0, 4, 8), 6
+HELP_BUDGETS, HELP_ORDERS = (12, 25, 50, 100), 3
 MOST = 300
 """Tests of a table at most, whole families at random."""
 SEED = 37
 RESAMPLES = 2000
-MODEL = "ours"
-BASELINES = (UNDRIVEN, SHIFTED, RATE, "mean of the siblings")
-"""What a prediction must not be worse than."""
+MODEL, SHIFTED, RATE, MEAN, CONTROL = "ours", "features, shifted", "rate of the drives", "mean", "control variate"
+SIMPLE = (FEATURES, SHIFTED, RATE, MEAN, CONTROL)
+"""What a prediction must hardly be worse than."""
+SHIFT_SCALE = 2.5
+"""Standard deviation of a shift's prior in logits; the weakly informative scale of Gelman et al., Ann. Appl. Stat.
+2(4), 2008."""
+KINDS = ("as it is", "control", "opposite", "other")
 
 
 class Predictor(Protocol):
@@ -54,7 +63,7 @@ class Predictor(Protocol):
     def fit(self, siblings: OutcomeTable) -> None:
         """Learn from the siblings."""
 
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
+    def predict(self, drives: Sequence[Drive]) -> Array:
         """Predict all tests."""
         ...
 
@@ -64,23 +73,15 @@ class Ours:
 
     def fit(self, siblings: OutcomeTable) -> None:
         """See `Predictor`."""
-        self.before = predict_twin(siblings)
+        self.before = predict(siblings)
 
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
+    def predict(self, drives: Sequence[Drive]) -> Array:
         """See `Predictor`."""
         return self.before.updated(drives).probabilities()
 
 
-class VerdictsOnly(Ours):
-    """`ds predict`, which sees of each drive only whether it failed."""
-
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
-        """See `Predictor`."""
-        return super().predict([replace(one, margin=None) for one in drives])
-
-
-class Fixed:
-    """A merge operator on the siblings' verdicts, or undriven features; drives do not change it."""
+class Simple:
+    """A rule of `SIMPLE`, or a merge operator on the siblings' verdicts."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -88,68 +89,33 @@ class Fixed:
     def fit(self, siblings: OutcomeTable) -> None:
         """See `Predictor`."""
         failed = [siblings.failed(name).astype(np.float64) for name in siblings.siblings]
-        operator = {"mean of the siblings": "mean", "product": "product"}.get(self.name, "")
-        self.found = merged(failed)[operator] if operator else undriven_probabilities(siblings, "all")
+        operator = MEAN if self.name in (CONTROL, RATE) else self.name
+        self.before = features_alone(siblings) if operator in (FEATURES, SHIFTED) else merged(failed)[operator]
 
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
+    def predict(self, drives: Sequence[Drive]) -> Array:
         """See `Predictor`."""
-        return self.found.copy()
+        rows, failed = [one.row for one in drives], np.array([one.failed for one in drives], np.float64)
+        if self.name == RATE:
+            return np.full(len(self.before), (failed.sum() + 0.5) / (len(drives) + 1.0))
+        if not drives or self.name not in (SHIFTED, CONTROL):
+            return self.before.copy()
+        if self.name == CONTROL:  # the mean, moved by the drives' mean deviation, as X4Val and Sim2Val correct a mean
+            logits = logit(np.clip(self.before, 0.05, 0.95))
+            return np.asarray(expit(logits + 4.0 * float((failed - self.before[rows]).mean())))
+        logits = logit(self.before)
 
+        def loss(shift: float) -> float:
+            moved = logits[rows] + shift
+            likelihood = failed @ log_expit(moved) + (1.0 - failed) @ log_expit(-moved)
+            return 0.5 * (shift / SHIFT_SCALE) ** 2 - float(likelihood)
 
-class Learned(Fixed):
-    """The drives' failure rate (Jeffreys), or undriven features shifted by the drives."""
-
-    def fit(self, siblings: OutcomeTable) -> None:
-        """See `Predictor`."""
-        self.found = undriven_probabilities(siblings, "all")
-
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
-        """See `Predictor`."""
-        if not drives:
-            return self.found.copy() if self.name == SHIFTED else np.full(len(self.found), 0.5)
-        truth = np.zeros(len(self.found))
-        truth[[one.row for one in drives]] = [one.failed for one in drives]
-        return np.array(learned(self.found, truth, [one.row for one in drives])[self.name])
-
-
-class Agreement(Fixed):
-    """MultiSim's rule: a test fails where most siblings say so, with the drives' share of such calls that are right."""
-
-    def fit(self, siblings: OutcomeTable) -> None:
-        """See `Predictor`."""
-        self.says = np.mean([siblings.failed(name) for name in siblings.siblings], axis=0) > 0.5
-        self.found = np.where(self.says, 0.9, 0.1)
-
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
-        """See `Predictor`."""
-        right = sum(bool(self.says[one.row]) == one.failed for one in drives)
-        share = (right + 1.8) / (len(drives) + 2.0)  # as much as two drives, 0.9 of them right
-        return np.where(self.says, share, 1.0 - share)
-
-
-class ControlVariate(Fixed):
-    """The mean of the siblings, moved by the drives' mean deviation from it, as X4Val and Sim2Val correct a mean."""
-
-    def predict(self, drives: Sequence[MarginDrive]) -> Array:
-        """See `Predictor`."""
-        logits = logit(np.clip(self.found, 0.05, 0.95))
-        off = sum(float(one.failed) - self.found[one.row] for one in drives) / max(len(drives), 1)
-        return np.asarray(expit(logits + 4.0 * off))
+        bounds = (-6 * SHIFT_SCALE, 6 * SHIFT_SCALE)
+        return np.asarray(expit(logits + float(minimize_scalar(loss, bounds=bounds, method="bounded").x)))
 
 
 def predictors() -> dict[str, Predictor]:
     """Make all of them; a name stands in the tables."""
-    return {
-        MODEL: Ours(),
-        "ours, verdicts only": VerdictsOnly(),
-        UNDRIVEN: Fixed(UNDRIVEN),
-        SHIFTED: Learned(SHIFTED),
-        RATE: Learned(RATE),
-        "mean of the siblings": Fixed("mean of the siblings"),
-        "product": Fixed("product"),
-        "agreement": Agreement("agreement"),
-        "control variate": ControlVariate("mean of the siblings"),
-    }
+    return {MODEL: Ours(), **{name: Simple(name) for name in (*SIMPLE, "product")}}
 
 
 def sample(table: OutcomeTable) -> OutcomeTable:
@@ -164,45 +130,67 @@ def sample(table: OutcomeTable) -> OutcomeTable:
     return table.select(np.sort(np.array(kept[:MOST])))
 
 
-def control(table: OutcomeTable, car: str, seed: int) -> OutcomeTable:
-    """Move a car's outcomes to other tests."""
-    order = np.random.default_rng([SEED, seed]).permutation(len(table))
-    column = table.column(car)
-    states, lateral = table.states.copy(), table.lateral.copy()
-    states[:, column], lateral[:, column] = states[order, column], lateral[order, column]
-    return replace(table, states=states, lateral=lateral)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scored:
+    """One car: (tests,) squared errors by budget and predictor, and by budget what our calls come to.
+
+    `calls` counts tests called safe, those of them that fail, tests called failing, those of them that do not.
+    """
+
+    errors: Mapping[tuple[int, str], Array]
+    calls: Mapping[int, Array]
 
 
-Errors = dict[tuple[str, int, str], Array]
-"""Rule, budget and predictor -> (tests,) squared errors."""
+def score(hidden: OutcomeTable, failed: Bools, scored: Mapping[str, Predictor]) -> Scored:
+    """Score predictors of one car after every budget.
 
-
-def errors_of(table: OutcomeTable, car: str, scored: Mapping[str, Predictor]) -> Errors:
-    """Score predictors of one car after every budget, by both rules."""
-    table = table.with_twin(car)
-    truth = table.failed(car).astype(np.float64)
-    drives = {one.row: one for one in outcomes_of(table, car)}
-    hidden = table.with_twin(None)
+    Args:
+        hidden: the siblings' outcomes.
+        failed: (tests,) the car's.
+        scored: the predictors.
+    """
+    truth = failed.astype(np.float64)
     for predictor in scored.values():
         predictor.fit(hidden)
-    ours = predict_twin(hidden)
-    found: Errors = {}
-    for rule in ("proposed", "random"):
-        for budget in BUDGETS:
-            orders: list[Indices] = []
-            for draw in range(1 if rule == "proposed" or not budget else DRAWS):
-                if rule == "proposed":
-                    orders.append(np.array([one.row for one in choose(table, ours, budget)], np.intp))
-                else:
-                    orders.append(np.random.default_rng([SEED, draw]).choice(len(table), budget, replace=False))
+    errors: dict[tuple[int, str], Array] = {}
+    calls: dict[int, Array] = {}
+    for budget in BUDGETS:
+        for draw in range(DRAWS if budget else 1):
+            order = np.random.default_rng([SEED, draw]).choice(len(truth), budget, replace=False)
+            drives = [Drive(int(row), bool(failed[row]), drawn=True) for row in order]
             for name, predictor in scored.items():
-                of = []
-                for order in orders:
-                    predicted = np.array(predictor.predict([drives[int(row)] for row in order]))
-                    predicted[order] = truth[order]
-                    of.append((predicted - truth) ** 2)
-                found[rule, budget, name] = np.mean(of, axis=0)
-    return found
+                predicted = np.array(predictor.predict(drives))
+                predicted[order] = truth[order]
+                share = (predicted - truth) ** 2 / (DRAWS if budget else 1)
+                errors[budget, name] = errors.get((budget, name), 0.0) + share
+                if name == MODEL:
+                    left = ~np.isin(np.arange(len(truth)), order)
+                    safe, fails = (one[left] for one in called(predicted))
+                    wrong = failed[left]
+                    found = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum()]
+                    calls[budget] = calls.get(budget, np.zeros(4)) + found
+    return Scored(errors=errors, calls=calls)
+
+
+def made(hidden: OutcomeTable, failed: Bools, kind: str, rng: np.random.Generator) -> Bools:
+    """Outcomes of a car of one of `KINDS`; the last two fail on at least a fifth of the tests."""
+    if kind in ("as it is", "control"):
+        return failed if kind == "as it is" else rng.permutation(failed)
+    heard = np.mean([hidden.failed(name) for name in hidden.siblings], axis=0) + 1e-6 * rng.random(len(failed))
+    if kind == "other":
+        used = np.flatnonzero(hidden.features.std(axis=0) > 1e-12)
+        alike = [abs(np.corrcoef(hidden.features[:, k], heard)[0, 1]) for k in used]
+        heard = -hidden.features[:, used[int(np.argmin(alike))]]
+    return np.asarray(np.argsort(np.argsort(heard)) < max(failed.sum(), len(failed) // 5))
+
+
+def answers(prediction: Prediction, failed: Bools, seed: Sequence[int]) -> Iterator[tuple[int, str]]:
+    """Budget, and what is said of the siblings after so many drawn drives."""
+    order = np.random.default_rng(seed).permutation(len(failed))
+    for budget in HELP_BUDGETS:
+        if budget <= len(failed):
+            drives = [Drive(int(row), bool(failed[row]), drawn=True) for row in order[:budget]]
+            yield budget, sibling_help(prediction, prediction.updated(drives)).answer
 
 
 def interval(parts: Sequence[tuple[Array, Indices]]) -> tuple[float, float, float]:
@@ -221,12 +209,27 @@ def interval(parts: Sequence[tuple[Array, Indices]]) -> tuple[float, float, floa
     return float(np.mean([values.mean() for values, _ in parts])), float(low), float(high)
 
 
+def cars_of(folder: Path) -> Iterator[tuple[str, OutcomeTable, Bools]]:
+    """Name, siblings' outcomes and own outcomes of every car of a table."""
+    table, twin = sample(read_table(folder)), read_table(folder).twin
+    for car in [twin] if twin and len(table.siblings) < 3 else table.siblings:
+        yield car, table.with_twin(car).with_twin(None), table.failed(car)
+
+
+def behind(cars: Sequence[Scored], name: str = MODEL) -> dict[int, float]:
+    """By how much a predictor's mean Brier score lies behind the best simple one's, by budget."""
+
+    def mean(budget: int, one: str) -> float:
+        return float(np.mean([car.errors[budget, one].mean() for car in cars]))
+
+    return {budget: mean(budget, name) - min(mean(budget, one) for one in SIMPLE) for budget in BUDGETS}
+
+
 def main() -> None:
     """Score all tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--foreign", type=Path, help="folder of studies that are not shipped")
     parser.add_argument("--predictor", help="module:Class beside the built-in ones")
-    parser.add_argument("--tables", default="", help="only tables whose name has this in it")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     scored = predictors()
@@ -235,32 +238,41 @@ def main() -> None:
         scored[name] = getattr(import_module(module), name)()
     studies = sorted(one.parent for one in OURS.glob("*/outcomes.parquet"))
     studies += sorted(one.parent for one in arguments.foreign.glob("*/outcomes.parquet")) if arguments.foreign else []
-    rows = []
-    for folder in (one for one in studies if arguments.tables in one.name):
-        table = sample(read_table(folder))
-        twin = read_table(folder).twin
-        cars = [twin] if twin and len(table.siblings) < 3 else list(table.siblings)
-        for kind in ("", ", control"):
-            parts: dict[tuple[str, int, str], list[tuple[Array, Indices]]] = {}
-            for car in cars:
-                for seed in range(CONTROLS) if kind else (0,):
-                    made = control(table, car, seed) if kind else table
-                    for key, errors in errors_of(made, car, scored).items():
-                        parts.setdefault(key, []).append((errors, made.families))
-            for (rule, budget, name), of in parts.items():
-                rows.append((f"{folder.name}{kind}", len(table), len(of), rule, budget, name, *interval(of)))
-            best = {
-                (rule, budget): min(np.mean([v.mean() for v, _ in parts[rule, budget, n]]) for n in BASELINES)
-                for rule, budget, _ in parts
-            }
-            behind = ", ".join(
-                f"{rule} {budget}: {np.mean([v.mean() for v, _ in parts[rule, budget, MODEL]]) - least:+.3f}"
-                for (rule, budget), least in best.items()
-            )
-            say(f"{folder.name}{kind}: {len(table)} tests, {len(cars)} cars; ours minus the best baseline: {behind}")
-    columns = ["table", "tests", "cars", "drives", "budget", "predictor", "Brier", "low", "high"]
-    scores = Table(name="predictors", title="Brier scores", columns=[Column(one) for one in columns], rows=rows)
-    write_tables([scores], arguments.out)
+    rows: list[tuple[Value, ...]] = []
+    calls: list[tuple[Value, ...]] = []
+    said = Counter[tuple[str, str, int, str]]()
+    for folder in studies:
+        cars, families = [], []
+        for car, hidden, failed in cars_of(folder):
+            cars.append(score(hidden, failed, scored))
+            families.append(hidden.families)
+            prediction = predict(hidden)
+            for order in range(HELP_ORDERS):
+                for k, kind in enumerate(KINDS):
+                    outcomes = made(hidden, failed, kind, np.random.default_rng([SEED, order]))
+                    for budget, answer in answers(prediction, outcomes, [SEED, order, k]):
+                        said[folder.name, kind, budget, answer] += 1
+            say(f"{folder.name}, {car}")
+        for budget, name in cars[0].errors:
+            parts = [(car.errors[budget, name], of) for car, of in zip(cars, families, strict=True)]
+            rows.append((folder.name, len(families[0]), len(cars), budget, name, *interval(parts)))
+        for budget in BUDGETS:
+            calls.append((folder.name, budget, *map(int, np.sum([car.calls[budget] for car in cars], axis=0))))
+        say(f"{folder.name}: {', '.join(f'{k}: {v:+.3f}' for k, v in behind(cars).items())} behind the best simple one")
+    names = ["table", "tests", "cars", "drives", "predictor", "Brier", "low", "high"]
+    of_calls = ["table", "drives", "called safe", "of them fail", "called failing", "of them do not fail"]
+    of_help = ["table", "car", "drives", "helped", "misled", "open"]
+    helped: list[tuple[Value, ...]] = [
+        (*key, *(said[*key, answer] for answer in ("helped", "misled", "open")))
+        for key in dict.fromkeys(one[:3] for one in said)
+    ]
+    tables = [
+        Table(name=name, title=name, columns=[Column(one) for one in columns], rows=of)
+        for name, columns, of in (
+            ("predictors", names, rows), ("predictor_calls", of_calls, calls), ("sibling_help", of_help, helped),
+        )
+    ]  # fmt: skip
+    write_tables(tables, arguments.out)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Cars with known parameters, recorded, located and fitted: what is recovered, and what it predicts.
 
 `python -m benchmarks.recording.made --out FOLDER` takes some three minutes a car on a core. Cars are the `wide` ones of
-`benchmarks.prediction.made_twins`; no seed was used for development. The delay that is found contains the camera's.
+`benchmarks.recording.made_twins`; no seed was used for development. The delay that is found contains the camera's.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from benchmarks.prediction.made_twins import made_twin
 from benchmarks.recording.ahead import FITTED_SHARE, compare, split
 from benchmarks.recording.drives import Plan, line_distance, record
+from benchmarks.recording.made_twins import made_twin
 
 from ds_driver.data.recordings import Reading
 from ds_recording.floor_camera import read_camera

@@ -10,12 +10,12 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from ds_analysis.prediction.real.recordings import is_recording, read_recording
-from ds_analysis.prediction.real.records import RecordError
 from ds_bags.run_writer import write_bag
 from ds_driver import drive_road, make_driver
+from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.located import COLUMNS, Located, write_located
+from ds_recording.real_drive import is_recording, read_recording
 from ds_recording.track import Track
 from ds_road import Road
 from ds_sim.registry import make_simulator
@@ -82,9 +82,9 @@ def test_a_topic_with_the_lateral_position_is_read(driven: tuple[Path, RunRecord
         ("/car/state:nothing", "has no number 'nothing'"),
         ("/car/state", "name one topic of odometry .it has /car/odom."),
     ):
-        with pytest.raises(RecordError, match=named):
+        with pytest.raises(RecordingError, match=named):
             read_recording(folder, ROAD, scale=1.0, topic=topic)
-    with pytest.raises(RecordError, match="the odometry jumps"):
+    with pytest.raises(RecordingError, match="the odometry jumps"):
         read_recording(folder, ROAD, scale=30.0)
 
 

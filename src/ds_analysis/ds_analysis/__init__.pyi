@@ -44,9 +44,9 @@ from .paper.correlation import (
     paired_differences,
 )
 from .paper.simulator_agreement import PairComparison
-from .prediction.calibration import CellForecast, forecast_cells
-from .prediction.predictor_scores import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
-from .prediction.twin_prediction import MarginDrive, TwinPrediction, predict_twin
+from .prediction.car import CarPrediction, predict_car
+from .prediction.mixture import Drive, Prediction, predict
+from .prediction.predictors import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
 from .prediction.verdicts import CellVerdict, TestVerdict, Verdicts, judge
 from .siblings.added_information import AddedInformation, Baseline
 from .siblings.analysis import SiblingAnalysis, analyse, analysis_tables
@@ -55,17 +55,17 @@ from .siblings.residuals import ResidualCorrelation
 __all__ = [
     "AddedInformation",
     "Baseline",
+    "CarPrediction",
     "CellComparison",
-    "CellForecast",
     "CellVerdict",
     "ComparedTest",
     "Comparison",
     "ComparisonError",
     "Correlation",
     "Criteria",
+    "Drive",
     "DriveOutcome",
     "DrivenRoad",
-    "MarginDrive",
     "MaxFailures",
     "Network",
     "OutcomeTable",
@@ -74,6 +74,7 @@ __all__ = [
     "PairedCounts",
     "PairedDifference",
     "PairedDrive",
+    "Prediction",
     "PredictorComparison",
     "PredictorScore",
     "ROAD_FEATURES",
@@ -84,7 +85,6 @@ __all__ = [
     "State",
     "Table",
     "TestVerdict",
-    "TwinPrediction",
     "Verdicts",
     "adjusted",
     "advice_of",
@@ -100,12 +100,12 @@ __all__ = [
     "difference_interval",
     "draw_map",
     "evaluate",
-    "forecast_cells",
     "judge",
     "maps_of",
     "markdown_of",
     "paired_differences",
-    "predict_twin",
+    "predict",
+    "predict_car",
     "read_table",
     "sentences_of",
     "table_of_campaign",

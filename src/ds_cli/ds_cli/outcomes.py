@@ -48,23 +48,24 @@ def outcomes_import_command(
         "study": str(path),
         "features": list(study.features),
         "twin": study.twin,
+        "car": study.car,
         "simulators": {
             name: {"tests": tests, "drives": drives, "failed": failed, "flaky": flaky}
             for name, (tests, drives, failed, flaky) in found.items()
         },
     }
 
+    roles = {study.twin: " (twin)", study.car: " (car)"}
+
     def show() -> None:
         table = Table("simulator", "tests", "drives", "failed", "tests whose repeats disagree")
         for name, (tests, drives, failed, flaky) in found.items():
             shown = "" if flaky is None else f"{flaky:.0%}"
-            table.add_row(
-                f"{name}{' (twin)' if name == study.twin else ''}", str(tests), str(drives), f"{failed:.0%}", shown
-            )
+            table.add_row(f"{name}{roles.get(name, '')}", str(tests), str(drives), f"{failed:.0%}", shown)
         Console().print(table)
         print(f"features: {', '.join(study.features)}")
-        if len(found) - (study.twin is not None) < 2:
-            print("warning: only one sibling: how much simulators differ is then a prior, not a measurement")
+        if len(study.simulators) - (study.twin is not None) < 2:
+            print("warning: only one sibling: what it says counts half, as no other simulator confirms it")
         print(path)
 
     answer(Result(document=document, show=show), as_json)

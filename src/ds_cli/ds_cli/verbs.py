@@ -87,7 +87,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "real",
                 "prediction.real",
-                "Choose, record and use a few drives on a real car.",
+                "Draw, record and use a few drives on a real car.",
                 ("propose", "record", "update"),
             ),
             Verb(

@@ -11,9 +11,8 @@ from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, t
 from ds_analysis.common.table import Table
 from ds_analysis.paper.merge_case import merge_case_table, merge_cases
 from ds_analysis.prediction.car import predict_car
-from ds_analysis.prediction.real.records import RecordError, read_drives
-from ds_analysis.prediction.twin_prediction import span_of
 from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts
+from ds_analysis.real.records import RecordError, read_drives
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_orchestrator.campaign.folder import CampaignData
@@ -46,14 +45,14 @@ class AnswerSection:
     Attributes:
         sentence: the answer in one line; why there is none, if there are no panels.
         reading: how to read the map.
-        warnings: whether the car is outside of what the siblings span, and which calls not to rely on.
+        notes: whether the siblings have helped to predict the car, and what its drives certify.
         axes: titles of the first two axes.
         panels: the map; several for maps of three axes.
     """
 
     sentence: str
     reading: str = ""
-    warnings: Sequence[str] = ()
+    notes: Sequence[str] = ()
     axes: tuple[str, str] = ("", "")
     panels: Sequence[AnswerPanel] = ()
 
@@ -71,13 +70,13 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
     titles = [feature_of(name).title for name in car.verdicts.features]
-    warning, note = span_of(car.prediction).warning, car.table.sample_note
+    certified = "" if car.certificate is None else car.certificate.sentence
     command = ds_command("real", "propose", folder)
-    undecided = "" if car.drives else f" A few drives on the car decide most cells: `{command}` names them."
+    undecided = "" if car.drives else f"A few drives on the car decide most cells: `{command}` draws them."
     return AnswerSection(
         sentence=car.sentence,
-        reading=f"{_reading(car.verdicts, car.drives)} {car.prediction.kinds_sentence}{undecided} {note}".rstrip(),
-        warnings=[warning] if warning else [],
+        reading=" ".join(filter(None, (_reading(car.verdicts, len(car.drives)), undecided, car.table.sample_note))),
+        notes=[one for one in (car.help.sentence, certified) if one],
         axes=(titles[0], titles[1]),
         panels=_panels(car.verdicts),
     )
@@ -88,8 +87,8 @@ def _reading(verdicts: Verdicts, drives: int) -> str:
     tolerated, wrong = (f"{100 * rate:.0f} %" for rate in (verdicts.tolerated, ERROR_RATE))
     return (
         f"A cell fails if more than {tolerated} of tests like its own would fail on the car, and is safe if fewer "
-        f"would; either is meant to be wrong at most {wrong} of the time, if the car is one more simulator of this "
-        "kind. Where that cannot be said, it is disputed. Numbers: mean failure rate, 90 % interval, tests."
+        f"would; either is meant to be wrong at most {wrong} of the time. Where that cannot be said, it is disputed. "
+        "Numbers: mean failure rate, 90 % interval, tests."
         f"{framed}"
     )
 

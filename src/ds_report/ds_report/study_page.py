@@ -9,18 +9,19 @@ import numpy as np
 
 from ds_analysis.common.heatmap import bounds_of, draw_map
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
+from ds_analysis.common.selection import SEED, choose_split
 from ds_analysis.common.table import Column, Table
 from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import Study
-from ds_analysis.prediction.car import predict_car
-from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
-from ds_analysis.prediction.twin_prediction import predict_twin, span_of
-from ds_analysis.prediction.verdict_picture import draw_verdicts
+from ds_analysis.prediction.car import CarPrediction, predict_car
+from ds_analysis.prediction.mixture import predict
+from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
 from ds_analysis.siblings.failure_patterns import nestings
 from ds_driver.whole_files import write_whole
 from ds_orchestrator.maps.feature_map import slices_of
 from ds_report.html_report import environment
 from ds_report.page_data import data_address
+from ds_report.verdict_picture import draw_verdicts
 from ds_sim.installation import ds_command
 
 PAGE = "report.html"
@@ -37,7 +38,7 @@ def write_study_page(folder: Path, study: Study) -> Path:
     tables = []
     if study.twin is not None and car is not None:
         try:
-            tables = comparison_tables(compare_predictors(table, predict_twin(table)))
+            tables = comparison_tables(compare_predictors(table, predict(table)))
         except OutcomeTableError as error:
             unpredicted = str(error)
     shown = {map_id: made for map_id, made in maps_of_study(study).items() if not map_id.operator}
@@ -45,8 +46,7 @@ def write_study_page(folder: Path, study: Study) -> Path:
     page = environment().get_template("study.html.j2").render(
         title=folder.resolve().name,
         sentence=f"{len(table)} tests on {', '.join(study.simulators)}" if car is None else car.sentence,
-        sentences=_wheres(study) + ([] if car is None else [car.prediction.kinds_sentence]),
-        warning="" if car is None else span_of(car.prediction).warning,
+        sentences=[*_about_car(car), *(_where(table, name) for name in table.simulators)],
         unpredicted=unpredicted,
         command=str(ds_command("real", "propose", folder)),
         simulators=simulator_table(study),
@@ -64,33 +64,36 @@ def write_study_page(folder: Path, study: Study) -> Path:
     return folder / PAGE
 
 
-def _wheres(study: Study) -> list[str]:
-    """Say for each simulator where it fails most: by the feature whose halves differ most."""
-    found = []
-    for name in study.simulators:
-        rows = study.rows[study.rows["simulator"] == name]
-        failed = rows["failed"].to_numpy(np.float64)
-        best = (0.0, "", 0.0, 0.0, 0.0)
-        for feature in study.features:
-            values = rows[feature].to_numpy(np.float64)
-            middle = float(np.median(values))
-            high = values > middle
-            if high.any() and not high.all():
-                above, below = float(failed[high].mean()), float(failed[~high].mean())
-                best = max(best, (abs(above - below), feature, middle, above, below))
-        if best[1]:
-            _, feature, middle, above, below = best
-            found.append(
-                f"{name} fails in {failed.mean():.0%} of {len(rows)} drives: {above:.0%} where {feature} is above "
-                f"{middle:.3g}, {below:.0%} elsewhere."
-            )
-    return found
+def _about_car(car: CarPrediction | None) -> list[str]:
+    """What the car's drives say of the simulators, and certify."""
+    if car is None or not car.drives:
+        return []
+    return [car.help.sentence, *([] if car.certificate is None else [car.certificate.sentence])]
+
+
+def _where(table: OutcomeTable, name: str) -> str:
+    """Say on how many tests a simulator fails, and where, if a feature divides them better than chance."""
+    known = table.select(table.known(name))
+    failed = known.failed(name)
+    said = f"{name} fails on {int(failed.sum())} of {len(known)} tests"
+    values = np.concatenate((known.features.T, -known.features.T))
+    families = np.unique(known.families, return_inverse=True)[1]
+    split = choose_split(values, failed, families, np.random.default_rng(SEED)) if len(known) else None
+    if split is None or split.apart is None or not split.is_clear:
+        return f"{said}; no feature divides them better than chance."
+    from_below, axis = divmod(split.axis, len(known.feature_names))
+    side = f"{-split.threshold:.3g} or less" if from_below else f"{split.threshold:.3g} or more"
+    low, high = (f"{one.failures / one.tests:.0%}" for one in split.apart[::-1])
+    beyond, harder = int(failed[split.harder].sum()), int(split.harder.sum())
+    where = f"{beyond} of the {harder} where {known.feature_names[axis]} is {side}"
+    return f"{said}: {where}. On tests that did not choose this threshold, {high} fail beyond it and {low} elsewhere."
 
 
 def simulator_table(study: Study) -> Table:
-    """Tabulate what was read of each simulator."""
+    """Tabulate what was read of each simulator, and of the car."""
+    roles = {study.twin: "twin", study.car: "car"}
     rows = [
-        (f"{name} (twin)" if name == study.twin else name, tests, drives, failed, flaky)
+        (f"{name} ({roles[name]})" if name in roles else name, tests, drives, failed, flaky)
         for name, (tests, drives, failed, flaky) in study.flakiness().items()
     ]
     return Table(

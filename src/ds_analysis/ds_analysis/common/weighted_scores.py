@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ds_analysis.common.statistics import Array, Indices, ranks
+from ds_analysis.common.statistics import Array, Indices
 from ds_orchestrator.maps.algebra import LEVEL
 
 _NO_WIDTH = 1e-9
@@ -63,51 +63,3 @@ def mean_of(values: Array, weights: Array) -> Array:
 def brier(predicted: Array, truth: Array, weights: Array) -> Array:
     """(resamples,) mean squared error of probabilities (Brier 1950); truth may be a rate."""
     return mean_of((predicted - truth) ** 2, weights)
-
-
-def log_loss(predicted: Array, truth: Array, weights: Array) -> Array:
-    """(resamples,) mean logarithmic loss, bits; truth may be a rate, whose own entropy is then part of the loss."""
-    return mean_of(-truth * np.log2(predicted) - (1.0 - truth) * np.log2(1.0 - predicted), weights)
-
-
-def recall(predicted: Array, failing: Array, weights: Array, threshold: float) -> Array:
-    """(resamples,) share of failing rows that are predicted with at least a threshold; NaN without failing rows."""
-    return mean_of((predicted >= threshold).astype(np.float64), weights * failing)
-
-
-def false_alarms(predicted: Array, failing: Array, weights: Array, threshold: float) -> Array:
-    """(resamples,) share of rows that do not fail but are predicted with at least a threshold; NaN without any."""
-    return mean_of((predicted >= threshold).astype(np.float64), weights * (1.0 - failing))
-
-
-def pearson(predicted: Array, truth: Array, weights: Array) -> Array:
-    """(resamples,) Pearson's r; NaN where one of them is constant."""
-    x, y = mean_of(predicted, weights), mean_of(truth, weights)
-    xx, yy, xy = (mean_of(v, weights) for v in (predicted**2, truth**2, predicted * truth))
-    spread = (xx - x * x) * (yy - y * y)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.where(spread > _CONSTANT, (xy - x * y) / np.sqrt(spread), np.nan))
-
-
-def average_precision(predicted: Array, failing: Array, weights: Array) -> Array:
-    """(resamples,) area under the precision-recall curve: mean precision over the failing rows.
-
-    Equal predictions share one point of the curve, as in scikit-learn's `average_precision_score`. NaN without failing
-    rows.
-    """
-    if predicted.ndim == 1:
-        parts = np.array_split(weights, weights.size // _BLOCK + 1)
-        return np.concatenate([_average_precision(predicted, failing * part, part) for part in parts])
-    hits = failing * weights
-    return np.concatenate(
-        [_average_precision(p, h[None], w[None]) for p, h, w in zip(predicted, hits, weights, strict=True)]
-    )
-
-
-def _average_precision(predicted: Array, hits: Array, weights: Array) -> Array:
-    order, ends = ranks(predicted)
-    found = np.cumsum(hits[:, order], axis=1)[:, ends]
-    seen = np.cumsum(weights[:, order], axis=1)[:, ends]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        precision = np.where(seen > 0.0, found / seen, 0.0)
-        return np.asarray((precision * np.diff(found, axis=1, prepend=0.0)).sum(axis=1) / found[:, -1])

@@ -103,7 +103,9 @@ class Columns(_Strict):
         features: columns with numbers that are known before a test is driven; all other numeric columns if left out.
         where: rows to read.
         map: axes of the map, feature -> width of a bin; the first two features in ten bins each if left out.
-        twin: simulator, or car, that the others are to predict.
+        twin: simulator that the others are to predict.
+        car: real car whose rows are its drives: they update the prediction, and are not a simulator's.
+        car_drawn: whether the car's tests were drawn at random from all, so that they certify something.
     """
 
     test: str | list[str] = "test_id"
@@ -117,6 +119,8 @@ class Columns(_Strict):
     where: list[Rule] = []
     map: Annotated[dict[str, Annotated[float, Field(gt=0.0)]], Field(min_length=2, max_length=3)] | None = None
     twin: str | None = None
+    car: str | None = None
+    car_drawn: bool = False
 
     def filled(self, known: Sequence[str]) -> Columns:
         """Return the same, with columns of the usual names where nothing was said."""

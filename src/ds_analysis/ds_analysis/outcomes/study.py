@@ -14,7 +14,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, OutcomeTableError, State, no_profile
-from ds_analysis.outcomes.columns import Columns, Margin, Rule, listed, numbers_of, row_of, texts_of, verdicts_of
+from ds_analysis.outcomes.columns import (
+    Columns,
+    Margin,
+    Rule,
+    Verdict,
+    column_of,
+    listed,
+    numbers_of,
+    row_of,
+    texts_of,
+    verdicts_of,
+)
 from ds_analysis.outcomes.sbft import read_competition
 from ds_driver.whole_files import whole_file
 from ds_orchestrator.search.features import column_axis
@@ -39,24 +50,35 @@ class Study:
             NaN where only the verdict is known.
         features: names of the features.
         axes: feature -> width of a bin of the map.
-        twin: simulator or car that the others are to predict; None if there is none.
+        twin: simulator that the others are to predict; None if there is none.
+        car: real car whose rows are drives, not a simulator's; None if there is none.
+        car_drawn: whether its tests were drawn at random from all.
     """
 
     rows: pd.DataFrame
     features: tuple[str, ...]
     axes: dict[str, float]
     twin: str | None = None
+    car: str | None = None
+    car_drawn: bool = False
 
     @property
     def simulators(self) -> list[str]:
-        """Names, the twin last."""
-        names = list(dict.fromkeys(self.rows["simulator"]))
+        """Names, the twin last, without the car."""
+        names = [name for name in dict.fromkeys(self.rows["simulator"]) if name != self.car]
         return sorted(names, key=lambda name: name == self.twin)
+
+    def car_outcomes(self) -> dict[str, bool]:
+        """Test -> whether the real car failed it, in the order of the rows; a repeated one if at least half failed."""
+        of = self.rows[self.rows["simulator"] == self.car]
+        return {
+            str(test): bool(share >= 0.5) for test, share in of.groupby("test_id", sort=False)["failed"].mean().items()
+        }
 
     def flakiness(self) -> dict[str, tuple[int, int, float, float | None]]:
         """Simulator -> tests, drives, share of failed drives, and of repeated tests whose repeats disagree, if any."""
         found: dict[str, tuple[int, int, float, float | None]] = {}
-        for name in self.simulators:
+        for name in (*self.simulators, *([self.car] if self.car else [])):
             of = self.rows[self.rows["simulator"] == name]
             shares = of.groupby("test_id")["failed"].agg(["mean", "size"])
             repeated = shares[shares["size"] > 1]["mean"]
@@ -84,6 +106,8 @@ class Study:
             {"failed": "mean", "margin": "median", "limit": "median"}
         )
         for (test, name), share, margin, limit in middle.itertuples(name=None):
+            if name == self.car:
+                continue
             at = place[test], names.index(name)
             states[at] = State.FAILED if share >= 0.5 else State.COMPLETED
             lateral[at], limits[at] = margin, limit if np.isfinite(limit) else 1.0
@@ -162,9 +186,20 @@ def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
         if not float(np.ptp(rows[name])) <= MOST_BINS * width:
             raise OutcomeTableError(f"{source}: bins of {width:g} cut {name} into more than {MOST_BINS}: widen them")
     known = sorted(set(rows["simulator"]))
-    if columns.twin is not None and columns.twin not in known:
-        raise OutcomeTableError(f"{source} has no simulator {columns.twin!r}: expected {', '.join(known)}")
-    return Study(rows=rows[[*LONG, *names]], features=tuple(names), axes=axes, twin=columns.twin)
+    for name in (columns.twin, columns.car):
+        if name is not None and name not in known:
+            raise OutcomeTableError(f"{source} has no simulator {name!r}: expected {', '.join(known)}")
+    study = Study(
+        rows=rows[[*LONG, *names]],
+        features=tuple(names),
+        axes=axes,
+        twin=columns.twin,
+        car=columns.car,
+        car_drawn=columns.car_drawn,
+    )
+    if not study.simulators or columns.car == columns.twin is not None:
+        raise OutcomeTableError(f"{source}: the car is {columns.car!r}: expected a simulator beside it, and no twin")
+    return study
 
 
 def _read(path: Path) -> pd.DataFrame:
@@ -189,17 +224,17 @@ def _outcomes(
     frame: pd.DataFrame, columns: Columns, source: str, used: set[str]
 ) -> tuple[list[pd.DataFrame], set[str]]:
     """Return the rows of each simulator, and the columns that say what became of a test."""
-    names: list[tuple[list[str], Any]] = []
     if columns.simulators is not None:
-        names = [([name] * len(frame), verdict) for name, verdict in columns.simulators.items()]
+        verdicts = [(_driven(frame, one, source), name, one) for name, one in columns.simulators.items()]
+        names: list[tuple[pd.DataFrame, list[str], Any]] = [(of, [name] * len(of), one) for of, name, one in verdicts]
     else:
-        names = [(texts_of(frame, columns.simulator, source), columns)]
-    tests = texts_of(frame, columns.test, source)
-    family = tests if columns.family is None else texts_of(frame, columns.family, source)
-    repeat = np.zeros(len(frame)) if columns.repeat is None else numbers_of(frame, columns.repeat, source)
+        names = [(frame, texts_of(frame, columns.simulator, source), columns)]
     outcomes = {one for one in (columns.repeat, columns.family) if one}
     found = []
-    for simulators, verdict in names:
+    for frame, simulators, verdict in names:
+        tests = texts_of(frame, columns.test, source)
+        family = tests if columns.family is None else texts_of(frame, columns.family, source)
+        repeat = np.zeros(len(frame)) if columns.repeat is None else numbers_of(frame, columns.repeat, source)
         failed = verdict.failed
         margin, limit = np.full(len(frame), np.nan), np.full(len(frame), np.nan)
         if verdict.margin is not None:
@@ -227,6 +262,17 @@ def _outcomes(
             )
         )
     return found, outcomes
+
+
+def _driven(frame: pd.DataFrame, verdict: Verdict, source: str) -> pd.DataFrame:
+    """Rows of a wide table that a simulator drove: its column of verdicts, or else of margins, is not empty there."""
+    name = verdict.failed if isinstance(verdict.failed, str) else None
+    if name is None and verdict.failed is None and verdict.margin is not None:
+        name = verdict.margin.column
+    if name is None:
+        return frame
+    column_of(frame, name, source)
+    return frame[frame[name].notna()].reset_index(drop=True)
 
 
 def _margins(
@@ -278,7 +324,7 @@ def write_rows(path: Path, study: Study) -> None:
 
 def write_study(folder: Path, study: Study) -> Path:
     """Write a study's file."""
-    about = {"features": study.features, "axes": study.axes, "twin": study.twin}
+    about = {name: getattr(study, name) for name in ("features", "axes", "twin", "car", "car_drawn")}
     table = pa.Table.from_pandas(study.rows, preserve_index=False)
     table = table.replace_schema_metadata({KEY: json.dumps(about).encode()})
     with whole_file(folder / FILE) as partial:
@@ -307,6 +353,8 @@ def read_study(folder: Path) -> Study:
             features=tuple(map(str, about["features"])),
             axes={str(name): float(width) for name, width in about["axes"].items()},
             twin=about["twin"],
+            car=about.get("car"),
+            car_drawn=about.get("car_drawn") is True,
         )
         whole = [*LONG, *study.features] == list(frame.columns) and set(study.axes) <= set(study.features)
         numbers = frame[["margin", "limit", *study.features]].to_numpy(np.float64)
@@ -317,6 +365,8 @@ def read_study(folder: Path) -> Study:
         if frame["failed"].dtype != np.bool_ or not wide or not 2 <= len(study.axes) <= 3:
             raise damaged
         if study.twin is not None and study.twin not in study.simulators:
+            raise damaged
+        if not study.simulators or (study.car is not None and not (frame["simulator"] == study.car).any()):
             raise damaged
     except (KeyError, TypeError, ValueError, AttributeError):
         raise damaged from None

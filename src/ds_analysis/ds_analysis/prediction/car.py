@@ -1,51 +1,104 @@
-"""What is predicted of a car, from every simulator that was driven and from the car's own drives."""
+"""What is predicted of a car: from every simulator that was driven, and from the car's own drives."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.prediction.real.records import read_drives
-from ds_analysis.prediction.real.update import margin_drives
-from ds_analysis.prediction.twin_prediction import TwinPrediction, predict_twin
+from ds_analysis.prediction.betting import SiblingHelp, in_turn, sibling_help
+from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.verdicts import TOLERATED_RATE, Verdicts, judge
+from ds_analysis.real.certificate import Bet, Certificate, certify
+from ds_analysis.real.proposal import Proposed, candidates_of, open_drives, read_proposed
+from ds_analysis.real.records import RealDrive, RecordError, read_drives
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class CarPrediction:
     """What is predicted of a car.
 
     Attributes:
         table: outcomes; a driven twin is one more sibling.
-        prediction: of the table's tests.
-        verdicts: of every test and cell.
-        drives: number of drives of the car.
-        failed: number of them that failed.
+        undriven: prediction without the car's drives.
+        prediction: with them, in the order in which their tests were drawn.
+        drives: the drives.
+        proposed: what was proposed.
+        tolerated: failure rate up to which a cell counts as safe.
     """
 
     table: OutcomeTable
-    prediction: TwinPrediction
-    verdicts: Verdicts
-    drives: int
-    failed: int
+    undriven: Prediction
+    prediction: Prediction
+    drives: Sequence[RealDrive]
+    proposed: Proposed
+    tolerated: float = TOLERATED_RATE
+
+    @cached_property
+    def before(self) -> Verdicts:
+        """Verdicts without the drives."""
+        return judge(self.table, self.undriven, tolerated=self.tolerated)
+
+    @cached_property
+    def verdicts(self) -> Verdicts:
+        """Verdicts of every test and cell."""
+        return judge(self.table, self.prediction, tolerated=self.tolerated) if self.drives else self.before
+
+    @cached_property
+    def help(self) -> SiblingHelp:
+        """Whether the siblings have helped to predict the drives."""
+        return sibling_help(self.undriven, self.prediction)
+
+    @property
+    def open(self) -> Sequence[str]:
+        """Proposed tests that were not recorded."""
+        return open_drives(self.proposed, {drive.test_id for drive in self.drives})
+
+    @cached_property
+    def certificate(self) -> Certificate | None:
+        """Bounds on the tests that fail, from drawn drives up to the first that was not recorded; None without any."""
+        population = self.proposed.population or [self.table.test_ids[row] for row in candidates_of(self.table)]
+        place = {test_id: row for row, test_id in enumerate(self.table.test_ids)}
+        left = np.zeros(len(self.table), np.bool_)
+        left[[place[test_id] for test_id in population if test_id in place]] = True
+        bets = []
+        for drive, predicted in in_turn(self.undriven, self.prediction):
+            if left[drive.row]:
+                probabilities = predicted.probabilities()
+                mean = float(probabilities[left].mean())
+                row = float(probabilities[drive.row])
+                bets.append(Bet(failed=drive.failed, drawn=drive.drawn, predicted=row, mean_predicted=mean))
+                left[drive.row] = False
+        return certify(bets, len(population)) if any(bet.drawn for bet in bets) else None
 
     @property
     def sentence(self) -> str:
         """The answer in one line."""
-        names, counts = self.table.siblings, self.verdicts.counts
-        tested = sum(counts.values()) - counts["untested"]
-        share = float(np.mean([one.probability for one in self.verdicts.tests]))
-        known = f"after {self.drives} real drive{'' if self.drives == 1 else 's'}, {self.failed} failed"
+        counts, tests = self.verdicts.counts, self.verdicts.undriven
+        names = self.table.siblings
         named = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-        fail, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
+        cells = sum(counts.values()) - counts["untested"]
+        expected = sum(one.probability for one in tests)
+        fails, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
+        of_cells = (
+            f"of {cells} cell{'' if cells == 1 else 's'} {fails} fail{'s' if fails == 1 else ''}, {safe} "
+            f"{'is' if safe == 1 else 'are'} safe and {disputed} {'is' if disputed == 1 else 'are'} disputed"
+        )
+        if not self.drives:
+            return (
+                f"{self._uniform}On a car, predicted from {named} without a real drive, {expected:.0f} of {len(tests)} "
+                f"tests are expected to fail; {of_cells}."
+            )
+        failed = sum(drive.failed for drive in self.drives)
+        many = f"{len(self.drives)} test{'' if len(self.drives) == 1 else 's'}"
         return (
-            f"{self._uniform}On a car, predicted from {named} {known if self.drives else 'without a real drive'}: "
-            f"{fail} of {tested} cell{'' if tested == 1 else 's'} fail{'s' if fail == 1 else ''}, "
-            f"{safe} {'is' if safe == 1 else 'are'} safe, {disputed} {'is' if disputed == 1 else 'are'} disputed; "
-            f"{100 * share:.0f} % of these tests are expected to fail."
+            f"Of the {len(tests)} tests that the car has not driven, {expected:.0f} are expected to fail; {of_cells}. "
+            f"The car drove {many} and failed {failed}; the rest is predicted from these drives and {named}."
         )
 
     @property
@@ -56,6 +109,32 @@ class CarPrediction:
         if not len(failed) or failed.any() != failed.all():
             return ""
         return f"{'Every' if failed.all() else 'None of the'} {len(failed)} simulated drives failed. "
+
+    @property
+    def changed(self) -> list[dict[str, Any]]:
+        """Cells whose verdict the drives changed."""
+        return [
+            {"cell": one.cell, "before": one.verdict, "after": two.verdict}
+            for one, two in zip(self.before.cells, self.verdicts.cells, strict=True)
+            if one.verdict != two.verdict
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        expected = [float(np.mean([one.probability for one in of.tests])) for of in (self.before, self.verdicts)]
+        return {
+            "sentence": self.sentence,
+            "siblings": list(self.table.siblings),
+            "drives": [asdict(drive) for drive in self.drives],
+            "open": list(self.open),
+            "failures": expected,
+            "experts": dict(self.prediction.shares),
+            "help": {**asdict(self.help), "answer": self.help.answer, "sentence": self.help.sentence},
+            "certificate": None if self.certificate is None else asdict(self.certificate),
+            "verdicts": self.verdicts.document(),
+            "before": self.before.document(),
+            "changed": self.changed,
+        }
 
 
 def predict_car(folder: Path, table: OutcomeTable, *, tolerated: float = TOLERATED_RATE) -> CarPrediction:
@@ -68,16 +147,38 @@ def predict_car(folder: Path, table: OutcomeTable, *, tolerated: float = TOLERAT
 
     Raises:
         ds_analysis.common.outcome_table.OutcomeTableError: there are too few tests.
-        ds_analysis.prediction.real.records.RecordError: the drives of the car cannot be read or are of other tests.
+        ds_analysis.real.records.RecordError: the drives of the car cannot be read or are of other tests.
     """
-    drives = read_drives(folder)
-    known = table.as_population()
-    prediction = predict_twin(known)
-    prediction = prediction.updated(margin_drives(known, drives))
+    known, drives, proposed = table.as_population(), read_drives(folder), read_proposed(folder)
+    undriven = predict(known)
+    ordered = drives_in_order(known, drives, proposed)
     return CarPrediction(
         table=known,
-        prediction=prediction,
-        verdicts=judge(known, prediction, tolerated=tolerated),
-        drives=len(drives),
-        failed=sum(drive.failed for drive in drives),
+        undriven=undriven,
+        prediction=undriven.updated(ordered),
+        drives=drives,
+        proposed=proposed,
+        tolerated=tolerated,
     )
+
+
+def drives_in_order(table: OutcomeTable, drives: Sequence[RealDrive], proposed: Proposed) -> list[Drive]:
+    """Order drives as their tests were drawn; from the first that was not recorded on, none counts as drawn.
+
+    A driver who leaves out the tests that look hard would otherwise certify the easy ones.
+
+    Raises:
+        RecordError: a drive is of no test of the table.
+    """
+    rows = {test_id: row for row, test_id in enumerate(table.test_ids)}
+    left = {drive.test_id: drive for drive in drives}
+    for test_id in left:
+        if test_id not in rows:
+            raise RecordError(f"the real drive of {test_id!r:.60} is of no test here: remove it from the drives")
+    found, complete = [], True
+    for test_id, drawn in proposed.in_order():
+        complete &= not drawn or test_id in left
+        if test_id in left:
+            one = left.pop(test_id)
+            found.append(Drive(rows[test_id], one.failed, complete and (drawn or one.drawn)))
+    return [*found, *(Drive(rows[one.test_id], one.failed, complete and one.drawn) for one in left.values())]

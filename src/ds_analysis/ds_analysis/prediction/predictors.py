@@ -1,33 +1,37 @@
-"""Predictors of the twin's failures, side by side: per test and per cell.
+"""Scores predictors of a twin that was driven, none of which saw its outcomes.
 
-Every predictor sees the siblings' outcomes, features and conditions; none sees the twin's outcomes. The undriven
-baseline, logistic models of road features and conditions, predicts each test from tests of other families: without
-driving it, or a near copy of it, anywhere.
+The baseline that every one has to beat are the *features alone*: a logistic model of road features and conditions,
+fitted to the siblings' outcomes, that predicts each test from tests of other families, without driving it, or a near
+copy of it, anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
-from ds_analysis.common.cross_validation import FOLDS, SEED, STRENGTHS, Columns, best_feature, bounded, standardised
+from ds_analysis.common import weighted_scores as scores
+from ds_analysis.common.cross_validation import FOLDS, SEED, STRENGTHS, bounded, standardised
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
-from ds_analysis.common.statistics import Array, Bools, Indices, splits_of
-from ds_analysis.prediction.twin_prediction import TwinPrediction, predict_twin
-from ds_orchestrator.maps.algebra import OPERATORS
+from ds_analysis.common.statistics import (
+    FEWEST_OF_EACH_KIND,
+    RESAMPLES,
+    Array,
+    Indices,
+    Interval,
+    auc_prc_or_reason,
+    splits_of,
+)
+from ds_analysis.common.table import Column, Table
+from ds_analysis.prediction.mixture import Prediction
+from ds_orchestrator.maps.algebra import OPERATORS, jeffreys_interval
 
 
-def undriven_probabilities(table: OutcomeTable, columns: Columns) -> Array:
-    """Predict every test from the siblings' outcomes on tests of other families.
-
-    Args:
-        table: outcomes; the twin's are not looked at.
-        columns: `all` features and conditions, or the `best` one.
-
-    Returns:
-        (tests,) probabilities of failure.
+def features_alone(table: OutcomeTable) -> Array:
+    """(tests,) probabilities of failure of every test, from the siblings' outcomes on tests of other families.
 
     Raises:
         OutcomeTableError: fewer than two families of tests have a verdict on a sibling.
@@ -44,44 +48,34 @@ def undriven_probabilities(table: OutcomeTable, columns: Columns) -> Array:
         found = np.empty(len(table))
         for others, test in splits_of(table.families, FOLDS, SEED):
             train = np.intersect1d(others, driven)
-            model = _chosen(table.features[train], counts[train], table.families[train], columns)
-            found[test] = _fitted(model, table.features[train], counts[train], table.features[test])
+            strength = _chosen(table.features[train], counts[train], table.families[train])
+            found[test] = _fitted(strength, table.features[train], counts[train], table.features[test])
     return found
 
 
-Model = tuple[list[int], float]
-"""Columns of the features, and the inverse strength of the ridge penalty."""
-
-
-def _chosen(features: Array, counts: Array, families: Indices, columns: Columns) -> Model:
-    """Choose the strength of the penalty with the smallest loss on other families, the first of equal ones."""
-    used = list(range(features.shape[1]))
-    if columns == "best":
-        rows = np.repeat(np.arange(len(counts)), counts.sum(axis=1).astype(int))
-        failed = np.concatenate([np.repeat((True, False), pair) for pair in counts.astype(int)])
-        used = [best_feature(features[rows], failed)]
+def _chosen(features: Array, counts: Array, families: Indices) -> float:
+    """Inverse strength of the ridge penalty with the smallest loss on other families, the first of equal ones."""
     splits = list(splits_of(families, FOLDS, SEED + 1))
     if len(splits) < 2:
-        return used, 1.0
+        return 1.0
     losses = []
     for strength in STRENGTHS:
         loss = 0.0
         for train, test in splits:
-            probability = _fitted((used, strength), features[train], counts[train], features[test])
+            probability = _fitted(strength, features[train], counts[train], features[test])
             loss -= float(counts[test, 0] @ np.log(probability) + counts[test, 1] @ np.log(1.0 - probability))
         losses.append(round(loss, 9))
-    return used, STRENGTHS[int(np.argmin(losses))]
+    return STRENGTHS[int(np.argmin(losses))]
 
 
-def _fitted(model: Model, features: Array, counts: Array, others: Array) -> Array:
+def _fitted(strength: float, features: Array, counts: Array, others: Array) -> Array:
     """Fit a model to failures and successes of training tests, and predict other tests."""
     from sklearn.linear_model import LogisticRegression
 
-    used, strength = model
     total = counts.sum()
     if not counts.sum(axis=0).all():  # all failed, or none
         return bounded(np.full(len(others), counts[:, 0].sum() / total), int(total))
-    train, test = standardised(features[:, used], others[:, used])
+    train, test = standardised(features, others)
     fit = LogisticRegression(C=strength, solver="newton-cholesky").fit(
         np.vstack((train, train)),
         np.repeat((1, 0), len(train)),
@@ -90,115 +84,156 @@ def _fitted(model: Model, features: Array, counts: Array, others: Array) -> Arra
     return bounded(fit.predict_proba(test)[:, 1], int(total))
 
 
-UNDRIVEN = "undriven features"
-"""Predictor that every other one has to beat."""
-SINGLE = "best single feature"
-HIERARCHICAL = "hierarchical model"
+FEATURES, MODEL = "features alone", "prediction"
+"""Names of the baseline, and of what `ds predict` says."""
+BINS = (0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0)
+"""Edges of the reliability table's bins; chosen: narrow at the ends, where a probability decides something."""
+_SEED = 18
+"""Seed of the bootstrap; any number does."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Predictions:
-    """Predictions of the same rows by every predictor.
+@dataclass(frozen=True, kw_only=True)
+class PredictorScore:
+    """Score of one predictor; intervals are 95 % bootstrap intervals over families of tests.
 
     Attributes:
-        level: rows are tests, or cells.
-        rows: test ids, or cells.
-        truth: (rows,) whether the twin failed the test, or (resamples, rows) its failure rate in the cell.
-        probabilities: predictor -> (rows,), or (resamples, rows), probabilities.
-        weights: (resamples, rows) how often each row counts; the first resample is the sample itself.
+        predictor: name: a sibling, a merge operator, `FEATURES` or `MODEL`.
+        brier: mean squared error.
+        brier_interval: its interval.
+        difference: the same minus that of the features alone: negative is better. None for these themselves.
+        difference_interval: its interval.
+        average_precision: AUC-PRC; None if all tests have the same outcome.
+        verdict: `adds` to the features alone, is `worse`, `adds nothing`, or `too few` tests say.
     """
 
-    level: str
-    rows: tuple[object, ...]
-    truth: Array
-    probabilities: Mapping[str, Array]
-    weights: Array
+    predictor: str
+    brier: float
+    brier_interval: Interval | None
+    difference: float | None
+    difference_interval: Interval | None
+    average_precision: float | None
+    verdict: str
 
 
-def comparable(table: OutcomeTable) -> Bools:
-    """(tests,) tests with a verdict on every sibling and on the twin.
+@dataclass(frozen=True, kw_only=True)
+class PredictorComparison:
+    """Every predictor of one twin's failures.
+
+    Attributes:
+        twin: simulator that plays the twin.
+        tests: number of tests with a verdict everywhere.
+        families: number of families that are resampled.
+        failures: number of the tests that fail on the twin.
+        scores: one for each predictor.
+        reliability: of the prediction: bin's edges, tests, mean probability, share that failed and its interval.
+    """
+
+    twin: str
+    tests: int
+    families: int
+    failures: int
+    scores: Sequence[PredictorScore]
+    reliability: Sequence[tuple[float, float, int, float, float, Interval]]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return asdict(self)
+
+
+def compare_predictors(table: OutcomeTable, prediction: Prediction) -> PredictorComparison:
+    """Score every predictor of the twin's failures, by test.
+
+    Args:
+        table: outcomes.
+        prediction: of the table's tests, without drives of the twin.
 
     Raises:
-        OutcomeTableError: there is no twin, or no such test.
+        OutcomeTableError: there is no twin, or no test with a verdict everywhere.
     """
     if table.twin is None:
         raise OutcomeTableError(
             "there is no twin to compare predictions with: name a simulator that plays it, as in --twin "
             f"{table.siblings[-1]}"
         )
-    rows = table.on_siblings & table.known(table.twin)
-    if not rows.any():
+    rows = np.flatnonzero(table.on_siblings & table.known(table.twin))
+    if not len(rows):
         raise OutcomeTableError(
             f"no test has a verdict on every sibling and on {table.twin}: let the campaign drive the twin first"
         )
-    return np.asarray(rows)
-
-
-def modelled(table: OutcomeTable, prediction: TwinPrediction | None = None) -> Mapping[str, Array]:
-    """Fit the models to the siblings' outcomes.
-
-    Args:
-        table: outcomes; those of the twin are not looked at.
-        prediction: of the hierarchical model, if it is known already.
-
-    Returns:
-        Predictor -> (tests,) probabilities of failure on the twin.
-    """
-    known = predict_twin(table) if prediction is None else prediction
-    return {
-        UNDRIVEN: undriven_probabilities(table, "all"),
-        SINGLE: undriven_probabilities(table, "best"),
-        HIERARCHICAL: known.probabilities(),
-    }
-
-
-def predict_tests(table: OutcomeTable, models: Mapping[str, Array], weights: Array) -> Predictions:
-    """Predict tests: a sibling by its own outcome there, an operator by merging the siblings' outcomes.
-
-    Args:
-        table: outcomes, all comparable.
-        models: predictor -> (tests,) probabilities.
-        weights: (resamples, tests) how often each test counts.
-    """
-    driven = {name: table.failed(name).astype(np.float64) for name in table.siblings}
-    return Predictions(
-        level="test",
-        rows=table.test_ids,
-        truth=table.failed(str(table.twin)).astype(np.float64),
-        probabilities={**driven, **merged(list(driven.values())), **models},
-        weights=weights,
+    kept = table.select(rows)
+    truth = kept.failed(table.twin).astype(np.float64)
+    driven = {name: kept.failed(name).astype(np.float64) for name in kept.siblings}
+    model = prediction.probabilities(rows)
+    predicted = {**driven, **merged(list(driven.values())), FEATURES: features_alone(table)[rows], MODEL: model}
+    weights = scores.family_weights(kept.families, RESAMPLES, _SEED)
+    baseline = scores.brier(predicted[FEATURES], truth, weights)
+    few = min(truth.sum(), len(truth) - truth.sum()) < FEWEST_OF_EACH_KIND
+    found = []
+    for name, probability in predicted.items():
+        squared = scores.brier(probability, truth, weights)
+        other = None if name == FEATURES else squared - baseline
+        ends = None if other is None else scores.interval_of(other)
+        low, high = ends or (0.0, 0.0)
+        found.append(
+            PredictorScore(
+                predictor=name,
+                brier=float(squared[0]),
+                brier_interval=scores.interval_of(squared),
+                difference=None if other is None else float(other[0]),
+                difference_interval=ends,
+                average_precision=auc_prc_or_reason(probability, truth)[0],
+                verdict="baseline" if other is None else "too few" if few
+                else "adds" if high < 0.0 else "worse" if low > 0.0 else "adds nothing",
+            )
+        )  # fmt: skip
+    return PredictorComparison(
+        twin=table.twin,
+        tests=len(rows),
+        families=len(np.unique(kept.families)),
+        failures=int(truth.sum()),
+        scores=found,
+        reliability=_reliability(model, truth),
     )
 
 
-def predict_cells(table: OutcomeTable, models: Mapping[str, Array], weights: Array) -> Predictions:
-    """Predict failure rates of cells: the paper's maps, and the mean of each model over the tests of a cell.
-
-    Rates are those of the resampled tests, so that intervals know how few tests a cell has.
-    """
-    filled = [k for k, cell in enumerate(table.cells) if cell is not None]
-    cells = sorted({cell for cell in table.cells if cell is not None})
-    index = {cell: k for k, cell in enumerate(cells)}
-    member = np.zeros((len(table), len(cells)))
-    for k in filled:
-        member[k, index[table.cells[k]]] = 1.0  # type: ignore[index]
-    tests = weights @ member
-
-    def rate(values: Array) -> Array:
-        return np.asarray(((weights * values) @ member) / np.maximum(tests, 1.0))
-
-    driven = {name: rate(table.failed(name).astype(np.float64)) for name in table.siblings}
-    return Predictions(
-        level="cell",
-        rows=tuple(cells),
-        truth=rate(table.failed(str(table.twin)).astype(np.float64)),
-        probabilities={
-            **driven, **merged(list(driven.values())), **{name: rate(values) for name, values in models.items()}
-        },
-        weights=(tests > 0).astype(np.float64),
-    )  # fmt: skip
+def _reliability(probability: Array, truth: Array) -> list[tuple[float, float, int, float, float, Interval]]:
+    bins = np.clip(np.digitize(probability, BINS[1:-1]), 0, len(BINS) - 2)
+    found = []
+    for k in np.unique(bins):
+        of = truth[bins == k]
+        share, ends = float(of.mean()), jeffreys_interval(int(of.sum()), len(of))
+        found.append((BINS[k], BINS[k + 1], len(of), float(probability[bins == k].mean()), share, ends))
+    return found
 
 
 def merged(driven: list[Array]) -> dict[str, Array]:
     """Every operator on the siblings' values; all siblings drove all tests, so weights are equal."""
     weights = np.ones(len(driven))
     return {name: operator.combine(np.array(driven), weights) for name, operator in OPERATORS.items()}
+
+
+def comparison_tables(found: PredictorComparison) -> list[Table]:
+    """Tabulate a comparison: scores, then reliability."""
+    names = ("predictor", "Brier", "95 %", "minus features alone", "95 % of it", "AUC-PRC", "verdict")
+    text = {"predictor", "verdict"}
+    bins = ("from", "to", "tests", "predicted", "failed", "95 %")
+    return [
+        Table(
+            name="predictors",
+            title=f"Failures on {found.twin} predicted without driving it: {found.failures} of {found.tests} tests, "
+            f"{found.families} families",
+            columns=[Column(name, "text" if name in text else "number") for name in names],
+            rows=[tuple(asdict(one).values()) for one in found.scores],
+            notes=[
+                "A predictor adds to the features alone if the 95 % interval of the difference lies below 0; intervals "
+                f"resample whole families of tests. With fewer than {FEWEST_OF_EACH_KIND} tests that fail, or that do "
+                "not, nothing is concluded."
+            ],
+        ),
+        Table(
+            name="predictor_reliability",
+            title=f"Predicted probabilities and failures on {found.twin}",
+            columns=[Column(name, "count" if name == "tests" else "number") for name in bins],
+            rows=list(found.reliability),
+        ),
+    ]

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from typing import Any, Literal
 
 import numpy as np
-from scipy.special import betainc
 
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools
 from ds_analysis.common.table import Column, Table
-from ds_analysis.prediction.twin_prediction import TwinPrediction
+from ds_analysis.prediction.mixture import Prediction
 from ds_orchestrator.search.features import short_name
 
 Verdict = Literal["fails", "safe", "disputed", "untested"]
@@ -25,12 +24,8 @@ ERROR_RATE = 0.05
 TOLERATED_RATE = 0.1
 """Failure rate up to which a cell counts as safe, and above which it fails; chosen: one test in ten. A cell whose rate
 is near it stays disputed however often it is tested."""
-MOST_NEEDED = 10_000
-"""Tests beyond which a cell is said to stay disputed; chosen: more than a campaign drives."""
 _MOST_CELLS = 2_000
 """Cells up to which untested ones are listed; chosen: a map that fits on a screen."""
-_BLOCK = 500
-"""Tests whose intervals are computed at once; chosen: 8 MB of draws."""
 _SEED = 20
 """Seed of the weights of tests within a cell; any number does."""
 
@@ -42,10 +37,9 @@ class TestVerdict:
     Attributes:
         test_id: id of the test.
         cell: its cell; None if it has none.
-        probability: probability of failure; the outcome, if the car or twin drove the test.
-        interval: 90 % interval of that probability over what is uncertain about the simulator.
+        probability: probability of failure; the outcome, if the car drove the test.
         verdict: `fails` if the probability is at least 1 - `ERROR_RATE`, `safe` if at most `ERROR_RATE`, or `disputed`.
-        driven: whether the car or twin drove it.
+        driven: whether the car drove it.
     """
 
     __test__ = False  # not a test case for pytest
@@ -53,7 +47,6 @@ class TestVerdict:
     test_id: str
     cell: tuple[int, ...] | None
     probability: float
-    interval: tuple[float, float]
     verdict: Verdict
     driven: bool
 
@@ -65,13 +58,11 @@ class CellVerdict:
     Attributes:
         cell: bins.
         tests: number of its tests.
-        driven: number of them that the car or twin drove.
+        driven: number of them that the car drove.
         rate: posterior mean of the failure rate of tests like these; None if untested.
         interval: 90 % interval of it.
         verdict: `fails` if the rate is above the tolerated one with a probability of at least 1 - `ERROR_RATE`, `safe`
             if it is below with that probability, `disputed` otherwise, `untested` without tests.
-        drives_needed: drives on the car or twin that a disputed cell needs to leave that state, if failures come at the
-            present mean rate; None if that is not needed, or more than `MOST_NEEDED`.
     """
 
     cell: tuple[int, ...]
@@ -79,8 +70,7 @@ class CellVerdict:
     driven: int
     rate: float | None = None
     interval: tuple[float, float] | None = None
-    verdict: Verdict
-    drives_needed: int | None = None
+    verdict: Verdict = "untested"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +78,7 @@ class Verdicts:
     """What is predicted of a car, or of a simulator that was never driven.
 
     Attributes:
-        tests: every test with a verdict on a sibling.
+        tests: every test with a verdict on a sibling or on the car.
         cells: every cell within the bounds of the map.
         features: names of the map's axes.
         tolerated: failure rate up to which a cell counts as safe.
@@ -100,19 +90,15 @@ class Verdicts:
     tolerated: float = TOLERATED_RATE
 
     @property
-    def counts(self) -> dict[str, int]:
+    def counts(self) -> Mapping[str, int]:
         """Verdict -> number of cells."""
         found = Counter(one.verdict for one in self.cells)
         return {name: found[name] for name in ("fails", "safe", "disputed", "untested")}
 
     @property
-    def sentence(self) -> str:
-        """What was found, in one line."""
-        named = ", ".join(f"{count} {name}" for name, count in self.counts.items())
-        return (
-            f"{len(self.cells)} cells: {named} (a cell fails if more than {self.tolerated:.0%} of its tests do; "
-            f"by the model a call is wrong at most {ERROR_RATE:.0%} of the time)"
-        )
+    def undriven(self) -> Sequence[TestVerdict]:
+        """Tests that the car has not driven."""
+        return [one for one in self.tests if not one.driven]
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
@@ -125,7 +111,7 @@ class Verdicts:
         }
 
 
-def judge(table: OutcomeTable, prediction: TwinPrediction, *, tolerated: float = TOLERATED_RATE) -> Verdicts:
+def judge(table: OutcomeTable, prediction: Prediction, *, tolerated: float = TOLERATED_RATE) -> Verdicts:
     """Judge every test and every cell.
 
     Args:
@@ -133,35 +119,31 @@ def judge(table: OutcomeTable, prediction: TwinPrediction, *, tolerated: float =
         prediction: of the table's tests.
         tolerated: failure rate up to which a cell counts as safe.
     """
-    used = [int(k) for k in np.flatnonzero(np.any([table.known(name) for name in table.siblings], axis=0))]
     driven = {drive.row for drive in prediction.drives}
-    probabilities = prediction.probabilities()
-    draws = prediction.draws(rows=np.array(used))
-    blocks = np.array_split(draws, max(1, len(used) // _BLOCK), axis=1)
-    low, high = np.concatenate([np.quantile(block, (0.05, 0.95), axis=0) for block in blocks], axis=1)
+    judged = np.any([table.known(name) for name in table.siblings], axis=0)
+    judged[list(driven)] = True
+    used = np.flatnonzero(judged)
     tests = [
         TestVerdict(
             test_id=table.test_ids[row],
             cell=table.cells[row],
-            probability=float(probabilities[row]),
-            interval=(float(low[k]), float(high[k])),
-            verdict=verdict_of(float(probabilities[row])),
+            probability=float(probability),
+            verdict=verdict_of(float(probability)),
             driven=row in driven,
         )
-        for k, row in enumerate(used)
+        for row, probability in zip(map(int, used), prediction.probabilities(used), strict=True)
     ]
     members: dict[tuple[int, ...], list[int]] = {}
-    for k, row in enumerate(used):
-        cell = table.cells[row]
-        if cell is not None:
-            members.setdefault(cell, []).append(k)
+    for k, one in enumerate(tests):
+        if one.cell is not None:
+            members.setdefault(one.cell, []).append(k)
     rng = np.random.default_rng(_SEED)
-    alike = prediction.draws(rows=np.array(used), outcomes=False) if driven else draws
+    draws = prediction.draws(used, outcomes=False)
     cells = []
     for cell in _bounds(members):
         columns = members.get(cell, [])
-        outcomes = draws[:, [k for k in columns if used[k] in driven]]
-        cells.append(_judge_cell(cell, alike[:, columns], outcomes, tolerated, rng))
+        outcomes = np.array([tests[k].probability for k in columns if tests[k].driven])
+        cells.append(_judge_cell(cell, draws[:, columns], outcomes, tolerated, rng))
     return Verdicts(tests=tests, cells=cells, features=table.axes, tolerated=tolerated)
 
 
@@ -177,7 +159,7 @@ def called(probabilities: Array) -> tuple[Bools, Bools]:
     return probabilities <= ERROR_RATE, probabilities >= 1.0 - ERROR_RATE
 
 
-def _bounds(cells: Sequence[tuple[int, ...]] | dict[tuple[int, ...], list[int]]) -> list[tuple[int, ...]]:
+def _bounds(cells: Mapping[tuple[int, ...], Sequence[int]]) -> list[tuple[int, ...]]:
     """Every cell between the smallest and the largest bins; where these are too many, those with tests."""
     if not cells:
         return []
@@ -191,51 +173,23 @@ def _judge_cell(
     """Judge a cell from draws (draws, tests) of the probabilities that tests like its own fail, and from its drives.
 
     Tests of a cell are a sample of what could be tested there: their weights are drawn, too (Bayesian bootstrap, Rubin,
-    Ann. Stat. 1981). A drive's outcome (draws, drives) counts as one more test: one drive alone decides no cell.
+    Ann. Stat. 1981). A drive's outcome counts as one more test: one drive alone decides no cell.
     """
     tests = draws.shape[1]
     if not tests:
-        return CellVerdict(cell=cell, tests=0, driven=0, verdict="untested")
-    known = np.hstack((draws, outcomes))
+        return CellVerdict(cell=cell, tests=0, driven=0)
+    known = np.hstack((draws, np.repeat(outcomes[None], len(draws), axis=0)))
     weights = rng.standard_exponential(known.shape)
     rates = (weights * known).sum(axis=1) / weights.sum(axis=1)
-    above = float((rates > tolerated).mean())
-    verdict = verdict_of(above)
     low, high = np.quantile(rates, (0.05, 0.95))
-    mean = float(rates.mean())
-    # The Beta distribution may be decided where the draws are not.
-    needed = drives_needed(mean, float(rates.var()), tolerated) if verdict == "disputed" else None
     return CellVerdict(
         cell=cell,
         tests=tests,
-        driven=outcomes.shape[1],
-        rate=mean,
+        driven=len(outcomes),
+        rate=float(rates.mean()),
         interval=(float(low), float(high)),
-        verdict=verdict,
-        drives_needed=None if needed is None else max(needed, 1),
+        verdict=verdict_of(float((rates > tolerated).mean())),
     )
-
-
-def drives_needed(mean: float, variance: float, tolerated: float) -> int | None:
-    """Count the further tests after which a failure rate is surely above or below the tolerated one.
-
-    The rate's posterior is taken as the Beta distribution with the same mean and variance, and tests are taken to fail
-    at the mean rate, so that their number only narrows it.
-
-    Args:
-        mean: posterior mean of the rate.
-        variance: its posterior variance.
-        tolerated: rate to compare with.
-
-    Returns:
-        Number of tests, or None if `MOST_NEEDED` are not enough.
-    """
-    mean = min(max(mean, 1e-6), 1.0 - 1e-6)
-    pseudo = max(mean * (1.0 - mean) / max(variance, 1e-12) - 1.0, 1e-6)
-    total = pseudo + np.arange(MOST_NEEDED + 1)
-    below = betainc(mean * total, (1.0 - mean) * total, tolerated)
-    decided = np.flatnonzero(np.logical_or(*called(below)))
-    return int(decided[0]) if len(decided) else None
 
 
 def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
@@ -252,12 +206,14 @@ def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
             *(Column(short_name(name)) for name in found.features),
             Column("tests", "count"), Column("driven", "count"),
             Column("failure rate", "number"), Column("90 %", "number"), Column("verdict"),
-            Column("drives needed", "count"),
         ],
         rows=[
-            (*label, one.tests, one.driven, one.rate, one.interval, one.verdict, one.drives_needed)
+            (*label, one.tests, one.driven, one.rate, one.interval, one.verdict)
             for one, label in zip(found.cells, labels, strict=True)
             if one.tests
         ],
-        notes=[found.sentence],
+        notes=[
+            f"A cell fails if more than {found.tolerated:.0%} of tests like its own would fail, and is safe if fewer "
+            f"would; either is meant to be wrong at most {ERROR_RATE:.0%} of the time. Otherwise it is disputed."
+        ],
     )  # fmt: skip

@@ -14,8 +14,11 @@ from ds_analysis.common.outcome_table import OutcomeTableError, State
 from ds_analysis.outcomes.columns import Columns, read_columns
 from ds_analysis.outcomes.folders import read_table
 from ds_analysis.outcomes.study import Study, import_outcomes, read_study, study_of, write_rows, write_study
-from ds_analysis.prediction.margins import INSIDE, margins_of
-from ds_analysis.prediction.twin_prediction import predict_twin
+from ds_analysis.prediction.car import predict_car
+from ds_analysis.prediction.mixture import predict
+from ds_analysis.real.proposal import propose
+from ds_analysis.real.records import read_drives
+from ds_report.study_page import write_study_page
 
 RNG = np.random.default_rng(9)
 SPEED, CURVE = RNG.uniform(5, 20, 40), RNG.uniform(0, 0.2, 40)
@@ -61,7 +64,7 @@ def test_a_long_table_becomes_the_outcomes_that_it_states(tmp_path: Path) -> Non
             assert table.lateral[row, column] == pytest.approx(xte) and table.limits[row, column] == 1.2
         width = study.axes["speed"]
         assert table.cells[row] is not None and table.cells[row][0] == SPEED[route] // width  # type: ignore[index]
-    prediction = predict_twin(table).probabilities()
+    prediction = predict(table).probabilities()
     truth = table.failed("car")
     assert ((prediction - truth) ** 2).mean() < ((truth.mean() - truth) ** 2).mean() / 2
 
@@ -89,11 +92,46 @@ def test_a_verdict_alone_bounds_the_margin_at_the_limit(tmp_path: Path) -> None:
     frame = long_table()
     frame["failed"] = frame.xte > 1.2
     study = imported(tmp_path, frame.drop(columns="xte"), {**LONG, "margin": None, "failed": "failed"})
-    margins = margins_of(study.table())
-    failed = study.table().states[:, :2] == State.FAILED
-    assert (margins.signs == np.where(failed, 1, -1)).all() and (margins.values == 0.0).all()
-    known = margins_of(imported(tmp_path, frame, LONG).table())
-    assert set(np.unique(known.values[known.signs == -1])) <= {INSIDE}
+    table, known = study.table(), imported(tmp_path, frame, LONG).table()
+    assert np.isnan(table.lateral[:, :2]).all() and np.array_equal(table.states, known.states)
+    # Margins say more: a prediction from them differs, and both are finite.
+    one, two = (predict(each).probabilities() for each in (table, known))
+    assert np.isfinite(one).all() and np.isfinite(two).all() and not np.allclose(one, two)
+
+
+def test_a_car_s_rows_are_its_drives(tmp_path: Path) -> None:
+    """20 of 40 tests were driven on the car: never a sibling, never proposed again, counted unasked."""
+    frame = long_table()
+    frame = frame[(frame.sim != "car") | (frame.route < 20)]
+    study = imported(tmp_path, frame, {**LONG, "twin": None, "car": "car"})
+    write_study(tmp_path, study)
+    table, drives = read_table(tmp_path), read_drives(tmp_path)
+    assert table.simulators == ("lofi", "hifi") and len(table) == 40 and len(drives) == 20
+    truth = frame[frame.sim == "car"].groupby("route").xte.median() > 1.2
+    assert {int(one.test_id): one.failed for one in drives} == truth.to_dict() and not any(one.drawn for one in drives)
+    car = predict_car(tmp_path, table)
+    assert car.sentence.startswith("Of the 20 tests that the car has not driven, ") and car.certificate is None
+    assert (
+        f"The car drove 20 tests and failed {int(truth.sum())}" in car.sentence and "without a real" not in car.sentence
+    )
+    (tmp_path / "real").mkdir()
+    driven = {one.test_id for one in drives}
+    found = propose(tmp_path, table, car.prediction, driven, 20)
+    assert not driven & {one.test_id for one in found}
+    page = write_study_page(tmp_path, read_study(tmp_path)).read_text()
+    assert "car (car)" in page and "lofi and hifi" in page and "car fails on" not in page
+    # Said to be drawn at random, they certify; a wide table leaves the car's other rows empty.
+    wide = frame.pivot_table(index=["route", "speed", "curve"], columns="sim", values="xte").reset_index()
+    columns = {
+        "test": "route", "features": ["speed", "curve"], "car": "car", "car_drawn": True,
+        "simulators": {name: {"margin": {"column": name, "limit": 1.2}} for name in ("lofi", "hifi", "car")},
+    }  # fmt: skip
+    folder = tmp_path / "wide"
+    folder.mkdir()
+    write_study(folder, imported(folder, wide, columns))
+    certificate = predict_car(folder, read_table(folder)).certificate
+    assert certificate is not None and (certificate.drawn, certificate.tests) == (20, 40)
+    assert certificate.low <= int(truth.sum()) + 10 and certificate.high < 40
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -128,6 +166,8 @@ def changed(**values: Any) -> dict[str, Any]:
         (changed(repeat=None), "test 0 comes twice on lofi: name the column of the repetition"),
         (changed(features=["sim"]), r"row 1 .*: sim is not a finite number"),
         (changed(twin="bus"), "has no simulator 'bus': expected car, hifi, lofi"),
+        (changed(car="bus"), "has no simulator 'bus': expected car, hifi, lofi"),
+        (changed(car="car"), "the car is 'car': expected a simulator beside it, and no twin"),
         (changed(map={"speed": 1.0, "age": 1.0}), "axis 'age' is no feature: expected speed, curve"),
         (changed(map={"speed": 1e-6, "curve": 0.1}), "bins of 1e-06 cut speed into more than 200: widen them"),
         (changed(features=["speed"]), "has one feature, speed: expected two or more"),

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.outcome_table import OutcomeTable, State
-from ds_analysis.prediction.twin_prediction import TwinPrediction
 from ds_road import Road, generate
 
 Array = NDArray[np.float64]
 ROAD: Road = generate(np.random.default_rng(3), max_angle=200)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Truth:
-    """Parameters behind a table: coefficients (simulators, p) of margins, test effects (tests,), residual spreads."""
-
-    coefficients: Array
-    effects: Array
-    sigma: float
-    omega: float
-    margins: Array
 
 
 def made_up(
@@ -32,27 +20,23 @@ def made_up(
     tests: int = 150,
     siblings: int = 3,
     mean: tuple[float, ...] = (-0.5, 0.3, 0.2, -0.2, 0.1),
-    tau: tuple[float, float] = (0.3, 0.12),
-    omega: float = 0.3,
-    sigma: float = 0.25,
+    spread: tuple[float, float] = (0.3, 0.12),
     family: int = 5,
-    twin: Array | None = None,
-) -> tuple[OutcomeTable, Truth]:
+    car: Array | None = None,
+) -> OutcomeTable:
     """Draw simulators, tests and outcomes; the last simulator plays the twin, with given coefficients if any."""
     rng = np.random.default_rng(seed)
     features = rng.normal(size=(tests, len(mean) - 1))
-    spread = np.concatenate(([tau[0]], np.full(len(mean) - 1, tau[1])))
-    coefficients = np.array(mean) + spread * rng.normal(size=(siblings + 1, len(mean)))
-    if twin is not None:
-        coefficients[-1] = twin
-    effects = omega * rng.normal(size=tests)
-    predictors = np.column_stack((np.ones(tests), features))
-    margins = predictors @ coefficients.T + effects[:, None] + sigma * rng.normal(size=(tests, siblings + 1))
-    table = table_of_margins(margins, features, family=family)
-    return table, Truth(coefficients=coefficients, effects=effects, sigma=sigma, omega=omega, margins=margins)
+    spreads = np.concatenate(([spread[0]], np.full(len(mean) - 1, spread[1])))
+    coefficients = np.array(mean) + spreads * rng.normal(size=(siblings + 1, len(mean)))
+    if car is not None:
+        coefficients[-1] = car
+    shared, own = 0.3 * rng.normal(size=(tests, 1)), 0.25 * rng.normal(size=(tests, siblings + 1))
+    margins = np.column_stack((np.ones(tests), features)) @ coefficients.T + shared + own
+    return table_of_margins(margins, features, family=family)
 
 
-def table_of_margins(margins: Array, features: Array, *, family: int = 5) -> OutcomeTable:
+def table_of_margins(margins: Array, features: Array, *, family: int = 5, names: str = "a") -> OutcomeTable:
     """Make a table whose tests fail where their margin is positive; cells are quarters of the first two features."""
     tests, simulators = margins.shape
     bins = np.digitize(features[:, : min(2, features.shape[1])], (-1.0, 0.0, 1.0))
@@ -62,15 +46,10 @@ def table_of_margins(margins: Array, features: Array, *, family: int = 5) -> Out
         (ROAD,) * tests,
         states,
         2.0 * np.exp(margins),
-        test_ids=tuple(f"a-0-{k:04d}" for k in range(tests)),
+        test_ids=tuple(f"{names}-0-{k:04d}" for k in range(tests)),
         siblings=tuple("abcdefg"[: simulators - 1]),
         twin="twin",
         cells=tuple((int(a), int(b)) for a, b in bins),
     )
-    names = tuple(f"feature_{k}" for k in range(features.shape[1]))
-    return replace(table, feature_names=names, features=features, families=np.arange(tests) // family)
-
-
-def alike(prediction: TwinPrediction) -> TwinPrediction:
-    """The prediction of a twin that is known to be one more draw from the siblings' population."""
-    return replace(prediction, coefficients=prediction.coefficients.alike)
+    columns = tuple(f"feature_{k}" for k in range(features.shape[1]))
+    return replace(table, feature_names=columns, features=features, families=np.arange(tests) // family)

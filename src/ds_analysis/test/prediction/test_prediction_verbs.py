@@ -50,14 +50,16 @@ def test_a_comparison_is_predicted(compared: Path, tmp_path: Path, capsys: pytes
     assert document["siblings"] == ["bullet", "softbody", "panda"] and document["twin"] == "donkey"
     assert document == json.loads((out / "prediction.json").read_text())
     names = {score["predictor"] for score in document["comparison"]["scores"]}
-    assert {"bullet", "softbody", "panda", "product", "mean", "undriven features", "hierarchical model"} <= names
+    assert {"bullet", "softbody", "panda", "product", "mean", "features alone", "prediction"} <= names
     assert len(document["verdicts"]["tests"]) == 40
-    assert {"verdicts.png", "cell_verdicts.csv", "predictors_per_test.tex", "predictors_per_cell.csv"} <= {
-        p.name for p in out.iterdir()
-    }
+    written = {path.name for path in out.iterdir()}
+    assert {"verdicts.png", "cell_verdicts.csv", "predictors.tex", "predictor_reliability.csv"} <= written
     assert run(["predict", str(compared), "--twin", "donkey"]) == 0
     text = capsys.readouterr().out
-    assert "undriven features" in text and "a call is wrong at most 5% of the time" in text
+    assert text.startswith("On donkey, never driven, ") and "is meant to be wrong at most 5% of the" in text
+    assert "\nnext: " in text and len(text.splitlines()) < 25 and "features alone" not in text
+    assert run(["predict", str(compared), "--twin", "donkey", "--tables"]) == 0
+    assert "features alone" in capsys.readouterr().out
 
 
 def test_without_a_twin_the_car_is_predicted_and_nothing_compared(

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
+from ds_sim.installation import ds_command
 
 if TYPE_CHECKING:
-    from ds_analysis.common.table import Table
     from ds_analysis.prediction.verdicts import Verdicts
 
 app = typer.Typer()
@@ -25,6 +25,8 @@ TwinName = Annotated[
     str | None,
     typer.Option(help="Simulator that plays the twin, all others the siblings; the campaign's own if left out."),
 ]
+MOST_SHOWN = 10
+"""Rows of the table that is always shown."""
 
 
 def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
@@ -42,66 +44,59 @@ def predict_command(
     tolerated: Annotated[
         float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")
     ] = 0.1,
+    every_table: Annotated[bool, typer.Option("--tables", help="Show every cell, and how predictors did.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Predict where a car, or a simulator that was never driven, fails.
 
-    Each cell fails, is safe, disputed or untested. A car is predicted from every simulator, the twin among them, and
-    from its own recorded drives; `--twin` predicts a simulator as if it had never been driven. Where there is a twin,
-    predictors that do not know it are scored on its outcomes, beside the undriven baseline. docs/merge.md says how.
+    A car is predicted from every simulator, the twin among them, and from its own recorded drives; `--twin` predicts a
+    simulator as if it had never been driven. Each cell fails, is safe, or is disputed. docs/merge.md says how.
     """
+    from dataclasses import replace
+
     from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError
     from ds_analysis.common.table import write_tables
     from ds_analysis.outcomes.folders import read_table
-    from ds_analysis.prediction.calibration import forecast_cells
     from ds_analysis.prediction.car import predict_car
-    from ds_analysis.prediction.predictor_scores import compare_predictors, comparison_tables
-    from ds_analysis.prediction.twin_prediction import predict_twin, span_of
-    from ds_analysis.prediction.verdict_picture import draw_verdicts
+    from ds_analysis.prediction.mixture import predict
+    from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
     from ds_analysis.prediction.verdicts import cell_table, judge
     from ds_orchestrator.store.folder_files import make_folder
+    from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
 
     if out is not None:
         make_folder(out)
     table = read_table(folder, twin=twin, most=MOST_ANALYSED)
-    car = None
+    document: dict[str, Any] = {}
     if twin is None:
         say(f"{len(table)} tests on {', '.join(table.as_population().siblings)}: predicting a car")
         car = predict_car(folder, table, tolerated=tolerated)
-        verdicts, prediction = car.verdicts, car.prediction
-        sentence, title = car.sentence, "Predicted failures on a car"
+        verdicts, title, said = car.verdicts, "Predicted failures on a car", car.help.sentence
+        sentence, document = car.sentence, car.document()
+        drives = "" if said else "Nobody knows yet whether these simulators know your car; a few drives tell."
+        following = str(ds_command("real", "propose", folder, "--drives", 6))
     else:
         say(f"{len(table)} tests on {', '.join(table.siblings)}: predicting {twin} as if it had never been driven")
-        prediction = predict_twin(table)
-        verdicts = judge(table, prediction, tolerated=tolerated)
-        sentence, title = f"On {twin}: {verdicts.sentence}", f"Predicted failures on {twin}, never driven"
-    tables: list[Table] = [cell_table(verdicts, cell_labels(verdicts))]
-    document: dict[str, Any] = {
-        "siblings": list(table.siblings),
-        "twin": table.twin,
-        "sentence": sentence,
-        "real_drives": car.drives if car else 0,
-        "population": prediction.population.document(),
-        "verdicts": verdicts.document(),
-        "kinds": prediction.document_of_kinds(),
-        "comparison": None,
-        "forecasts": [],
-        **({"tests_left_out": table.left_out} if table.left_out else {}),
-    }
+        verdicts = judge(table, predict(table), tolerated=tolerated)
+        expected = sum(one.probability for one in verdicts.tests)
+        title, said, drives = f"Predicted failures on {twin}, never driven", "", ""
+        sentence = f"On {twin}, never driven, {expected:.0f} of {len(verdicts.tests)} tests are expected to fail."
+        document = {"sentence": sentence, "siblings": list(table.siblings), "verdicts": verdicts.document()}
+        following = str(ds_command("predict", folder, "--twin", twin, "--tables"))
+    cells = cell_table(verdicts, cell_labels(verdicts))
+    tables, missing = [cells], ""
+    document |= {"twin": table.twin, "tests_left_out": table.left_out, "comparison": None}
     try:
-        # Scored on the twin as if it had never been driven.
-        alone = prediction if twin is not None else predict_twin(table) if table.twin is not None else prediction
-        comparison = compare_predictors(table, alone)
+        comparison = compare_predictors(table, predict(table))
     except OutcomeTableError as error:
         if twin is not None:
             raise
-        document["no_comparison"] = str(error)
+        document["no_comparison"] = missing = str(error)
     else:
         tables += comparison_tables(comparison)
         document["comparison"] = comparison.document()
-        document["forecasts"] = [one.document() for one in forecast_cells(table, alone)]
     if out is not None:
         write_tables(tables, out)
         (out / "prediction.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
@@ -111,16 +106,19 @@ def predict_command(
     def show() -> None:
         console = Console()
         print(sentence)
-        for one in tables:
-            one.show(console)
-        if "no_comparison" in document:
-            print(f"predictors are not compared: {document['no_comparison']}")
-        if table.sample_note:
-            print(table.sample_note)
-        print(prediction.kinds_sentence)
-        if warning := span_of(prediction).warning:
-            print(f"warning: {warning}")
-        if out is not None:
-            print(out / "prediction.json")
+        if every_table:
+            for one in tables:
+                one.show(console)
+            if missing:
+                print(f"predictors are not compared: {missing}")
+        else:
+            rate = [column.name for column in cells.columns].index("failure rate")
+            rows = sorted(cells.rows, key=lambda row: -float(str(row[rate])))[:MOST_SHOWN]
+            titled = f"The {len(rows)} of {len(cells.rows)} cells with the highest predicted failure rates"
+            replace(cells, rows=rows, title=titled).show(console)
+        written = str(out / "prediction.json") if out else ""
+        for line in (said, drives, table.sample_note, f"next: {following}", written):
+            if line:
+                print(line)
 
     answer(Result(document=document, show=show), as_json)

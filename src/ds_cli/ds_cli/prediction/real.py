@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -16,13 +17,11 @@ from ds_sim.installation import ds_command
 
 if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
-    from ds_analysis.prediction.real.proposal import Proposed
-    from ds_analysis.prediction.real.records import RealDrive
-    from ds_analysis.prediction.real.update import Update
-    from ds_analysis.prediction.twin_prediction import TwinPrediction
+    from ds_analysis.prediction.car import CarPrediction
+    from ds_analysis.real.records import RealDrive
 
 app = typer.Typer()
-real_app = typer.Typer(help="Choose, record and use a few drives on a real car.", no_args_is_help=True)
+real_app = typer.Typer(help="Draw, record and use a few drives on a real car.", no_args_is_help=True)
 app.add_typer(real_app, name="real")
 
 Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
@@ -30,7 +29,8 @@ Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure ra
 
 def _recorded(
     path: Path,
-    proposed: Proposed,
+    table: OutcomeTable,
+    scale: float,
     test: str | None,
     outcome: str | None,
     topic: str | None,
@@ -39,13 +39,13 @@ def _recorded(
     when: str | None,
 ) -> RealDrive:
     """The drive that a bag or tub recorded; the arguments are those of `ds real record`."""
-    from ds_analysis.prediction.real.recordings import read_recording
-    from ds_analysis.prediction.real.records import RecordError, drive_of
+    from ds_analysis.real.records import RecordError, drive_of
+    from ds_recording.real_drive import read_recording
 
-    if test not in proposed.roads:
-        known = ", ".join(sorted(proposed.roads)[:6])
-        raise RecordError(f"{path}: which proposed test is it? expected --test with one of {known}")
-    road, scale = proposed.roads[test], proposed.scale or 1.0
+    if test not in table.test_ids or not table.roads:
+        known = ", ".join(sorted(table.test_ids)[:6]) if table.roads else "a CSV, as these tests have no roads"
+        raise RecordError(f"{path}: which test is it? expected --test with one of {known}")
+    road = table.roads[table.test_ids.index(test)]
     found = read_recording(path, road, scale=scale, topic=topic)
     outcome = outcome or found.outcome(road.lane_width / 2)
     if outcome is None:
@@ -55,82 +55,51 @@ def _recorded(
         "test_id": test, "outcome": outcome, "who": who or "", "when": when or found.when,
         "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale), "note": "",
     }  # fmt: skip
-    return drive_of(values, proposed.limits, scale, path.name)
+    return drive_of(values, {test: road.lane_width / 2}, scale, path.name)
 
 
-def update_prediction(folder: Path, *, tolerated: float, out: Path | None) -> Result:
-    """Predict the car before and after its recorded drives.
-
-    Raises:
-        ds_analysis.prediction.real.records.RecordError: there are no drives, or they are damaged.
-    """
-    from ds_analysis.prediction.real.proposal import read_proposed
-    from ds_analysis.prediction.real.records import FOLDER, RecordError, read_drives
-    from ds_analysis.prediction.real.update import update
-    from ds_analysis.prediction.verdict_picture import draw_verdicts
+def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
+    """Predict the car before and after its drives, and write both."""
+    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.prediction.car import predict_car
+    from ds_analysis.real.records import FOLDER, RecordError
     from ds_driver.whole_files import write_json, write_whole
+    from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
 
-    drives = read_drives(folder)
-    if not drives:
+    car = predict_car(folder, read_table(folder), tolerated=tolerated)
+    if not car.drives:
         raise RecordError(
             f"{folder} has no real drives: record some with `{ds_command('real', 'record', folder, 'FILE.csv')}`"
         )
-    table, prediction = _fitted(folder)
-    rounds = read_proposed(folder).rounds
-    found = update(table, prediction, drives, tolerated=tolerated, rounds=rounds)
-    document: dict[str, Any] = found.document()
     path = (folder / FOLDER if out is None else out) / "update.json"
-    write_json(path, document)
-    for name, of in (("before", found.before), ("after", found.after)):
+    write_json(path, car.document())
+    for name, of in (("before", car.before), ("after", car.verdicts)):
         if any(one.tests for one in of.cells):
-            picture = png(draw_verdicts(of, f"The car, {name} {len(drives)} real drives"))
+            picture = png(draw_verdicts(of, f"The car, {name} {len(car.drives)} real drives"))
             write_whole(path.with_name(f"{name}.png"), picture)
-    return Result(document=document, show=lambda: _show(found, path))
+    return Result(document=car.document(), show=lambda: _show(folder, car, path))
 
 
-def _fitted(folder: Path) -> tuple[OutcomeTable, TwinPrediction]:
-    """Tests of a folder, a driven digital twin among the siblings, and the prediction of a car."""
-    from ds_analysis.outcomes.folders import read_table
-    from ds_analysis.prediction.twin_prediction import predict_twin
-
-    table = read_table(folder).as_population()
-    say(f"{len(table)} tests on {', '.join(table.siblings)}: fitting the population of simulators")
-    return table, predict_twin(table)
-
-
-def _show(found: Update, path: Path) -> None:
-    from ds_analysis.common.table import Column, Table
-
-    labels = dict(zip((one.cell for one in found.after.cells), cell_labels(found.after), strict=True))
-    before, after = ({one.cell: one for one in of.cells} for of in (found.before, found.after))
-    table = Table(
-        name="changed_cells",
-        title="Cells whose verdict the drives changed",
-        columns=[
-            *(Column(name) for name in found.after.features), Column("before"), Column("rate before", "number"),
-            Column("after"), Column("rate after", "number"), Column("90 %", "number"),
-        ],
-        rows=[
-            (
-                *labels[one.cell], one.before, before[one.cell].rate, one.after, after[one.cell].rate,
-                after[one.cell].interval,
-            )
-            for one in found.changed
-        ],
-    )  # fmt: skip
-    if found.changed:
-        table.show(Console())
-    for name, of in (("before", found.before), ("after", found.after)):
-        print(f"{name}: {of.sentence}")
-    print(found.sentence)
-    for line in found.worth.sentences:
-        print(line)
-    if found.certificate is not None:
-        print(found.certificate.sentence)
-    if found.span.warning:
-        print(f"warning: {found.span.warning}")
+def _show(folder: Path, car: CarPrediction, path: Path) -> None:
+    print(car.sentence)
+    print(car.help.sentence)
+    if car.certificate is not None:
+        print(car.certificate.sentence)
+    if car.open:
+        print(_open(car.open))
+    labels = dict(zip((one.cell for one in car.verdicts.cells), cell_labels(car.verdicts), strict=True))
+    changed = [f"{', '.join(labels[one['cell']])}: {one['before']} -> {one['after']}" for one in car.changed]
+    if changed:
+        shown = "; ".join(changed[:6])
+        print(f"The drives changed the verdict of {len(changed)} cells: {shown}{'; ...' if len(changed) > 6 else ''}")
+    print(f"next: {ds_command('real', 'propose', folder, '--drives', 6)}")
     print(path)
+
+
+def _open(tests: Sequence[str]) -> str:
+    shown = ", ".join(tests[:6]) + (f" and {len(tests) - 6} more" if len(tests) > 6 else "")
+    return f"{len(tests)} proposed drive{' is' if len(tests) == 1 else 's are'} not recorded yet: {shown}."
 
 
 @real_app.command("propose")
@@ -143,71 +112,66 @@ def propose_command(
     ] = None,
     certify: Annotated[
         float | None,
-        typer.Option(min=0.01, max=0.99, help="Say how many drawn drives it takes to certify this failure rate."),
+        typer.Option(min=0.01, max=0.99, help="Say how many drives it takes to certify this failure rate."),
     ] = None,
+    spread: Annotated[
+        bool,
+        typer.Option("--spread", help="Spread tests over predicted probabilities: tells more, certifies nothing."),
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Choose the drives on the car that would tell most, and write roads to tape out, conditions and what each decides.
+    """Draw tests to drive on the car at random, and write roads to tape out and what to set.
 
-    Every other test is drawn at random, so that `ds real update` can bound the car's failures however one stops.
-
+    Each call continues the same random order, so that `ds real update` can bound the car's failures whenever you stop.
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
     """
     from ds_analysis.common.table import Column, Table
-    from ds_analysis.prediction.real.certificate import drives_until
-    from ds_analysis.prediction.real.drive_choice import LEAST_GAIN, candidates_of, expected_error
-    from ds_analysis.prediction.real.proposal import SCALE, propose, read_proposed, write_proposal
-    from ds_analysis.prediction.real.records import read_drives
-    from ds_analysis.prediction.real.update import margin_drives
+    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.prediction.car import predict_car
+    from ds_analysis.real.certificate import drives_until
+    from ds_analysis.real.proposal import candidates_of, propose
     from ds_orchestrator.store.folder_files import locked
+    from ds_report.drives_on_the_car import TO_FILL, write_drives_to_do
 
     with locked(folder):
-        outcomes, prediction = _fitted(folder)
-        known = read_drives(folder)
-        chosen_scale = scale or read_proposed(folder).scale or SCALE
-        updated = prediction.updated(margin_drives(outcomes, known))
-        found = propose(outcomes, updated, drives, scale=chosen_scale)
-        paths = write_proposal(folder, found)
-    expected = expected_error(outcomes, updated)
+        car = predict_car(folder, read_table(folder))
+        driven = {drive.test_id for drive in car.drives}
+        found = propose(folder, car.table, car.prediction, driven, drives, scale=scale, spread=spread)
+        place = write_drives_to_do(folder, len(car.proposed.rounds) + 1, found)
     table = Table(
         name="proposal",
-        title=f"Drives on the car that tell most, after {len(known)} real drives",
+        title=f"Drives on the car, drawn at random, after {len(car.drives)} real drives",
         columns=[
-            Column("test"), Column("P(fails)", "number"), Column("gain", "small"),
-            Column("siblings that fail", "count"),
-            Column("conditions"), Column("decides"),
+            Column("test"), Column("P(fails)", "number"), Column("siblings that fail", "count"), Column("conditions"),
         ],
         rows=[
             (
-                one.test_id, one.probability, one.gain, list(one.siblings.values()).count("failed"),
-                ", ".join(f"{name} {value}" for name, value in one.to_set.items()), one.sentence,
+                one.test_id, one.probability, list(one.siblings.values()).count("failed"),
+                ", ".join(f"{name} {value}" for name, value in one.to_set.items()),
             )
             for one in found
         ],
-        notes=[
-            "gain: expected reduction of the mean squared error of all predictions by the drive, after those above, "
-            "empty for tests that were drawn at random, which show whether the simulators mislead; "
-            f"that error is expected to be {expected:.4f} now: stop when a drive gains less than "
-            f"{100 * LEAST_GAIN:.0f} % of it"
-        ],
     )  # fmt: skip
-
-    sure = None if certify is None else drives_until(certify, len(candidates_of(outcomes, prediction)))
+    tests = len(car.proposed.population) or len(candidates_of(car.table))
+    sure = None if certify is None else drives_until(certify, tests)
+    following = ds_command("real", "record", folder, place / TO_FILL, "--who", "NAME", "--when", "DATE")
 
     def show() -> None:
+        if car.open:
+            print(f"{_open(car.open)} The drives below follow them in the same order.")
         table.show(Console())
         if certify is not None:
             never = f"no number of drives certifies {certify:.0%}: there are too few tests"
-            most = f"{sure} drawn drives without a failure certify that the car fails on at most {certify:.0%} of tests"
-            print(never if sure is None else f"{most}; every other drive is drawn")
-        for path in paths:
-            print(path)
+            most = f"{sure} drives without a failure certify that the car fails on at most {certify:.0%} of tests"
+            print(never if sure is None else most)
+        print(place)
+        print(f"next: drive them in this order, fill in {TO_FILL}, then {following}")
 
     document = {
         "drives": [one.document() for one in found],
-        "expected_squared_error": expected,
+        "open": list(car.open),
         "drawn_drives_to_certify": sure,
-        "files": [str(path) for path in paths],
+        "folder": str(place),
     }
     answer(Result(document=document, show=show), as_json)
 
@@ -223,40 +187,52 @@ def record_command(
     ],
     who: Annotated[str | None, typer.Option(help="Who drove, where the file does not say.")] = None,
     when: Annotated[str | None, typer.Option(help="Date, where the file does not say, as 2026-03-01.")] = None,
-    test: Annotated[str | None, typer.Option(help="Proposed test that a bag or tub recorded.")] = None,
+    test: Annotated[str | None, typer.Option(help="Test that a bag or tub recorded.")] = None,
     outcome: Annotated[
         str | None, typer.Option(help="Verdict on a bag or tub: completed, failed, out_of_bounds, stuck or timeout.")
     ] = None,
     topic: Annotated[
         str | None, typer.Option(help="Odometry of a bag, or TOPIC:FIELD of the lateral position, m of the car's.")
     ] = None,
+    scale: Annotated[
+        float | None, typer.Option(min=1.0, max=100.0, help="Scale of the car, if nothing was proposed; 16 for 1:16.")
+    ] = None,
+    drawn: Annotated[
+        bool, typer.Option("--drawn", help="Tests that were not proposed were drawn at random from all, not chosen.")
+    ] = False,
     tolerated: Tolerated = 0.1,
     as_json: JsonFlag = False,
 ) -> None:
-    """Record outcomes of proposed drives, apart from simulated ones, and show what they change.
+    """Record outcomes of drives on the car, proposed or not, apart from simulated ones, and show what they change.
 
     From a CSV with a row per drive; from a rosbag2 recording of one drive, by its odometry from the start of the road
     or a topic with the lateral position; from a folder that `ds recording locate` wrote of it; or from a Donkey Car tub
-    with --outcome.
+    with --outcome. A test counts once. Only drives that were proposed, or that you say were --drawn, certify something.
     """
-    from ds_analysis.prediction.real.proposal import read_proposed
-    from ds_analysis.prediction.real.recordings import is_recording
-    from ds_analysis.prediction.real.records import RecordError, added, read_csv, read_drives, write_drives
+    from dataclasses import replace
+
+    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.real.proposal import SCALE, read_proposed
+    from ds_analysis.real.records import added, read_csv, read_drives, read_recorded, write_drives
     from ds_orchestrator.store.folder_files import locked
+    from ds_recording.real_drive import is_recording
 
     with locked(folder):
-        proposed = read_proposed(folder)
-        if proposed.scale is None:
-            raise RecordError(
-                f"nothing was proposed for {folder}: run `{ds_command('real', 'propose', folder, '--drives', 6)}` first"
-            )
+        table, proposed = read_table(folder).as_population(), read_proposed(folder)
+        used_scale = proposed.scale or (scale or SCALE if table.roads else 1.0)
         if is_recording(file):
-            new = [_recorded(file, proposed, test, outcome, topic, who=who, when=when)]
+            new = [_recorded(file, table, used_scale, test, outcome, topic, who=who, when=when)]
         else:
-            new = read_csv(file, proposed.limits, scale=proposed.scale, who=who, when=when)
-        path = write_drives(folder, added(read_drives(folder), new))
-        say(f"{len(new)} drives recorded in {path}")
-        result = update_prediction(folder, tolerated=tolerated, out=None)
+            limits = dict(zip(table.test_ids, map(float, table.limits[:, 0]), strict=True))
+            new = read_csv(file, limits, scale=used_scale, who=who, when=when)
+        known = read_drives(folder)
+        added(known, new)
+        kept = added(read_recorded(folder), [replace(drive, drawn=drawn) for drive in new])
+        path = write_drives(folder, kept)
+        again = len({drive.test_id for drive in known} & {drive.test_id for drive in new})
+        chosen = len({drive.test_id for drive in new} - {*proposed.tests})
+        say(f"{len(new) - again} drives recorded in {path}, {again} known before, {chosen} of tests not proposed")
+        result = _updated(folder, tolerated=tolerated, out=None)
     answer(result, as_json)
 
 
@@ -269,11 +245,11 @@ def update_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show predictions before and after the recorded drives, and whether the car is outside the siblings' span."""
+    """Show predictions before and after the recorded drives, what they certify, and whether simulators have helped."""
     from ds_orchestrator.store.folder_files import locked, make_folder
 
     if out is not None:
         make_folder(out)
     with locked(folder) if out is None else nullcontext():
-        result = update_prediction(folder, tolerated=tolerated, out=out)
+        result = _updated(folder, tolerated=tolerated, out=out)
     answer(result, as_json)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from report_campaigns import make_campaign, results
 
-from ds_analysis.prediction.real.records import RealDrive, write_drives
+from ds_analysis.real.records import RealDrive, write_drives
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_report.html_report import write_report
@@ -37,7 +37,7 @@ def test_real_drives_are_marked_and_change_the_answer(tmp_path: Path) -> None:
     cells = [cell for panel in before.panels for _, row in panel.rows for cell in row if cell is not None]
     assert sum(cell.tests for cell in cells) == len(data.tests) == 16 and not any(cell.driven for cell in cells)
     counted = {name: sum(cell.verdict == name for cell in cells) for name in ("fails", "safe", "disputed")}
-    said = re.findall(r"(\d+) (?:of \d+ cells fail|(?:is|are) (?:safe|disputed))", before.sentence)
+    said = re.findall(r"(\d+) (?:fails?,|(?:is|are) (?:safe|disputed))", before.sentence)
     assert [int(n) for n in said] == [*counted.values()]
     assert "a:One, b:Two and c:Three without a real drive" in before.sentence and "Framed" not in before.reading
     chosen = data.tests[3].test_id
@@ -46,7 +46,8 @@ def test_real_drives_are_marked_and_change_the_answer(tmp_path: Path) -> None:
     marked = [
         cell for panel in after.panels for _, row in panel.rows for cell in row if cell is not None and cell.driven
     ]
-    assert [cell.cell for cell in marked] == [data.cells[chosen]] and "1 real drive, 1 failed" in after.sentence
+    assert [cell.cell for cell in marked] == [data.cells[chosen]]
+    assert "The car drove 1 test and failed 1" in after.sentence
     (same,) = (cell for cell in cells if cell.cell == data.cells[chosen])
     assert marked[0].rate is not None and same.rate is not None and marked[0].rate > same.rate
 

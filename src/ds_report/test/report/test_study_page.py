@@ -34,7 +34,8 @@ def test_a_page_says_where_each_simulator_fails_and_runs_nothing(tmp_path: Path)
     write_study(tmp_path, study)
     text = write_study_page(tmp_path, study).read_text()
     assert HOSTILE not in text and "&lt;script&gt;" in text and "default-src 'none'" in text
-    assert "where speed is above" in text and "real propose" in text and text.count("data:image/png") == 5
+    assert "where speed is " in text and "did not choose this threshold" in text
+    assert "real propose" in text and text.count("data:image/png") == 5
     assert "predicted without driving it" in text  # predictors are scored on the twin
     assert write_study_page(tmp_path, study).read_text() == text
 

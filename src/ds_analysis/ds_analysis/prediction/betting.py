@@ -1,0 +1,126 @@
+"""Whether the siblings have helped to predict the car: a bet on every drive, with them against without them.
+
+Each drive is predicted from those before it, by the experts that use the siblings' outcomes and by those that see
+features and drives alone. Of a drawn drive, either side says how probable it was that this test, of all that were left,
+has the verdict that came out; the failure rate cancels, so that siblings are not praised for a level. Of a test that
+somebody chose, either side says how probable its verdict was. The capital of the bet is the product of the ratios.
+
+If the side without siblings is right, capital never grows on average, so that it reaches 1 / `ALPHA` with a probability
+of at most `ALPHA`, however many drives are looked at and whoever decides when to stop (Ville's inequality; Waudby-Smith
+and Ramdas, J. R. Stat. Soc. B 2024). `benchmarks/predictors.py` measures it where neither side is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ds_analysis.common.statistics import Array, Bools
+from ds_analysis.prediction.mixture import Drive, Prediction
+
+ALPHA = 0.05
+"""Probability with which a statement may be wrong."""
+_LEAST = 0.005
+"""Least probability of either verdict; chosen: one drive changes capital by a factor of 200 at most."""
+_MOST = 500.0
+"""Logarithm of the largest capital that is kept, which is still a finite number."""
+_EACH = 50
+"""Drives up to which each is predicted from all before it; beyond, predictions are renewed every fiftieth part."""
+
+
+def in_turn(undriven: Prediction, prediction: Prediction) -> Iterator[tuple[Drive, Prediction]]:
+    """Yield every drive of a prediction with what was predicted from the drives before it.
+
+    Args:
+        undriven: without drives.
+        prediction: of the same experts, with drives.
+    """
+    known = 0
+    for k, drive in enumerate(prediction.drives):
+        if k - known >= max(1, k // _EACH):
+            undriven, known = undriven.updated(prediction.drives[known:k]), k
+        yield drive, undriven
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiblingHelp:
+    """Whether the siblings have helped to predict the car's drives.
+
+    Attributes:
+        drives: drives that were predicted.
+        with_siblings: mean squared error of their predictions with the siblings.
+        without: the same without them.
+        helped: largest capital, so far, of the bet that the siblings help.
+        misled: the same of the bet that predictions without them are better.
+        capital: capital now, of the bet that they help.
+    """
+
+    drives: int = 0
+    with_siblings: float = 0.0
+    without: float = 0.0
+    helped: float = 1.0
+    misled: float = 1.0
+    capital: float = 1.0
+
+    @property
+    def answer(self) -> str:
+        """`helped`, `misled` or `open`; where both bets were won at times, the one that leads now."""
+        shown = {"helped": self.helped * ALPHA >= 1.0, "misled": self.misled * ALPHA >= 1.0}
+        leading = "helped" if self.capital > 1.0 else "misled"
+        return leading if shown[leading] else next((name for name, holds in shown.items() if holds), "open")
+
+    @property
+    def sentence(self) -> str:
+        """The answer in one line; "" without drives."""
+        if not self.drives:
+            return ""
+        said = {
+            "helped": "your simulators have helped to tell which tests the car fails",
+            "misled": "your simulators have not helped: which tests the car fails is predicted better without them",
+            "open": "it is open whether your simulators tell which tests the car fails",
+        }[self.answer]
+        sure = "" if self.answer == "open" else f"; this is wrong in at most {ALPHA:.0%} of cases"
+        return (
+            f"After {self.drives} drive{'' if self.drives == 1 else 's'} {said} (mean squared error "
+            f"{self.with_siblings:.2f} with them, {self.without:.2f} without{sure})."
+        )
+
+
+def sibling_help(undriven: Prediction, prediction: Prediction) -> SiblingHelp:
+    """Bet on every drive, in the order of the drives.
+
+    Args:
+        undriven: without drives.
+        prediction: of the same experts, with drives.
+    """
+    sides = [(undriven.only(siblings=one), prediction.only(siblings=one)) for one in (True, False)]
+    left = np.ones(undriven.tests, np.bool_)
+    log_capital, errors = [0.0], []
+    for (drive, using), (_, alone) in zip(*(in_turn(*side) for side in sides), strict=True):
+        first, second = (np.clip(one.probabilities(), _LEAST, 1.0 - _LEAST) for one in (using, alone))
+        log_capital.append(log_capital[-1] + _log_share(first, drive, left) - _log_share(second, drive, left))
+        errors.append([(one[drive.row] - drive.failed) ** 2 for one in (first, second)])
+        left[drive.row] = False
+    if not errors:
+        return SiblingHelp()
+    with_siblings, without = np.mean(errors, axis=0)
+    return SiblingHelp(
+        drives=len(errors),
+        with_siblings=float(with_siblings),
+        without=float(without),
+        helped=_capital(max(log_capital)),
+        misled=_capital(-min(log_capital)),
+        capital=_capital(log_capital[-1]),
+    )
+
+
+def _capital(logarithm: float) -> float:
+    return float(np.exp(np.clip(logarithm, -_MOST, _MOST)))
+
+
+def _log_share(failing: Array, drive: Drive, left: Bools) -> float:
+    """Log probability that a drawn test is this one, given its verdict; of a chosen test, of its verdict."""
+    found = failing if drive.failed else 1.0 - failing
+    return float(np.log(found[drive.row]) - (np.log(found[left].mean()) if drive.drawn else 0.0))

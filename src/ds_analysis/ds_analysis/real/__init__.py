@@ -1,0 +1,1 @@
+"""A small budget of drives on a real car: which to drive, how outcomes are kept, and what they change."""

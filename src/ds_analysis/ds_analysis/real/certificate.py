@@ -1,0 +1,122 @@
+"""Bounds on how many of a campaign's tests fail on a car that hold however one stops: a confidence sequence by betting.
+
+Drawn drives are a uniform sample without replacement, whatever was driven before them. For each number of failing tests
+a gambler bets against it; the number is refuted when the capital has grown to 1 / `ALPHA`, which happens to a true one
+with a probability of at most `ALPHA`, at any time (Ville's inequality; Waudby-Smith and Ramdas, J. R. Stat. Soc. B
+2024, with simulators as bettors: arXiv 2606.24038). One gambler bets on the verdict, one on its difference from the
+probability that was predicted before the drive, which pays where the simulators know something; their capitals are
+averaged. Chosen drives are known tests, and no bets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ds_analysis.common.statistics import Array
+from ds_analysis.prediction.betting import ALPHA
+
+_STAKES = np.array([0.2, 0.5, 0.95])
+"""Stakes of equal weights, each on either side; chosen: any value below 1 is valid, and some fit any rate."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bet:
+    """One drive, in the order in which tests were drawn.
+
+    Attributes:
+        failed: its verdict.
+        drawn: whether its test was drawn uniformly from those left; otherwise it was chosen.
+        predicted: probability of failure that was predicted before.
+        mean_predicted: mean of these over the tests left, its own among them.
+    """
+
+    failed: bool
+    drawn: bool
+    predicted: float = 0.0
+    mean_predicted: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What is certain of a car's failures.
+
+    Attributes:
+        tests: number of tests of which it speaks.
+        drawn: drives that were drawn.
+        low: smallest number of tests that fail, not refuted yet.
+        high: largest such number.
+    """
+
+    tests: int
+    drawn: int
+    low: int
+    high: int
+
+    @property
+    def sentence(self) -> str:
+        """What is certain, in one line."""
+        shares = f"{100 * self.low / self.tests:.0f} to {100 * self.high / self.tests:.0f} %"
+        drives = f"{self.drawn} drive{'' if self.drawn == 1 else 's'} drawn at random"
+        return (
+            f"Certain with 95 %, whenever you stop: the car fails on {self.low} to {self.high} of {self.tests} tests "
+            f"({shares}), by {drives}."
+        )
+
+
+def certify(bets: Sequence[Bet], tests: int) -> Certificate:
+    """Bound the number of failing tests among all.
+
+    Args:
+        bets: all drives so far, in their order.
+        tests: number of tests that can be driven, those that were among them.
+
+    Examples:
+        >>> found = certify([Bet(failed=False, drawn=True)] * 60, tests=200)
+        >>> found.low, found.high < 20
+        (0, True)
+    """
+    total = np.arange(tests + 1.0)
+    stakes = np.concatenate((-_STAKES, _STAKES))
+    log_capital = np.zeros((2, len(stakes), tests + 1))
+    kept = np.ones(tests + 1, np.bool_)
+    failures, left = 0, tests
+    for bet in bets:
+        if bet.drawn:
+            mean = np.clip((total - failures) / left, 0.0, 1.0)
+            plain = float(bet.failed) - mean
+            helped = plain - (bet.predicted - bet.mean_predicted)
+            log_capital[0] += np.log1p(stakes[:, None] * plain)
+            log_capital[1] += np.log1p(0.5 * stakes[:, None] * helped)  # which lies between -2 and 2
+            kept &= _mean_capital(log_capital) < 1.0 / ALPHA
+        failures, left = failures + bet.failed, left - 1
+        kept &= (total >= failures) & (total <= failures + left)
+    possible = np.flatnonzero(kept)
+    drawn = sum(bet.drawn for bet in bets)
+    if not len(possible):  # refuted altogether, which is as rare as a wrong bound
+        return Certificate(tests=tests, drawn=drawn, low=failures, high=failures + left)
+    return Certificate(tests=tests, drawn=drawn, low=int(possible[0]), high=int(possible[-1]))
+
+
+def _mean_capital(log_capital: Array) -> Array:
+    top = log_capital.max(axis=(0, 1))
+    return np.asarray(np.exp(top) * np.exp(log_capital - top).mean(axis=(0, 1)))
+
+
+def drives_until(rate: float, tests: int) -> int | None:
+    """Count the drawn drives without a failure after which at most a share of the tests can fail; None if never.
+
+    Args:
+        rate: the share.
+        tests: number of tests.
+    """
+    low, high = 1, tests
+    if certify([Bet(failed=False, drawn=True)] * tests, tests).high > rate * tests:
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        found = certify([Bet(failed=False, drawn=True)] * middle, tests)
+        low, high = (low, middle) if found.high <= rate * tests else (middle + 1, high)
+    return low

@@ -1,0 +1,226 @@
+"""Proposes drives on a real car, drawn at random, and remembers what was proposed in which order."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from itertools import chain
+from pathlib import Path, PurePath
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, State
+from ds_analysis.common.statistics import Indices
+from ds_analysis.prediction.mixture import Prediction
+from ds_analysis.real.records import FOLDER, MOST_ROWS, RecordError, Text
+from ds_driver.whole_files import write_json
+from ds_orchestrator.store.folder_files import read_file
+from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
+from ds_sim.conditions.text import format_conditions, three_digits
+
+PROPOSAL = "proposal.json"
+SCALE = 16.0
+"""Metres of the road per metre of the car's: the twin is a car of 1:16 (paper 4.1)."""
+_SEED = 23
+"""Seed of the order in which tests are drawn, with their names; any number does."""
+
+
+class BudgetError(ValueError):
+    """A number of drives that cannot be proposed."""
+
+
+class _Row(BaseModel):
+    """A proposed drive; `gain` is of files in which some tests were chosen, and null for those that were drawn."""
+
+    model_config = ConfigDict(extra="allow")
+
+    test_id: Text
+    drawn: bool | None = None
+    gain: float | None = 0.0
+
+
+class Proposed(BaseModel):
+    """What was proposed for a folder so far.
+
+    Attributes:
+        scale: metres of the road per metre of the car's; None before the first proposal.
+        population: tests from which all rounds are drawn; () before the first proposal, and in files of 0.2.
+        rounds: proposals, each in the order of its drives.
+        before: of each round, the tests that the car had driven by then without being proposed.
+    """
+
+    scale: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
+    population: Annotated[list[Text], Field(max_length=MOST_TESTS)] = []
+    rounds: Annotated[list[list[_Row]], Field(max_length=MOST_ROWS)] = []
+    before: Annotated[list[list[Text]], Field(max_length=MOST_ROWS)] = []
+
+    @property
+    def tests(self) -> list[str]:
+        """Proposed tests, each once."""
+        return list(dict.fromkeys(row.test_id for row in chain.from_iterable(self.rounds)))
+
+    def in_order(self) -> list[tuple[str, bool]]:
+        """Tests in the order in which the car was to drive them, each once, and whether they were drawn by a round."""
+        found: dict[str, bool] = {}
+        for k, rows in enumerate(self.rounds):
+            for test_id in self.before[k] if k < len(self.before) else []:
+                found.setdefault(test_id, False)
+            for row in rows:
+                found.setdefault(row.test_id, row.gain is None if row.drawn is None else row.drawn)
+        return list(found.items())
+
+
+def read_proposed(folder: Path) -> Proposed:
+    """Read what was proposed for a folder; nothing if there is no file.
+
+    Raises:
+        RecordError: the file is damaged.
+    """
+    try:
+        found = Proposed.model_validate_json(read_file(folder, PurePath(FOLDER, PROPOSAL)), strict=True)
+    except FileNotFoundError:
+        return Proposed()
+    except ValidationError:
+        found = Proposed()
+    if not {"scale", "rounds"} <= found.model_fields_set or sum(map(len, found.rounds)) > MOST_ROWS:
+        path = folder / FOLDER / PROPOSAL
+        raise RecordError(f"{path} cannot be read: restore it, or remove it and propose again")
+    return found
+
+
+def candidates_of(table: OutcomeTable) -> Indices:
+    """Rows of the tests that a car can be asked to drive: judged by a sibling, excluded on none."""
+    states = table.states[:, [table.column(name) for name in table.siblings]]
+    judged = np.isin(states, (State.COMPLETED, State.FAILED)).any(axis=1)
+    return np.flatnonzero(judged & ~(states == State.EXCLUDED).any(axis=1))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProposedDrive:
+    """A test to drive on the car.
+
+    Attributes:
+        test_id: id of the test.
+        road: road to tape out; None if the test is known by its features alone.
+        conditions: conditions to set.
+        features: imported feature -> value, of a test without a road.
+        scale: metres of the road per metre of the car's.
+        probability: predicted probability that the car fails.
+        drawn: whether it was drawn from all tests that were left, so that it certifies something.
+        siblings: simulator -> outcome of this test there: `failed`, `completed` or `not driven`.
+    """
+
+    test_id: str
+    road: Road | None
+    conditions: Conditions
+    features: dict[str, float]
+    scale: float
+    probability: float
+    drawn: bool
+    siblings: dict[str, str]
+
+    @property
+    def to_set(self) -> dict[str, str]:
+        """Condition -> its value as a person sets it, to three digits: lengths and speeds at the car's scale."""
+        return {name: _as_set(name, value, self.scale) for name, value in self.conditions.changed.items()}
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        fields = {key: value for key, value in asdict(self).items() if key not in ("road", "conditions", "scale")}
+        return {**fields, "conditions": format_conditions(self.conditions)}
+
+
+def _as_set(name: str, value: float, scale: float) -> str:
+    unit = FIELDS[name].unit
+    own = f"{three_digits(value)} {unit}".rstrip()
+    if unit == "rad":
+        return f"{three_digits(math.degrees(value))} degrees"
+    if unit in ("m", "m/s") and scale != 1.0:
+        return f"{three_digits(value / scale)} {unit} ({own} at full scale)"
+    return own
+
+
+def propose(
+    folder: Path,
+    table: OutcomeTable,
+    prediction: Prediction,
+    driven: Collection[str],
+    drives: int,
+    *,
+    scale: float | None = None,
+    spread: bool = False,
+) -> list[ProposedDrive]:
+    """Draw the next tests for the car, and remember them; what was proposed before stays proposed.
+
+    The order of all tests is drawn once, by a seed and their names; each call continues it, past what was driven
+    meanwhile. So every proposed test is a uniform draw from all that were left, however often one asks and whatever
+    came out, as the certificate needs it.
+
+    Args:
+        folder: of a campaign or study.
+        table: its outcomes.
+        prediction: of the table's tests.
+        driven: tests that the car drove already.
+        drives: number of tests to draw.
+        scale: metres of the road per metre of the car's; that of earlier proposals, or `SCALE`, if None.
+        spread: draw one test from each of as many groups of equal size, sorted by their predicted probabilities. Such
+            drives tell more, and certify nothing.
+
+    Raises:
+        BudgetError: fewer tests are left.
+        RecordError: another scale was proposed before, or the file of proposals is damaged.
+    """
+    known = read_proposed(folder)
+    if known.scale is not None and scale not in (None, known.scale):
+        raise RecordError(
+            f"drives of a car of 1:{known.scale:g} were proposed before, not 1:{scale:g}: keep the scale, or copy the "
+            "folder for another car"
+        )
+    scale = known.scale or (scale or SCALE if table.roads else 1.0)
+    population = known.population or [table.test_ids[row] for row in candidates_of(table)]
+    order = np.random.default_rng([_SEED, zlib.crc32("\n".join(population).encode())]).permutation(len(population))
+    taken = {*driven, *known.tests}
+    place = {test_id: row for row, test_id in enumerate(table.test_ids)}
+    left = [population[k] for k in order if population[k] not in taken and population[k] in place]
+    if drives > len(left):
+        raise BudgetError(
+            f"{drives} drives: {len(left)} tests can be proposed, expected a budget of at most {len(left)}"
+        )
+    if spread:  # the first of each group in the random order
+        probabilities = prediction.probabilities()
+        ranked = sorted(left, key=lambda test_id: float(probabilities[place[test_id]]))
+        left = [min(group, key=left.index) for group in np.array_split(ranked, drives)]
+    found = [_proposed(table, prediction, place[test_id], scale, drawn=not spread) for test_id in left[:drives]]
+    document = known.model_dump(exclude_defaults=True)
+    rounds = [*document.get("rounds", []), [one.document() for one in found]]
+    before = [*known.before, sorted({*driven} - {*known.tests})]
+    content = {"scale": scale, "population": population, "rounds": rounds, "before": before}
+    write_json(folder / FOLDER / PROPOSAL, content)
+    return found
+
+
+def _proposed(table: OutcomeTable, prediction: Prediction, row: int, scale: float, *, drawn: bool) -> ProposedDrive:
+    words = {State.FAILED: "failed", State.COMPLETED: "completed"}
+    features = dict(zip(table.feature_names, table.features[row].tolist(), strict=True))
+    return ProposedDrive(
+        test_id=table.test_ids[row],
+        road=table.roads[row] if table.roads else None,
+        conditions=table.conditions[row] if table.conditions else DEFAULT,
+        features={} if table.roads else features,
+        scale=scale,
+        probability=float(prediction.probabilities(np.array([row]))[0]),
+        drawn=drawn,
+        siblings={
+            name: words.get(State(table.states[row, table.column(name)]), "not driven") for name in table.siblings
+        },
+    )
+
+
+def open_drives(proposed: Proposed, driven: Collection[str]) -> Sequence[str]:
+    """Proposed tests that the car has not driven."""
+    return [test_id for test_id in proposed.tests if test_id not in driven]
