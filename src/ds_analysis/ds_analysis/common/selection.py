@@ -8,7 +8,8 @@ and mostly end as it does. Rules, fixed before they were applied to any campaign
    permuted among these places; p is the share of permutations, the observed one among them, whose largest index over
    all axes and thresholds is as large. Sizes differ, and move with the outcomes, so that p is exact.
 2. Failure shares beside it are measured on tests that did not choose it: each family is divided by the split that all
-   other families choose. Intervals are Korn and Graubard's (Survey Methodology 24, 1998), for tests in clusters.
+   other families choose. Intervals are Korn and Graubard's (Survey Methodology 24, 1998), for tests in clusters; they
+   reach outwards as far as that of the chosen split, since the others' splits separate less well.
 3. The best of several candidates is named only if its lead survives random signs of the families' differences. p is
    that of the largest lead over all candidates (Westfall and Young 1993).
 """
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -133,13 +134,23 @@ def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random
             called_harder[divided] = values[k, divided] >= least
         else:  # all others end alike, and say the same of these
             called_harder[divided] = failed[chosen_by].any()
-    sides = [(failed[side], families[side]) for side in (called_harder, ~called_harder) if side.any()]
+    harder = np.asarray(values[axis] >= threshold)
     return ChosenSplit(
         axis=axis,
         threshold=threshold,
-        harder=np.asarray(values[axis] >= threshold),
+        harder=harder,
         p=float(np.mean(np.array(found) >= found[0])),
-        apart=(Share.of(*sides[0]), Share.of(*sides[1])) if len(sides) == 2 else None,
+        apart=_apart(failed, families, called_harder, harder) if 0 < called_harder.sum() < len(failed) else None,
+    )
+
+
+def _apart(failed: Bools, families: Indices, called_harder: Bools, harder: Bools) -> tuple[Share, Share]:
+    """Shares of tests that others divide; an interval reaches outwards as far as that of the split itself."""
+    sides = ((called_harder, harder), (~called_harder, ~harder))
+    (one, chosen), (other, left) = ([Share.of(failed[part], families[part]) for part in both] for both in sides)
+    return (
+        replace(one, interval=(one.interval[0], max(one.interval[1], chosen.interval[1]))),
+        replace(other, interval=(min(other.interval[0], left.interval[0]), other.interval[1])),
     )
 
 
@@ -184,6 +195,17 @@ def p_of_leads(leads: Array, rng: np.random.Generator) -> Array:
     signs = rng.choice((-1.0, 1.0), (SIGNS, leads.shape[1]))
     largest = np.append((signs @ leads.T).max(axis=1), np.inf)  # the observed signs are one of the draws
     return np.asarray((largest >= leads.sum(axis=1)[:, None] - _ROUNDING).mean(axis=1))
+
+
+def p_of_agreement(right: Bools, families: Indices) -> Array:
+    """Compute p of each candidate's agreeing more often than not, the best of several included, by rule 3.
+
+    Args:
+        right: (candidates, tests) whether a candidate agrees.
+        families: (tests,) number of the family, from 0.
+    """
+    leads = [np.bincount(families, np.where(of, 1.0, -1.0)) for of in right]
+    return p_of_leads(np.array(leads, np.float64), np.random.default_rng(SEED))
 
 
 def p_of_difference(changes: Array, families: Indices) -> float:
