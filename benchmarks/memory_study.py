@@ -13,8 +13,7 @@ training each, on the same data; and these statistics.
   without; its 95 % interval resamples roads, the same for all networks (2,000 resamples). It is about these networks:
   one training of a kind does not separate the kind from the training.
 - Secondary: failures; share of tests on which the simulators do not all say the same; nesting of failures; residual
-  correlations beyond features; how each leaves the lane; Brier scores with each simulator in turn as the car, without a
-  drive and after four drawn ones, beside features alone.
+  correlations beyond features; how each leaves the lane.
 """
 
 from __future__ import annotations
@@ -26,14 +25,12 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from benchmarks.predictors import MODEL, Ours, Predictor, Simple, score
 from scipy.stats import rankdata
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import OutcomeTable, table_of_runs
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.common.table import Column, Table, Value, write_tables
-from ds_analysis.prediction.predictors import FEATURES
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
@@ -169,34 +166,16 @@ def main() -> None:
             say(f"{name}, {network}: {len(table)} tests")
             failed = np.stack([table.failed(one) for one in simulators])
             apart = float((failed.any(axis=0) & ~failed.all(axis=0)).mean())
-            predictors: dict[str, Predictor] = {MODEL: Ours(), FEATURES: Simple(FEATURES)}
-            scored = [
-                score(table.with_twin(one).with_twin(None), table.failed(one), predictors).errors for one in simulators
-            ]
-            brier = [
-                float(np.mean([errors[key].mean() for errors in scored]))
-                for key in ((0, FEATURES), (0, MODEL), (4, MODEL))
-            ]
             agrees = agreement(table.lateral, np.arange(len(table)))
-            rows.append((name, network, KINDS[network], *map(int, failed.sum(axis=1)), agrees, apart, *brier))
+            rows.append((name, network, KINDS[network], *map(int, failed.sum(axis=1)), agrees, apart, None, None))
             analysis = analyse(table, ())
             tables += [replace(one, name=f"{name}_{network}_{one.name}") for one in analysis_tables(analysis)[:4]]
         difference = contrast(lateral)
         say(f"{name}: with memory minus without: {difference[0]:.3f} [{difference[1]:.3f}, {difference[2]:.3f}]")
-        rows.append(
-            (
-                name,
-                "with memory minus without",
-                None,
-                *[None] * len(simulators),
-                difference[0],
-                None,
-                *difference[1:],
-                None,
-            )
-        )
+        of_all = [None] * (len(simulators) + 1)
+        rows.append((name, "with memory minus without", *of_all, difference[0], None, *difference[1:]))
     if arguments.score:
-        columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "features", "model", "four"]
+        columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "low", "high"]
         summary = Table(name="memory", title="Agreement", columns=[Column(one) for one in columns], rows=rows, notes=[])
         write_tables([summary, *tables], arguments.out)
 

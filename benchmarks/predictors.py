@@ -10,9 +10,10 @@ Each simulator of a table is the car in turn, predicted from the others. A predi
   driven tests are filled in for every predictor.
 
 Tests are drawn at random (mean of `DRAWS` orders). Scores are Brier scores over all tests, intervals are 95 % over cars
-and families, resampled together. `calls` counts how often a test is called safe or failing, and is not. `help` counts
-what `ds real update` says of the siblings, of cars of four kinds: as it is; *control*, its outcomes moved to other
-tests; *opposite*, which fails where the siblings fail least; *other*, which follows a feature that they do not.
+and families, resampled together. `calls` counts how often a test is called safe or failing, and is not, and how often
+the 90 % interval of the number of failures holds it. `help` counts what `ds real update` says of the siblings, of cars
+of four kinds: as it is; *control*, its outcomes moved to other tests; *opposite*, which fails where the siblings fail
+least; *other*, which follows a feature that they do not.
 `benchmarks/foreign` says what the columns of two of others' tables are. Fixed before the tables were scored: tables,
 budgets, predictors and every constant of ours.
 """
@@ -134,7 +135,8 @@ def sample(table: OutcomeTable) -> OutcomeTable:
 class Scored:
     """One car: (tests,) squared errors by budget and predictor, and by budget what our calls come to.
 
-    `calls` counts tests called safe, those of them that fail, tests called failing, those of them that do not.
+    `calls` counts tests called safe, those of them that fail, tests called failing, those of them that do not, orders
+    of drives, and those of them after which the interval of the number of failures holds it.
     """
 
     errors: Mapping[tuple[int, str], Array]
@@ -167,8 +169,9 @@ def score(hidden: OutcomeTable, failed: Bools, scored: Mapping[str, Predictor]) 
                     left = ~np.isin(np.arange(len(truth)), order)
                     safe, fails = (one[left] for one in called(predicted))
                     wrong = failed[left]
-                    found = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum()]
-                    calls[budget] = calls.get(budget, np.zeros(4)) + found
+                    found = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum(), 1]
+                    _, low, high = predict(hidden).updated(drives).failures(np.flatnonzero(left))
+                    calls[budget] = calls.get(budget, np.zeros(6)) + [*found, low <= wrong.sum() <= high]
     return Scored(errors=errors, calls=calls)
 
 
@@ -260,7 +263,16 @@ def main() -> None:
             calls.append((folder.name, budget, *map(int, np.sum([car.calls[budget] for car in cars], axis=0))))
         say(f"{folder.name}: {', '.join(f'{k}: {v:+.3f}' for k, v in behind(cars).items())} behind the best simple one")
     names = ["table", "tests", "cars", "drives", "predictor", "Brier", "low", "high"]
-    of_calls = ["table", "drives", "called safe", "of them fail", "called failing", "of them do not fail"]
+    of_calls = [
+        "table",
+        "drives",
+        "called safe",
+        "of them fail",
+        "called failing",
+        "of them do not fail",
+        "intervals",
+        "hold",
+    ]
     of_help = ["table", "car", "drives", "helped", "misled", "open"]
     helped: list[tuple[Value, ...]] = [
         (*key, *(said[*key, answer] for answer in ("helped", "misled", "open")))

@@ -83,7 +83,10 @@ class CarPrediction:
         names = self.table.siblings
         named = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         cells = sum(counts.values()) - counts["untested"]
-        expected = sum(one.probability for one in tests)
+        names_of = {test_id: row for row, test_id in enumerate(self.table.test_ids)}
+        rows = np.array([names_of[one.test_id] for one in tests], np.intp)
+        expected, low, high = self.prediction.failures(rows)
+        many = f"{expected:.0f} (90 %: {low} to {high})"
         fails, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
         of_cells = (
             f"of {cells} cell{'' if cells == 1 else 's'} {fails} fail{'s' if fails == 1 else ''}, {safe} "
@@ -91,14 +94,14 @@ class CarPrediction:
         )
         if not self.drives:
             return (
-                f"{self._uniform}On a car, predicted from {named} without a real drive, {expected:.0f} of {len(tests)} "
+                f"{self._uniform}On a car, predicted from {named} without a real drive, {many} of {len(tests)} "
                 f"tests are expected to fail; {of_cells}."
             )
         failed = sum(drive.failed for drive in self.drives)
-        many = f"{len(self.drives)} test{'' if len(self.drives) == 1 else 's'}"
+        driven = f"{len(self.drives)} test{'' if len(self.drives) == 1 else 's'}"
         return (
-            f"Of the {len(tests)} tests that the car has not driven, {expected:.0f} are expected to fail; {of_cells}. "
-            f"The car drove {many} and failed {failed}; the rest is predicted from these drives and {named}."
+            f"Of the {len(tests)} tests that the car has not driven, {many} are expected to fail; {of_cells}. "
+            f"The car drove {driven} and failed {failed}; the rest is predicted from these drives and {named}."
         )
 
     @property

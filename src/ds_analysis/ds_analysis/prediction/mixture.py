@@ -113,6 +113,14 @@ class Prediction:
         found = np.vstack(parts)
         return self._with_outcomes(found, rows) if outcomes else found
 
+    def failures(self, rows: Indices) -> tuple[float, int, int]:
+        """Expected number of tests that fail, and its 90 % interval; the same on every call."""
+        probabilities = self.draws(rows)
+        rng = np.random.default_rng(_DRAW_SEED)
+        counts = np.sort((rng.random(probabilities.shape) < probabilities).sum(axis=1))
+        low, high = (int(counts[int(share * (len(counts) - 1))]) for share in (0.05, 0.95))
+        return float(self.probabilities(rows).sum()), low, high
+
     def _with_outcomes(self, probabilities: Array, rows: Indices) -> Array:
         place = {int(row): k for k, row in enumerate(rows)}
         for drive in self.drives:

@@ -165,7 +165,7 @@ def propose(
         folder: of a campaign or study.
         table: its outcomes.
         prediction: of the table's tests.
-        driven: tests that the car drove already.
+        driven: tests that the car drove already, in their order.
         drives: number of tests to draw.
         scale: metres of the road per metre of the car's; that of earlier proposals, or `SCALE`, if None.
         spread: draw one test from each of as many groups of equal size, sorted by their predicted probabilities. Such
@@ -198,7 +198,7 @@ def propose(
     found = [_proposed(table, prediction, place[test_id], scale, drawn=not spread) for test_id in left[:drives]]
     document = known.model_dump(exclude_defaults=True)
     rounds = [*document.get("rounds", []), [one.document() for one in found]]
-    before = [*known.before, sorted({*driven} - {*known.tests})]
+    before = [*known.before, [test_id for test_id in driven if test_id not in known.tests]]
     content = {"scale": scale, "population": population, "rounds": rounds, "before": before}
     write_json(folder / FOLDER / PROPOSAL, content)
     return found

@@ -153,8 +153,10 @@ def test_no_simple_rule_is_much_better_on_any_table(ours: list[Path]) -> None:
     for budget, most in ((0, 0.035), (4, 0.02), (8, 0.02)):
         assert max(of[budget] for of in distances.values()) <= most, distances
         assert np.mean([of[budget] for of in distances.values()]) <= 0.01
-    safe, failed, fails, completed = np.sum([car.calls[8] for cars in found.values() for car in cars], axis=0)
+    calls = np.sum([car.calls[8] for cars in found.values() for car in cars], axis=0)
+    safe, failed, fails, completed, intervals, hold = calls
     assert safe > 1000 and failed / safe <= 0.05 and fails > 100 and completed / fails <= 0.05
+    assert hold / intervals >= 0.85
 
 
 def test_it_says_whether_siblings_have_helped(ours: list[Path]) -> None:

@@ -135,7 +135,7 @@ def propose_command(
 
     with locked(folder):
         car = predict_car(folder, read_table(folder))
-        driven = {drive.test_id for drive in car.drives}
+        driven = [drive.test_id for drive in car.drives]
         found = propose(folder, car.table, car.prediction, driven, drives, scale=scale, spread=spread)
         place = write_drives_to_do(folder, len(car.proposed.rounds) + 1, found)
     table = Table(
