@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from scipy.special import expit, logit
 
-from ds_analysis.common.selection import ALPHA, most_frequent, p_of_agreement
+from ds_analysis.common.selection import ALPHA, most_frequent, p_of_leads
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
 from ds_analysis.common.table import Column, Table, Value
 from ds_analysis.comparison.analysis import compare_networks
@@ -33,9 +33,6 @@ from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_report.findings import RoadOutcomes, Split, best_split, kind_of
 from ds_sim.conditions.model import FIELDS
 from ds_sim.simulator import Outcome
-from ds_studies.sensitivity.analysis import Sensitivity
-from ds_studies.sensitivity.factors import all_factors
-from ds_studies.sensitivity.measurement import RoadResult, threshold_of
 
 SIBLINGS, TWIN = ("bullet", "softbody"), "donkey"
 SEARCHES = {14: (3, 4), 24: (4, 8), 40: (8, 12), 120: (12, 48)}
@@ -232,7 +229,7 @@ def beliefs(size: int, siblings: int, follows: float, number: int = CAMPAIGNS) -
         if not split.any():
             continue
         right = of_siblings[:, split] == twin[split]
-        stated += bool((p_of_agreement(right, families[split]) <= ALPHA).any())
+        stated += bool((p_of_leads(np.where(right, 1.0, -1.0), families[split]) <= ALPHA).any())
         before += any(jeffreys_interval(int(of.sum()), len(of))[0] > 0.5 for of in right)
     kind = "noise in families" if not follows else "clear effect"
     return [f"one of {siblings} siblings is to be believed", kind, size, None, number, stated / number, before / number,
@@ -295,23 +292,6 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
     return rows
 
 
-def first_conditions(roads: int, lead: int, number: int = CAMPAIGNS) -> list[Value]:
-    """Rate at which `ds sensitivity` claims of other roads that its first condition comes first; eight conditions."""
-    rng, stated, factors = np.random.default_rng([roads, lead]), 0, all_factors()[:8]
-    for _ in range(number):
-        thresholds = {}
-        for k, factor in enumerate(factors):
-            levels = np.clip(rng.normal(8.0 - (lead if k == 0 else 0), 2.0, roads).round(), 1, 16).astype(int)
-            results = [RoadResult(completes=int(level) - 1, fails=int(level)) for level in levels]
-            thresholds[k, "bullet"] = threshold_of("bullet", factor, results)
-        found = Sensitivity(
-            driver="net", simulators=["bullet"], factors=factors, needed=roads, roads={}, thresholds=thresholds
-        )
-        stated += "also on other roads" in found.order_note
-    kind = "clear effect" if lead else "noise"
-    return ["a condition comes first on other roads", kind, roads, 8, number, stated / number, 1.0, None, None]
-
-
 def merged_maps(size: int, number: int) -> list[Value]:
     """Rate at which the merged map is called better or worse than a sibling, where no map knows the twin's failures."""
     rng, stated = np.random.default_rng(size), 0
@@ -358,7 +338,6 @@ def rows_of_claims() -> Iterator[Sequence[Value]]:
         yield from (beliefs(size, siblings, follows) for siblings in (2, 4) for follows in (0.0, 0.9))
         yield from (most_often(size, first) for first in (0.25, 0.7))
         yield from (row for worse in (0.0, 0.5) for row in verdicts(size, worse, CAMPAIGNS // 4))
-    yield from (first_conditions(roads, lead) for roads in (3, 8, 12) for lead in (0, 4))
     yield merged_maps(120, CAMPAIGNS // 4)
 
 

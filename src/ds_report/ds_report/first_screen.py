@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ds_analysis.common.next_campaign import proposal
-from ds_analysis.common.selection import ALPHA, p_of_agreement
+from ds_analysis.common.selection import ALPHA, p_of_leads
 from ds_analysis.common.statistics import families_of
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Test
@@ -93,7 +93,7 @@ def _believe(data: CampaignData, failed: Failures) -> str:
     if not judged:
         return f"{disagree}; only drives on a twin or on your car can say which to believe."
     right = np.array([[failed[t.test_id, name] == failed[t.test_id, str(twin)] for t in judged] for name in siblings])
-    p = p_of_agreement(right, families_of([test.road for test in judged]))
+    p = p_of_leads(np.where(right, 1.0, -1.0), families_of([test.road for test in judged]))
     believed = [name for name, chance in zip(siblings, p, strict=True) if chance <= ALPHA]
     shares = listed([f"with {name} in {of.sum()}" for name, of in zip(siblings, right, strict=True)])
     of = f"of {len(judged)} of them that it drove" if len(judged) < len(split) else "there"

@@ -179,44 +179,28 @@ class _Ranked:
         return axis, float(self.values[axis, last]), float(sums[axis, last])
 
 
-def p_of_leads(leads: Array, rng: np.random.Generator) -> Array:
+def p_of_leads(leads: Array, families: Indices) -> Array:
     """Compute p of each candidate's lead, by rule 3; two-sided if a lead and its negative are candidates.
 
     Args:
-        leads: (candidates, families) by how much each candidate leads in each family; by chance, either sign is alike.
-        rng: draws the signs.
+        leads: (candidates, tests) by how much each candidate leads in each test; by chance, either sign is alike.
+        families: (tests,) number of the family, from 0.
 
     Examples:
         >>> import numpy as np
         >>> lead = np.ones(8)
-        >>> p_of_leads(np.stack((lead, -lead)), np.random.default_rng(1)) < 0.05
+        >>> p_of_leads(np.stack((lead, -lead)), np.arange(8)) < 0.05
         array([ True, False])
     """
-    signs = rng.choice((-1.0, 1.0), (SIGNS, leads.shape[1]))
-    largest = np.append((signs @ leads.T).max(axis=1), np.inf)  # the observed signs are one of the draws
+    of_family = np.array([np.bincount(families, lead) for lead in leads], np.float64)
+    signs = np.random.default_rng(SEED).choice((-1.0, 1.0), (SIGNS, of_family.shape[1]))
+    largest = np.append((signs @ of_family.T).max(axis=1), np.inf)  # the observed signs are one of the draws
     return np.asarray((largest >= leads.sum(axis=1)[:, None] - _ROUNDING).mean(axis=1))
 
 
-def p_of_agreement(right: Bools, families: Indices) -> Array:
-    """Compute p of each candidate's agreeing more often than not, the best of several included, by rule 3.
-
-    Args:
-        right: (candidates, tests) whether a candidate agrees.
-        families: (tests,) number of the family, from 0.
-    """
-    leads = [np.bincount(families, np.where(of, 1.0, -1.0)) for of in right]
-    return p_of_leads(np.array(leads, np.float64), np.random.default_rng(SEED))
-
-
 def p_of_difference(changes: Array, families: Indices) -> float:
-    """Two-sided p of no difference, by rule 3.
-
-    Args:
-        changes: (tests,) 1, 0 or -1: in which direction a test differs, if it does.
-        families: (tests,) number of the family, from 0.
-    """
-    lead = np.asarray(np.bincount(families, changes), np.float64)
-    return float(p_of_leads(np.stack((lead, -lead)), np.random.default_rng(SEED)).min())
+    """Two-sided p of no difference, from (tests,) 1, 0 or -1: in which direction a test differs, if it does."""
+    return float(p_of_leads(np.stack((changes, -changes)), families).min())
 
 
 def most_frequent(labels: Sequence[Label], families: Indices, alpha: float = ALPHA) -> Label | None:

@@ -113,7 +113,6 @@ def _departure_table(departures: Sequence[Departures]) -> Table:
         title="How failures leave the lane: wide is out of a bend, to cut is into it",
         columns=[Column("simulator"), Column("failures", "count"), *(Column(kind, "count") for kind in KINDS)],
         rows=[(one.simulator, one.failures, *(one.counts[kind] for kind in KINDS)) for one in departures],
-        notes=[one.sentence for one in departures if one.sentence],
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations, compress
+from itertools import combinations
 from typing import Literal, get_args
 
 import numpy as np
@@ -13,7 +13,6 @@ from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.driven_road import GRID
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.common.selection import most_frequent
 from ds_analysis.common.statistics import Array, Bools, Indices, Interval, are_alone, interval_over_families
 from ds_road import Road
 from ds_road.geometry import lane_curvature
@@ -118,22 +117,11 @@ class Departures:
         failures: number of its failures.
         counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it; of one that was
             restored from a table, the way out is not recorded.
-        leading: the most frequent known kind, if it clearly is; see `ds_analysis.common.selection`.
     """
 
     simulator: str
     failures: int
     counts: Mapping[Departure, int]
-    leading: Departure | None
-
-    @property
-    def sentence(self) -> str:
-        """The most frequent kind, or that none is; "" without failures of a known one."""
-        if not any(number for kind, number in self.counts.items() if kind != "not recorded"):
-            return ""
-        if self.leading is None:
-            return f"{self.simulator}: no way out of the lane is clearly the most frequent."
-        return f"{self.simulator} most often: {self.leading}, {self.counts[self.leading]} of {self.failures} failures."
 
 
 def departures_of(table: OutcomeTable) -> list[Departures]:
@@ -141,17 +129,12 @@ def departures_of(table: OutcomeTable) -> list[Departures]:
     found = []
     for name in table.simulators:
         failed, lateral = table.failed(name), table.largest_lateral(name)
-        rows = np.flatnonzero(failed).tolist()
-        kinds = [departure(table.roads[k], table.profiles[name][k], float(lateral[k])) for k in rows]
-        counts = Counter(kinds)
-        recorded = np.array([kind != "not recorded" for kind in kinds], np.bool_)
+        counts = Counter(
+            departure(table.roads[k], table.profiles[name][k], float(lateral[k]))
+            for k in np.flatnonzero(failed).tolist()
+        )
         found.append(
-            Departures(
-                simulator=name,
-                failures=len(rows),
-                counts={kind: counts[kind] for kind in KINDS},
-                leading=most_frequent(list(compress(kinds, recorded)), table.families[rows][recorded]),
-            )
+            Departures(simulator=name, failures=int(failed.sum()), counts={kind: counts[kind] for kind in KINDS})
         )
     return found
 

@@ -10,9 +10,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
-from ds_analysis.common.selection import ALPHA, p_of_difference
 from ds_analysis.common.table import Column, Table, Value
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.network_driver import sees_translated
@@ -129,25 +126,6 @@ class Sensitivity:
         return sorted(range(len(self.factors)), key=lambda position: (least(position), position))
 
     @property
-    def order_note(self) -> str:
-        """Whether the first condition of the order comes first on other roads, too; "" if it is the only one."""
-        levels = np.full((len(self.factors), len(self.simulators), self.needed), LEVELS + 1.0)
-        for (position, name), one in self.thresholds.items():
-            for k, road in enumerate(one.roads if one.verdict == "fails" else ()):
-                levels[position, self.simulators.index(name), k] = road.fails or road.excluded or LEVELS + 1
-        failing = [k for k in self.order if (levels[k] <= LEVELS).any()]
-        if len(failing) < 2:
-            return ""
-        first, second = (self.factors[k].title for k in failing[:2])
-        lead = levels[failing[1]].min(axis=0) - levels[failing[0]].min(axis=0)
-        if p_of_difference(lead, np.arange(self.needed)) <= ALPHA:
-            return f"{first} breaks {self.driver} before {second} does, also on other roads (p < 0.05)"
-        few = ", and fewer than 6 cannot show it" if self.needed < 6 else ""
-        return (
-            f"the order is that of these {self.needed} roads: it is not shown that {first} comes first on others{few}"
-        )
-
-    @property
     def errors(self) -> list[str]:
         """One line for each measurement that ended in an error."""
         return [
@@ -182,7 +160,8 @@ class Sensitivity:
             for name, of in self.roads.items()
             if len(of) < self.needed
         ]
-        notes += filter(None, [self.order_note])
+        if len(self.factors) > 1:
+            notes.append(f"the order is that of these {self.needed} roads: on others, another condition may come first")
         if sees_translated(self.driver):
             notes.append(
                 f"{self.driver} sees translated images, and a generator may undo what a condition does to them: this "
