@@ -11,6 +11,7 @@ end alike, for a reason that nothing searched knows. There, every statement is a
 from __future__ import annotations
 
 import argparse
+import gc
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -256,8 +257,9 @@ def _outcome(failed: bool) -> DriveOutcome:
 def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
     """Rates at which `ds compare` calls a network worse or better somewhere, and at which it names a kind of road."""
     rng, found = np.random.default_rng([size, int(10 * worse)]), np.zeros(2)
-    old, new = Network(driver="old"), Network(driver="new")
-    before = 0
+    old, new, before = Network(driver="old"), Network(driver="new"), 0
+    bank(size, 2)
+    gc.freeze()  # statsmodels collects garbage with each adjustment
     for k in range(number):
         searched, drives = bank(size, 2)[k % BANK], list[PairedDrive]()
         for name in (*SIBLINGS, TWIN):

@@ -222,15 +222,15 @@ def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
     where = f"{outcomes.where}, all {thing}s {listed(conditions)}" if conditions else outcomes.where
     if not total.failures:
         none = f"did not fail on the only {thing}" if total.tests == 1 else f"failed on none of {all_of}"
-        return f"{driver} {none} ({_percent(total)}) on {where}."
+        return f"{driver} {none}, {_percent(total)}, on {where}."
     if total.failures == total.tests:
         every = f"the only {thing}" if total.tests == 1 else f"all {all_of}"
-        return f"{driver} failed on {every} ({_percent(total)}) on {where}; no gentler {thing} was driven."
+        return f"{driver} failed on {every}, {_percent(total)}, on {where}; no gentler {thing} was driven."
     if split is None or not clear:
         axes = ("the tightest bend", "the number of turns", *outcomes.varied_conditions)
         none = f"Neither {' nor '.join(axes)} separates" if len(axes) == 2 else f"None of {listed(axes)} separates"
         return (
-            f"{driver} failed on {total.failures} of {all_of} ({_percent(total)}) on {where}. {none} these "
+            f"{driver} failed on {total.failures} of {all_of}, {_percent(total)}, on {where}. {none} these "
             f"{thing}s clearly from the others.{_few(outcomes, thing)}"
         )
     first = f"On {where}, {driver} fails {_harder_than(split, thing)}: {_sides(split, outcomes.failed, thing)}"
@@ -256,11 +256,11 @@ def _few(outcomes: RoadOutcomes, thing: str) -> str:
 def _sides(split: Split, failed: Sequence[bool], thing: str) -> str:
     """State how often the tests on both sides of a split fail: counts, and what is left of them on other tests."""
     harder, lost = split.found.harder, np.array(failed, np.bool_)
-    rates = " against ".join(_percent(share) for share in split.found.apart or ())
+    rates = " fail, against ".join(_percent(share) for share in split.found.apart or ())
     return (
         f"{int(lost[harder].sum())} of {int(harder.sum())} such {thing}s failed, and "
-        f"{int(lost[~harder].sum()) or 'none'} of the {int((~harder).sum())} others. On {thing}s that did not choose "
-        f"this threshold, it is {rates}."
+        f"{int(lost[~harder].sum()) or 'none'} of the {int((~harder).sum())} others. Among {thing}s that did not "
+        f"choose this threshold, {rates}."
     )
 
 
@@ -284,9 +284,9 @@ def _harder_than(split: Split, thing: str) -> str:
 
 
 def _percent(share: Share) -> str:
-    """Write a share with its interval: `75 %, 95 % interval 28 to 97 %`."""
+    """Write a share with its interval: `75 % (95 % interval 28 to 97 %)`."""
     low, high = (100 * end for end in share.interval)
-    return f"{100 * share.failures / share.tests:.0f} %, 95 % interval {low:.0f} to {high:.0f} %"
+    return f"{100 * share.failures / share.tests:.0f} % (95 % interval {low:.0f} to {high:.0f} %)"
 
 
 def _limits(driver: str, outcomes: RoadOutcomes) -> str:
