@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import sqlite3
@@ -21,10 +22,10 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ds_bags.bounded_rosbags import check_types
-from ds_bags.copying import recover
+from ds_bags.copying import recover, rewrite_bag
+from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.info import describe
 from ds_bags.layout import BagError, TooLargeError
-from ds_bags.packs import PACKED_RECORD, pack, unpack
 from ds_bags.reader import BagReader, read_run
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer
 from ds_bags.run_writer import write_bag
@@ -97,27 +98,19 @@ def test_only_installed_messages_are_imported_for_a_replay(tmp_path: Path, monke
 @pytest.mark.parametrize(
     "name", ["../x", "/tmp/ds_absolute", "a/b", "a\\b", "", ".", "..", ".hidden", "a\nb", "x" * 300]
 )
-def test_a_pack_writes_only_into_the_named_folder(tmp_path: Path, name: str) -> None:
-    writer = Rosbag2Writer(tmp_path / "pack", {})
-    for packed in ("good", name):
-        writer.note(PACKED_RECORD, {"name": packed, "about": "{}", "custom_data": "{}"})
-    writer.close({})
-    (tmp_path / "out").mkdir()
-    refused(lambda: unpack(tmp_path / "pack", tmp_path / "out"), "is not a plain name")
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["metadata.yaml", "out", "pack", "pack.mcap"]
-    assert not Path("/tmp/ds_absolute").exists()
+def test_a_tub_reads_only_its_own_files(tmp_path: Path, name: str) -> None:
+    (tmp_path / "manifest.json").write_text(f"[]\n[]\n{{}}\n{{}}\n{json.dumps({'paths': [name]})}")
+    refused(lambda: read_tub(tmp_path), "is not a plain name", TubError)
 
 
 def test_hidden_folders_of_others_are_left_alone(bags: Path, tmp_path: Path) -> None:
-    pack([bags / "telemetry"], tmp_path / "pack", {})
-    for folder in (tmp_path / ".two.partial", tmp_path / ".telemetry.partial", tmp_path / ".saved.partial"):
+    for folder in (tmp_path / ".two.partial", tmp_path / ".saved.partial"):
         folder.mkdir()
         (folder / "precious").touch()
-    pack([bags / "telemetry"], tmp_path / "two", {})
-    unpack(tmp_path / "pack", tmp_path)
+    rewrite_bag(bags / "telemetry", tmp_path / "two", {}, {})
     shutil.copy(bags / "telemetry" / "telemetry.mcap", tmp_path / "left.mcap")
     recover(tmp_path / "left.mcap", tmp_path / "saved")
-    assert len(list(tmp_path.rglob("precious"))) == 3
+    assert len(list(tmp_path.rglob("precious"))) == 2
     (tmp_path / "link").symlink_to("nowhere")
     refused(lambda: recover(tmp_path / "left.mcap", tmp_path / "link"), "exists already")
 
@@ -136,7 +129,7 @@ def test_chunks_that_open_to_gigabytes_are_refused(bag: Path, tmp_path: Path, de
     match = "the limit for a bag of this size" if declared > 1000 else "opens to more than its 1000 bytes"
     refused(lambda: describe(bag), match)
     refused(lambda: verify_bag(bag), match)
-    refused(lambda: unpack(bag, tmp_path / "out"), "the limit for a bag" if declared > 1000 else "is damaged|no pack")
+    refused(lambda: rewrite_bag(bag, tmp_path / "out", {}, {}), match)
     (tmp_path / "left.mcap").write_bytes(data[:header] + chunk + data[header:])
     if declared > 1000:
         refused(lambda: recover(tmp_path / "left.mcap", tmp_path / "out"), match, TooLargeError)
@@ -233,7 +226,7 @@ def test_a_state_that_is_not_a_number_is_refused(bags: Path, tmp_path: Path) -> 
         if isinstance(record, Schema):
             schemas[record.id] = record
         elif isinstance(record, Channel) and record.id not in channels:
-            number = writer.channel(topic_of_channel(record, schemas[record.schema_id], record.topic))
+            number = writer.channel(topic_of_channel(record, schemas[record.schema_id]))
             channels[record.id] = number, record.topic
         elif isinstance(record, Message):
             data, (number, topic) = record.data, channels[record.channel_id]

@@ -39,7 +39,6 @@ READING: dict[str, tuple[object, ...]] = {
     "predict": ("predict", "DIR"),
     "make": ("suite", "make", "DIR", "--out", "OUT.json"),
     "compare": ("campaign", "compare", "DIR", "DIR", "--out", "OUT"),
-    "pack": ("bag", "pack", "DIR", "--out", "OUT"),
     "watch": ("watch", "DIR", "--port", "0"),
 }
 WRITING: dict[str, tuple[object, ...]] = {

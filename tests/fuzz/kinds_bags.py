@@ -1,4 +1,4 @@
-"""Kinds of received files: bags, packs, bags of killed writers, Donkey Car tubs, and plain YAML."""
+"""Kinds of received files: bags, bags of killed writers, Donkey Car tubs, and plain YAML."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from ds_bags.copying import recover
 from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.info import describe, in_words
 from ds_bags.layout import BagError
-from ds_bags.packs import pack, unpack
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
 from ds_driver.data.recordings import Reading, open_recording
@@ -75,16 +74,6 @@ def _write_unfinished(folder: Path) -> Path:
     file = _write_bag(folder) / "bag.mcap"
     shutil.copy(file, folder / "left.mcap")
     return folder / "left.mcap"
-
-
-def _write_pack(folder: Path) -> Path:
-    (folder / "bags").mkdir()
-    bags = []
-    for name in ("one", "two"):
-        write_bag(folder / "bags" / name, "/twin", "donkey", _run(), {}, "telemetry")
-        bags.append(folder / "bags" / name)
-    pack(bags, folder / "pack", {"group": "all"})
-    return folder / "pack"
 
 
 def _write_foreign(folder: Path) -> Path:
@@ -225,10 +214,6 @@ def _recover(path: Path) -> None:
     recover(path, path.parent / "out")
 
 
-def _unpack(path: Path) -> None:
-    unpack(path, path.parent / "out")
-
-
 def _one_of(*choices: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], None]:
     return lambda path, rng: choices[int(rng.integers(len(choices)))](path, rng)
 
@@ -244,7 +229,6 @@ KINDS = [
     Kind(name="bag-ros1", write=_write_ros1, damage=damaged_file, read=_read_everything, errors=_ERRORS),
     Kind(name="bag-images", write=_write_image_bag, damage=_damage_bag, read=_read_recording, errors=_ERRORS),
     Kind(name="bag-recover", write=_write_unfinished, damage=damaged_file, read=_recover, errors=_ERRORS),
-    Kind(name="bag-unpack", write=_write_pack, damage=_damage_bag, read=_unpack, errors=_ERRORS),
     Kind(name="tub", write=_write_tub, damage=_damage_lines, read=read_tub, errors=(TubError,)),
     Kind(name="tub-images", write=_write_tub, damage=_damage_lines, read=_read_recording, errors=(TubError, BagError)),
     Kind(name="tub-log", write=_write_tub, damage=_damage_lines, read=read_log, errors=(LogError,)),

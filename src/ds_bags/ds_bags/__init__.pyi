@@ -2,7 +2,6 @@ from .copying import recover
 from .donkey_tub import Tub, TubError, read_tub
 from .info import describe
 from .layout import LEVELS, BagError, Level
-from .packs import Pack, pack, unpack
 from .reader import BagReader, RecordedRun, read_run
 from .run_writer import write_bag
 from .verification import Verification, verify_bag
@@ -12,17 +11,14 @@ __all__ = [
     "BagReader",
     "LEVELS",
     "Level",
-    "Pack",
     "RecordedRun",
     "Tub",
     "TubError",
     "Verification",
     "describe",
-    "pack",
     "read_run",
     "read_tub",
     "recover",
-    "unpack",
     "verify_bag",
     "write_bag",
 ]

@@ -146,7 +146,7 @@ def _qos(text: str) -> tuple[Any, ...]:
 
 
 def _bounded_qos(profiles: Any) -> list[Any]:
-    """QoS profiles; a pack repeats the same few texts thousands of times."""
+    """QoS profiles; the topics of a bag repeat the same few texts."""
     return list(_qos(profiles)) if isinstance(profiles, str) else _parse_qos(profiles)
 
 

@@ -43,14 +43,13 @@ class DamagedFileError(BagError):
         self.reason = reason
 
 
-def records(file: Path, *, chunks: bool = True) -> Iterator[tuple[McapRecord, int]]:
+def records(file: Path) -> Iterator[tuple[McapRecord, int]]:
     """Iterate over the records of a file in their order, those of chunks included.
 
     A message comes only after its channel, and a channel only after its schema; times fit a ROS stamp.
 
     Args:
         file: MCAP file.
-        chunks: read what is inside chunks; False skips them, with schemas, channels and messages alike.
 
     Yields:
         Record, and how many bytes of the file have been read with it.
@@ -69,9 +68,8 @@ def records(file: Path, *, chunks: bool = True) -> Iterator[tuple[McapRecord, in
             try:
                 record = next(read)
                 with opening.counting():
-                    found = (_content(record) if chunks else []) if isinstance(record, Chunk) else [record]
-                if chunks:
-                    _check(found, schemas, channels)
+                    found = _content(record) if isinstance(record, Chunk) else [record]
+                _check(found, schemas, channels)
             except StopIteration:
                 return
             except TooLargeError as error:
@@ -104,8 +102,8 @@ def _check(found: list[McapRecord], schemas: set[int], channels: set[int]) -> No
             raise ValueError(f"a message of channel {record.channel_id} at {record.log_time} ns")
 
 
-def topic_of_channel(channel: Channel, schema: Schema, name: str) -> Topic:
-    """Describe a channel of an MCAP file as a topic, under another name; a QoS that makes no sense is left out."""
+def topic_of_channel(channel: Channel, schema: Schema) -> Topic:
+    """Describe a channel of an MCAP file as a topic; a QoS that makes no sense is left out."""
     qos = channel.metadata.get("offered_qos_profiles", "[]\n")
     try:
         profiles = load_yaml(qos)
@@ -113,7 +111,7 @@ def topic_of_channel(channel: Channel, schema: Schema, name: str) -> Topic:
     except BoundedYamlError:
         known = False
     return Topic(
-        name=name,
+        name=channel.topic,
         message_type=schema.name,
         definition=schema.data.decode(),
         digest=channel.metadata.get("topic_type_hash", ""),
@@ -160,7 +158,7 @@ def rewrite_bag(
                 elif isinstance(record, Channel) and record.id not in channels:
                     kind = schemas[record.schema_id].name
                     if kind not in without:
-                        number = writer.channel(topic_of_channel(record, schemas[record.schema_id], record.topic))
+                        number = writer.channel(topic_of_channel(record, schemas[record.schema_id]))
                         channels[record.id] = (number, kind)
                 elif isinstance(record, Message) and record.channel_id in channels:
                     number, kind = channels[record.channel_id]
@@ -262,9 +260,7 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
             writer = writer or Rosbag2Writer(folder, facts)
             if isinstance(record, Channel):
                 if record.id not in channels:
-                    channels[record.id] = writer.channel(
-                        topic_of_channel(record, schemas[record.schema_id], record.topic)
-                    )
+                    channels[record.id] = writer.channel(topic_of_channel(record, schemas[record.schema_id]))
                 continue
             writer.write(channels[record.channel_id], record.log_time, record.data)
             first = record.log_time if not count else min(first, record.log_time)

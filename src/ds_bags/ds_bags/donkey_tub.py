@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_bags.layout import BagError, bag_name, printable, regular_file
+from ds_bags.layout import BagError, plain_name, printable, regular_file
 
 MAX_FILE = 64 * 2**20
 """Bytes of a manifest or catalog; chosen: donkeycar begins a new catalog after 1,000 records, some 300 kB."""
@@ -74,7 +74,7 @@ def read_tub(folder: Path) -> Tub:
     try:
         index = _object(_text(folder / "manifest.json").splitlines()[4])
         deleted = set(index.get("deleted_indexes", []))
-        names = [bag_name(name) for name in index["paths"]]
+        names = [plain_name(name) for name in index["paths"]]
         if len(set(names)) < len(names):
             raise ValueError("a catalog is named twice")
         files = tuple(folder / name for name in names)
@@ -115,7 +115,7 @@ def _record(folder: Path, row: dict[str, Any]) -> TubRecord:
     return TubRecord(
         index=int(index),
         seconds=milliseconds / 1000.0,
-        image=folder / "images" / bag_name(name) if isinstance(name, str) else None,
+        image=folder / "images" / plain_name(name) if isinstance(name, str) else None,
         steering=None if steering is None else min(max(steering, -1.0), 1.0),
         throttle=None if throttle is None else min(throttle, 1.0),
         fields=row,

@@ -22,7 +22,7 @@ TRANSLATED = "sim2real"
 """First part of the topics of images as the driver saw them, in place of `camera`; and fact of a bag whose images were
 translated later: the digest of the generator."""
 LONGEST_NAME = 200
-"""Bytes of a bag's name; chosen: with `.mcap` and a hidden folder's additions, a file's name has at most 255."""
+"""Bytes of a file's name; chosen: file systems allow 255, and a hidden folder's additions need some of them."""
 
 
 class BagError(ValueError):
@@ -39,8 +39,8 @@ def image_spool_path(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}.seen") / folder.name
 
 
-def bag_name(name: object) -> str:
-    """Check the name of a bag or of a file of it that was read from a file, before it becomes part of a path.
+def plain_name(name: object) -> str:
+    """Check the name of a file that was read from a file, before it becomes part of a path.
 
     Raises:
         BagError: it is not a plain, visible name: it could lead out of the folder that it belongs in.
@@ -49,7 +49,7 @@ def bag_name(name: object) -> str:
     if isinstance(name, str) and plain and name and name[0] != "." and len(name.encode()) <= LONGEST_NAME:
         return name
     shown = repr(name if len(str(name)) <= 60 else f"{str(name)[:60]}...")
-    raise BagError(f"{shown} is not a plain name of a file or folder: nothing was written, ask for another copy")
+    raise BagError(f"{shown} is not a plain name of a file")
 
 
 @contextmanager
@@ -78,9 +78,9 @@ def new_folder(folder: Path) -> Iterator[Path]:
 
 
 MAX_METADATA = YamlLimits(size=16 * 2**20, nodes=1_000_000, depth=30)
-"""Of a `metadata.yaml`; chosen: a pack of 1,000 bags has half of it."""
+"""Of a `metadata.yaml`; chosen: room for `MAX_TOPICS`."""
 MAX_TOPICS = 10_000
-"""Topics of one bag; chosen: a pack of 1,000 bags has 9,000."""
+"""Topics of one bag; chosen: a thousand times those of one run."""
 OPENED_AT_LEAST = 64 * 2**20
 """Bytes that the compressed parts of a bag may open to, however small it is."""
 OPENED_PER_BYTE = 100

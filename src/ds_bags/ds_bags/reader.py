@@ -242,7 +242,7 @@ def read_run(
     """
     states, drives = bag.of_type(STATE), bag.of_type(DRIVE)
     if len(states) != 1:
-        found = "no run" if not states else "several runs (`ds bag unpack` extracts one)"
+        found = "no run" if not states else "several runs"
         raise BagError(f"{bag.path} holds {found} of this project: `ds bag info` lists its topics")
     facts = _completed(bag, simulator, seed)
     recorded = received_simulator(facts["simulator"], confirmed=[*trusted, *([simulator] if simulator else [])])

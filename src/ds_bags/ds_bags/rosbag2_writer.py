@@ -294,9 +294,7 @@ class Rosbag2Writer:
             BagError: the bag would have more topics than this project's readers accept.
         """
         if len(self._topics) >= MAX_TOPICS:
-            raise BagError(
-                f"{self._folder.name} would have more than {MAX_TOPICS} topics: put fewer bags into one pack"
-            )
+            raise BagError(f"{self._folder.name} would have more than {MAX_TOPICS} topics: record fewer")
         if topic.message_type not in self._schemas:
             self._schemas[topic.message_type] = self._mcap.schema(
                 topic.message_type, topic.encoding, topic.definition.encode()
@@ -364,11 +362,6 @@ class Rosbag2Writer:
         self._mcap.flush()
         self._pending = 0
 
-    def note(self, name: str, facts: Mapping[str, str]) -> None:
-        """Append a metadata record after all messages so far."""
-        self.flush()
-        self._mcap.metadata(name, facts)
-
     def close(self, custom_data: Mapping[str, str]) -> None:
         """Write index and metadata, and close the file.
 
@@ -376,7 +369,8 @@ class Rosbag2Writer:
             custom_data: facts about the bag, for its metadata.
         """
         # After the last message: a file with this record is known to hold all messages.
-        self.note("rosbag2", {"serialized_metadata": self._information(custom_data, depth=0)})
+        self.flush()
+        self._mcap.metadata("rosbag2", {"serialized_metadata": self._information(custom_data, depth=0)})
         self._mcap.finish()
         self._file.close()
         text = "rosbag2_bagfile_information:\n" + self._information(custom_data, depth=1)

@@ -132,8 +132,8 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "bag",
                 "bags.group",
-                "Inspect, replay, re-simulate, pack and repair rosbag2 recordings.",
-                ("info", "recover", "replay", "redrive", "drive", "pack", "unpack"),
+                "Inspect, replay, re-simulate and repair rosbag2 recordings.",
+                ("info", "recover", "replay", "redrive", "drive"),
             ),
             Verb("serve", "serving", "Serve a simulator to clients of another one's protocol.", ("donkey",)),
             Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),

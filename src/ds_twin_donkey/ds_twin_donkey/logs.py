@@ -154,9 +154,7 @@ def _read_bag(path: Path) -> Log:
             wanted = [c for c in bag.connections if c.msgtype.rpartition("/")[2] in ("VehicleState", "DriveCommand")]
             vehicles = sum(connection.msgtype.endswith("/VehicleState") for connection in wanted)
             if vehicles > 1:
-                raise LogError(
-                    f"{path}: states of {vehicles} runs, which would be mixed: take them apart with `ds bag unpack`"
-                )
+                raise LogError(f"{path}: states of {vehicles} runs, which would be mixed: give bags of one run")
             for connection, _, raw in bag.messages(wanted):
                 message = bag.message(connection, raw)
                 stamp = stamp_of(message)

@@ -205,13 +205,13 @@ def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
         read_log(tmp_path / "bag")
 
 
-def test_a_pack_of_several_runs_is_refused(tmp_path: Path) -> None:
-    writer = Rosbag2Writer(tmp_path / "pack", {})
+def test_a_bag_of_several_runs_is_refused(tmp_path: Path) -> None:
+    writer = Rosbag2Writer(tmp_path / "runs", {})
     for run in ("a", "b"):
         writer.channel(topic_of(typestore(), f"/{run}/ds1/state", "ds_interfaces/msg/VehicleState", depth=1))
     writer.close({})
-    with pytest.raises(LogError, match="states of 2 runs.*ds bag unpack"):
-        read_log(tmp_path / "pack")
+    with pytest.raises(LogError, match="states of 2 runs.*give bags of one run"):
+        read_log(tmp_path / "runs")
 
 
 def test_drives_of_a_standing_car_are_refused() -> None:

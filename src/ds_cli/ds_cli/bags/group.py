@@ -1,25 +1,24 @@
-"""`ds bag`: inspect, replay, re-simulate, pack and repair rosbag2 recordings."""
+"""`ds bag`: inspect, replay, re-simulate and repair rosbag2 recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from ds_cli.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, Trust, rows_of
-from ds_cli.output import Interrupted, Result, answer, countdown, end, say
+from ds_cli.output import Interrupted, Result, answer, end, say
 
 app = typer.Typer()
-bag_app = typer.Typer(help="Inspect, replay, re-simulate, pack and repair rosbag2 recordings.", no_args_is_help=True)
+bag_app = typer.Typer(help="Inspect, replay, re-simulate and repair rosbag2 recordings.", no_args_is_help=True)
 app.add_typer(bag_app, name="bag")
 
 Truth = Literal["recorded", "autopilot"]
-By = Literal["cell", "run"]
 BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
 
 
@@ -190,58 +189,3 @@ def drive_command(
     with DriverClient(namespace) as node:
         node.wait_for_driver()
         answer(bag_drive(folders, "attached", reading, out, limit, node), as_json)
-
-
-@bag_app.command("pack")
-def pack_command(
-    campaign: Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")],
-    out: Annotated[Path, typer.Option(help="Folder for the packs.")],
-    by: Annotated[
-        By, typer.Option(help="One pack per cell of the campaign's feature map, or per run of its search.")
-    ] = "cell",
-    as_json: JsonFlag = False,
-) -> None:
-    """Pack a campaign's many bags into a few.
-
-    Any rosbag2 reader opens a pack; each run has its topics under its own name.
-    """
-    from ds_bags.packs import pack
-    from ds_orchestrator.campaign.selection import groups_of
-
-    progress, packs = countdown(), []
-    groups = groups_of(campaign, by, say=say)
-    try:
-        for done, (name, bags) in enumerate(groups.items(), start=1):
-            packs.append(pack(bags, out / name, {"campaign": campaign.resolve().name, "group": name}))
-            progress(done, len(groups), f"{name}: {len(bags)} bags")
-    except KeyboardInterrupt:
-        raise Interrupted(f"{len(packs)} of {len(groups)} packs are in {out}" if packs else "") from None
-    before = sum(file.stat().st_size for bags in groups.values() for bag in bags for file in bag.iterdir())
-    document: dict[str, Any] = {
-        "packs": [{"folder": str(one.folder), "bags": one.bags, "bytes": one.bytes} for one in packs],
-        "bags": sum(one.bags for one in packs),
-        "bytes": sum(one.bytes for one in packs),
-        "bytes_before": before,
-    }
-
-    def show() -> None:
-        print(
-            f"{document['bags']} bags ({before / 1e6:.1f} MB) are in {len(packs)} packs "
-            f"({document['bytes'] / 1e6:.1f} MB) in {out}. The bags are kept; `ds bag unpack` recreates them."
-        )
-
-    answer(Result(document=document, show=show), as_json)
-
-
-@bag_app.command("unpack")
-def unpack_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a pack.")],
-    out: Annotated[Path, typer.Option(help="Folder for the bags.")],
-    bag: Annotated[str | None, typer.Option(help="Unpack only the bag of this name.")] = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Unpack the bags of a pack, byte for byte as they were."""
-    from ds_bags.packs import unpack
-
-    made = [str(path) for path in unpack(folder, out, bag)]
-    answer(Result(document={"bags": made}, show=lambda: print("\n".join(made))), as_json)

@@ -1,13 +1,12 @@
-"""Selects roads of a campaign, and groups its bags for packing."""
+"""Selects roads of a campaign, and finds its missing bags."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from ds_bags.layout import BagError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.search.features import Cell, Feature, feature_of
@@ -106,11 +105,6 @@ def _cell_named(text: str, features: Sequence[Feature], cells: Mapping[str, Cell
     )
 
 
-By = Literal["cell", "run"]
-NO_CELL = "no_cell"
-"""Pack of tests without a cell: a feature needs a run on their own sibling, which is missing."""
-
-
 def missing_bags(campaign: Path, bags: Iterable[str]) -> list[str]:
     """List recorded bags that no longer exist, relative to the campaign folder."""
     return sorted(bag for bag in bags if bag and not (campaign / bag / "metadata.yaml").is_file())
@@ -119,39 +113,3 @@ def missing_bags(campaign: Path, bags: Iterable[str]) -> list[str]:
 def missing_line(missing: Sequence[str]) -> str:
     """Describe missing bags in one line."""
     return f"{len(missing)} recorded bag{'s are' if len(missing) != 1 else ' is'} missing, {missing[0]} the first"
-
-
-def groups_of(campaign: Path, by: By, *, say: Callable[[str], None] = lambda line: None) -> dict[str, list[Path]]:
-    """Group the bags in a campaign folder.
-
-    Args:
-        campaign: campaign folder.
-        by: `cell` for the cells of the campaign's own feature map, `run` for the runs of its searches.
-        say: called with one line if bags are missing.
-
-    Returns:
-        Name of a pack, such as `cell_3_17` (bins of the features in the configuration's order) or `bullet-0`, -> bags.
-
-    Raises:
-        ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign.
-        BagError: the campaign has no bags.
-    """
-    with closing(open_store(campaign)) as store:
-        data = read_campaign(store)
-    groups: dict[str, list[Path]] = {}
-    missing = missing_bags(campaign, (execution.bag for execution in data.executions))
-    for execution in sorted(data.executions, key=lambda e: e.bag):
-        folder = campaign / execution.bag
-        if not execution.bag or not (folder / "metadata.yaml").is_file():
-            continue
-        if by == "run":
-            name = execution.test_id.rpartition("-")[0]
-        else:
-            cell = data.cells.get(execution.test_id)
-            name = NO_CELL if cell is None else "_".join(("cell", *map(str, cell)))
-        groups.setdefault(name, []).append(folder)
-    if not groups:
-        raise BagError(f"{campaign} has no bags: they are packed already, or its configuration has `record: none`")
-    if missing:
-        say(f"{missing_line(missing)}: left out")
-    return dict(sorted(groups.items()))
