@@ -1,35 +1,28 @@
-"""`ds sim2real train`, `show`, `assess`, `translate`: simulated images that look like photographs of a real track."""
+"""`ds sim2real train`, `show`, `translate`: simulated images that look like photographs of a real track."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
-from rich.box import SIMPLE
 
 from ds_cli.options import JsonFlag, Simulator
 from ds_cli.output import Interrupted, Result, answer, countdown, say
-
-if TYPE_CHECKING:
-    pass
 
 app = typer.Typer()
 sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
 app.add_typer(sim2real_app, name="sim2real")
 
-NARROW: dict[str, Any] = {"box": SIMPLE, "pad_edge": False, "padding": (0, 0)}
-"""Tables of many columns in 80 of a terminal."""
 Generator = Annotated[Path, typer.Argument(metavar="GENERATOR", help="Generator, a .safetensors file.")]
-RealImages = Annotated[
-    Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
-]
 
 
 @sim2real_app.command("train")
 def train_command(
-    real: RealImages,
+    real: Annotated[
+        Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
     sim: Simulator = "bullet",
     preset: Annotated[
@@ -106,59 +99,6 @@ def show_command(
     answer(Result(document={"picture": str(out), "images": len(images)}, show=lambda: print(out)), as_json)
 
 
-@sim2real_app.command("assess")
-def assess_command(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a training.")],
-    real: RealImages,
-    driver: Annotated[str, typer.Option(help="Frozen network whose change of steering is measured.")] = "dave2",
-    ship_to: Annotated[
-        Path | None,
-        typer.Option("--ship", metavar="DIR", help="Folder for the chosen generator, its card and its ONNX file."),
-    ] = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Assess the checkpoints of a training on held-out frames, and choose one by the numbers."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from ds_driver.sim2real.evaluation.checkpoints import PHOTOGRAPHS, PLAIN, HeldOut, assess_checkpoints, ship
-    from ds_driver.sim2real.preparation import read_card, read_sources, settings_of
-
-    card = read_card(folder)
-    try:
-        sources = read_sources(card["simulator"], real, folder, settings_of(card), countdown(), expected=card)
-        held_out = HeldOut(card["simulator"], sources.frames, sources.held_out_real, sources.match.simulated)
-        document = assess_checkpoints(folder, held_out, driver, countdown())
-    except KeyboardInterrupt:
-        raise Interrupted from None
-    files = ship(folder, document, card, ship_to) if ship_to else []
-    document = document | {"shipped": [str(file) for file in files]}
-
-    def show() -> None:
-        distances = document[PLAIN]["distance"]
-        table = Table("", "overlap", "px", "yellow", "white", "steer", *distances, "flicker", "bounds", **NARROW)
-        for name, row in {PLAIN: document[PLAIN], **document["checkpoints"]}.items():
-            lane = row["lane"]
-            cells = (f"{d['value']:.2f} ({d['low']:.2f}-{d['high']:.2f})" for d in row["distance"].values())
-            bounds = "" if name == PLAIN else ("broken" if row["broken"] else "kept")
-            table.add_row(
-                name, f"{lane['overlap']:.2f}", f"{lane['shift']:.2f}", f"{lane['found_yellow']:.2f}",
-                f"{lane['found_white']:.2f}", f"{row['steering_change']['mean']:.2f}", *cells,
-                f"{row['flicker']:.1f}", bounds,
-            )  # fmt: skip
-        Console().print(table)
-        print(
-            "px: sideways shift of the lines, median; yellow, white: share of the rows with the line; steer: its change"
-        )
-        seen = document[PHOTOGRAPHS]
-        print(f"photographs show the yellow line in {seen['yellow']:.0%} of its rows, the white in {seen['white']:.0%}")
-        print(f"chosen: {document['chosen'] or 'none, as all break a bound'}")
-        for file in files:
-            print(file)
-
-    answer(Result(document=document, show=show), as_json)
-
-
 @sim2real_app.command("translate")
 def translate_command(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set of simulated drives, bag, or tub.")],
@@ -187,53 +127,3 @@ def translate_command(
     except KeyboardInterrupt:
         raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
     answer(Result(document={"out": str(out), "translated": count}, show=lambda: print(out)), as_json)
-
-
-@sim2real_app.command("reality")
-def reality_command(
-    source: Annotated[Path, typer.Argument(metavar="TUB", help="Tub of a human's drive, with photographs.")],
-    generators: Annotated[str, typer.Option(help="Shipped set or folder of generators, whose crops are used.")],
-    drivers: Annotated[str, typer.Option(help="Networks, separated by commas; others are compared with the first.")],
-    whole: Annotated[
-        bool, typer.Option("--whole", help="All of it instead of the last fifth, for a tub that no training used.")
-    ] = False,
-    trained_on: Annotated[
-        Path | None,
-        typer.Option(metavar="TUB", help="What the generators were trained on, if TUB is of another track."),
-    ] = None,
-    as_json: JsonFlag = False,
-) -> None:
-    """Compare networks' steering on real photographs with the human's: correlation and 95 % interval."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from ds_driver.sim2real.evaluation.reality import agreements, matched_windows, read_human_drive
-    from ds_driver.sim2real.generator import Sim2RealError, load_generator
-    from ds_driver.sim2real.stage import open_set
-
-    names = [name.strip() for name in drivers.split(",") if name.strip()]
-    if not names:
-        raise Sim2RealError("no names: name some, as in --drivers dave2,dave2_short")
-    loaded = [load_generator(file) for file in open_set(generators).files.values()]
-    photographed = read_human_drive(source, whole=whole)
-    windows = matched_windows(loaded, photographed, trained_on)
-    try:
-        found = agreements(names, photographed, windows, loaded[0].shape.size, countdown())
-    except KeyboardInterrupt:
-        raise Interrupted from None
-    document = {
-        "photographs": len(photographed.images),
-        "blocks": int(photographed.blocks[-1]) + 1,
-        "crops": {name: asdict(window) for name, window in windows.items()},
-        "networks": [asdict(agreement) for agreement in found],
-    }
-
-    def show() -> None:
-        table = Table("network", "r", "r, human smoothed", "beyond the first", *windows, **NARROW)
-        for one in found:
-            numbers = (one.correlation, one.smoothed, one.beyond_first)
-            cells = ("" if n is None else f"{n.value:.2f} ({n.low:.2f} to {n.high:.2f})" for n in numbers)
-            table.add_row(one.network, *cells, *(f"{value:.2f}" for value in one.windows.values()))
-        Console().print(table)
-
-    answer(Result(document=document, show=show), as_json)

@@ -107,7 +107,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "sim2real",
                 "sim2real",
                 "Make simulated images look like photographs of a real track.",
-                ("train", "show", "assess", "translate", "reality"),
+                ("train", "show", "translate"),
             ),
         ),
     ),

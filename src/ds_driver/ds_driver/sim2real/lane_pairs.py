@@ -80,11 +80,11 @@ def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
         (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that
         do not show both.
     """
-    shapes = [lane_shape(lane_borders(find_lines(image)), image.shape[1]) for image in images]
+    shapes = [_lane_shape(lane_borders(find_lines(image)), image.shape[1]) for image in images]
     return np.stack(shapes) if shapes else np.empty((0, 2 * len(HEIGHTS)))
 
 
-def lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
+def _lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
     """Measure both lines, from `lane_borders`, of one image at `HEIGHTS`: (2 * heights,), as `lane_shapes` does."""
     rows = len(borders)
     first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows

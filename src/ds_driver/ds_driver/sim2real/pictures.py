@@ -76,15 +76,6 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
     yield from (_decoded(files[i]) for i in evenly(len(files), limit))
 
 
-def read_photograph(file: Path) -> NDArray[np.uint8]:
-    """Read one photograph, as `read_photographs` does.
-
-    Raises:
-        Sim2RealError: it is damaged.
-    """
-    return _reduced(_decoded(file)[1])
-
-
 def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     if image.shape[1] <= LARGEST_WIDTH:
         return image

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.processes import Progress
-from ds_driver.sim2real.generator import GeneratorShape, Sim2RealError, Window, prepare
+from ds_driver.sim2real.generator import Window, prepare
 from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
 from ds_driver.sim2real.pictures import evenly, read_photographs, split
@@ -20,7 +18,6 @@ from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
 from ds_driver.sim2real.trainer import SHOWN, Domains
 from ds_driver.whole_files import write_json
-from ds_sim.installation import ds_command
 from ds_sim.registry import spec_of
 from ds_sim.simulator import SimulatorSpec
 
@@ -40,11 +37,6 @@ class Sources:
     views: tuple[LaneView, LaneView]
     match: Match
 
-    @property
-    def held_out_real(self) -> NDArray[np.uint8]:
-        """Return the held-out photographs, prepared."""
-        return _prepared(self.held_out_photographs, self.match.real, self.settings.shape.size)
-
 
 def read_sources(
     simulator: str,
@@ -54,12 +46,10 @@ def read_sources(
     progress: Progress,
     *,
     data_sets: Sequence[Path] = (),
-    expected: dict[str, Any] | None = None,
 ) -> Sources:
     """Read photographs, drive for simulated images, and find the crops that show the lane alike.
 
-    The folder `out`, created if missing, keeps the simulated images. Roads of `data_sets` must not be used. If the card
-    of a finished training is `expected`, the same photographs must lead to its crops.
+    The folder `out`, created if missing, keeps the simulated images. Roads of `data_sets` must not be used.
 
     Raises:
         Sim2RealError: photographs or settings cannot be used.
@@ -74,10 +64,6 @@ def read_sources(
     frames = simulated_frames(simulator, settings, out / FRAMES, progress)
     simulated = measure_lane(frames.images[~frames.held_out], f"images of {simulator}")
     match = match_windows(simulated, network_window(spec), real)
-    if expected is not None and expected["crop"]["real"] != asdict(match.real):
-        raise Sim2RealError(
-            f"{source} does not lead to the crop of the training: give the photographs it was trained on"
-        )
     training, held_out = split(photographs)
     return Sources(
         simulator=simulator,
@@ -103,7 +89,7 @@ def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains,
     pairs = pair_lanes(small, small_real)
     held_out_frames = np.flatnonzero(frames.held_out)
     shown = frames.images[held_out_frames[evenly(len(held_out_frames), SHOWN)]]
-    held_out_real = sources.held_out_real
+    held_out_real = sources.held_out_photographs
     domains = Domains(
         simulated=small[pairs.simulated],
         real=small_real,
@@ -111,7 +97,7 @@ def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains,
         simulated_lanes=pairs.simulated_lanes,
         real_lanes=pairs.photographed_lanes,
         shown_simulated=_prepared(shown, match.simulated, size),
-        shown_real=held_out_real[evenly(len(held_out_real), SHOWN)],
+        shown_real=_prepared(held_out_real[evenly(len(held_out_real), SHOWN)], match.real, size),
         simulator=sources.simulator,
         window=match.simulated,
         real_window=match.real,
@@ -123,39 +109,6 @@ def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains,
 def network_window(spec: SimulatorSpec) -> Window:
     """Return the part of a simulator's images that networks see."""
     return Window(spec.crop_top, spec.camera.height_px - spec.crop_bottom, 0, spec.camera.width)
-
-
-def read_card(folder: Path) -> dict[str, Any]:
-    """Read the card of a training.
-
-    Raises:
-        Sim2RealError: the folder holds no training, or its card is damaged.
-    """
-    path = folder / CARD
-    if not path.is_file():
-        raise Sim2RealError(
-            f"{folder} holds no training: expected one of `{ds_command('sim2real', 'train', '--out', folder)}`"
-        )
-    try:
-        card = json.loads(path.read_text())
-        if not isinstance(card["simulator"], str) or not isinstance(card["crop"]["real"], dict) or not card["settings"]:
-            raise ValueError
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise Sim2RealError(f"{path} is damaged: run `ds sim2real train` with the same options again") from None
-    return dict(card)
-
-
-def settings_of(card: dict[str, Any]) -> Sim2RealSettings:
-    """Return the settings on a card.
-
-    Raises:
-        Sim2RealError: the card is damaged.
-    """
-    try:
-        values = dict(card["settings"])
-        return Sim2RealSettings(**values | {"shape": GeneratorShape(**values["shape"])})
-    except (TypeError, KeyError, ValueError):
-        raise Sim2RealError("the settings on the card are damaged: run `ds sim2real train` again") from None
 
 
 def _warnings(match: Match, pairs: LanePairs) -> tuple[str, ...]:

@@ -21,42 +21,20 @@ from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
 from ds_driver.whole_files import whole_file
 from ds_road import Road
 from ds_sim.registry import simulator_of_process
-from ds_sim.simulator import Outcome, VehicleState
-
-STATE_FIELDS = tuple(VehicleState.__dataclass_fields__)
+from ds_sim.simulator import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedFrames:
-    """Images of drives, with the poses from which they were taken.
+    """Images of drives.
 
     Attributes:
         images: (n, 160, 320, 3) uint8 RGB.
-        states: (n, 10) vehicle states when the images were exposed, columns as in `STATE_FIELDS`.
-        drives: (n,) index of the drive; drive i is on road i // 2, backwards if i is odd.
-        steps: (n,) step of the run.
-        roads: roads of the drives, in their direction.
+        held_out: (n,) which of them are on the last fifth of the roads, which training never sees.
     """
 
     images: NDArray[np.uint8]
-    states: NDArray[np.float64]
-    drives: NDArray[np.int32]
-    steps: NDArray[np.int32]
-    roads: tuple[Road, ...]
-
-    @property
-    def held_out(self) -> NDArray[np.bool_]:
-        """Tell, (n,), which frames are on the last fifth of the roads; these come in consecutive pairs."""
-        return self.drives >= _first_held_out(self.roads)
-
-    def state(self, index: int) -> VehicleState:
-        """Return the vehicle's state of one image."""
-        return VehicleState(**dict(zip(STATE_FIELDS, map(float, self.states[index]), strict=True)))
-
-    def pairs(self) -> NDArray[np.int64]:
-        """Return the indices of the held-out frames whose next step follows them at once."""
-        follows = (np.diff(self.steps) == 1) & (np.diff(self.drives) == 0) & self.held_out[:-1]
-        return np.flatnonzero(follows)
+    held_out: NDArray[np.bool_]
 
 
 def sim2real_roads(settings: Sim2RealSettings) -> tuple[Road, ...]:
@@ -91,55 +69,47 @@ def simulated_frames(simulator: str, settings: Sim2RealSettings, file: Path, pro
     identity = json.dumps({"simulator": simulator, **relevant})
     roads = sim2real_roads(settings)
     if file.exists():
-        return _read(file, identity, roads)
+        return _read(file, identity, len(roads))
     drives, work = [], partial(_drive, simulator, settings, roads)
     for drive in map_in_processes(work, range(len(roads)), workers=settings.threads):
         drives.append(drive)
-        progress(len(drives), len(roads), f"{simulator}: {len(drive[0])} images")
-    images, states, steps = (np.concatenate([drive[part] for drive in drives]) for part in range(3))
-    numbers = np.concatenate([np.full(len(drive[0]), index, np.int32) for index, drive in enumerate(drives)])
+        progress(len(drives), len(roads), f"{simulator}: {len(drive)} images")
+    images = np.concatenate(drives)
+    numbers = np.concatenate([np.full(len(drive), index, np.int32) for index, drive in enumerate(drives)])
     with whole_file(file) as unfinished, unfinished.open("wb") as stream:
-        np.savez(stream, images=images, states=states, steps=steps, drives=numbers, identity=np.array(identity))
-    return SimulatedFrames(images=images, states=states, drives=numbers, steps=steps, roads=roads)
+        np.savez(stream, images=images, drives=numbers, identity=np.array(identity))
+    return SimulatedFrames(images=images, held_out=numbers >= _first_held_out(len(roads)))
 
 
-def _read(file: Path, identity: str, roads: tuple[Road, ...]) -> SimulatedFrames:
+def _read(file: Path, identity: str, roads: int) -> SimulatedFrames:
     try:
         with np.load(file, allow_pickle=False) as stored:
             found = str(stored["identity"])
-            images, states, drives, steps = (stored[name] for name in ("images", "states", "drives", "steps"))
-            same = len({len(images), len(states), len(drives), len(steps)}) == 1
-            if not same or images.dtype != np.uint8 or images.ndim != 4 or not np.isfinite(states).all():
+            images, drives = stored["images"], stored["drives"]
+            if drives.shape != images.shape[:1] or drives.dtype != np.int32 or images.dtype != np.uint8:
                 raise ValueError("its arrays do not belong together")
     except Exception as error:  # damaged files make the reader raise arbitrary errors
         raise Sim2RealError(f"{file} cannot be read ({type(error).__name__}): delete it and train again") from None
     if found != identity:
         raise Sim2RealError(f"{file} has other simulated drives: choose another --out, or delete the folder")
-    return SimulatedFrames(images=images, states=states, drives=drives, steps=steps, roads=roads)
+    return SimulatedFrames(images=images, held_out=drives >= _first_held_out(roads))
 
 
-def _first_held_out(roads: tuple[Road, ...]) -> int:
-    """Index of the first drive that is held out; each road has two drives."""
-    return len(roads) - 2 * max(1, round(HELD_OUT * len(roads) / 2))
+def _first_held_out(roads: int) -> int:
+    """Index of the first drive that is held out; each road is driven both ways."""
+    return roads - 2 * max(1, round(HELD_OUT * roads / 2))
 
 
-def _drive(
-    name: str, settings: Sim2RealSettings, roads: tuple[Road, ...], index: int
-) -> tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.int32]]:
-    """Drive one road; images, states when they were exposed, and steps."""
+def _drive(name: str, settings: Sim2RealSettings, roads: tuple[Road, ...], index: int) -> NDArray[np.uint8]:
+    """Drive one road, and keep every n-th image."""
     simulator = simulator_of_process(name)
-    spec, longest = simulator.spec, settings.longest
-    driver = make_driver(AUTOPILOT, spec)
+    longest = settings.longest
+    driver = make_driver(AUTOPILOT, simulator.spec)
     seed = int(np.random.default_rng([settings.seed, index]).integers(2**31))
     observation = simulator.load(roads[index], seed=seed)
-    states, images, poses, steps = [observation.vehicle], [], [], []
+    images = []
     while observation.outcome is Outcome.RUNNING and (longest is None or observation.step < longest):
-        phase = observation.step % settings.every
-        if phase == 0 or (phase == 1 and index >= _first_held_out(roads)):
+        if observation.step % settings.every == 0:
             images.append(observation.image.copy())
-            exposed = states[max(0, observation.step - spec.camera.latency)]
-            poses.append([float(getattr(exposed, name)) for name in STATE_FIELDS])
-            steps.append(observation.step)
         observation = simulator.step(driver(observation))
-        states.append(observation.vehicle)
-    return np.array(images), np.array(poses), np.array(steps, np.int32)
+    return np.array(images)

@@ -102,7 +102,7 @@ def open_set(name: str) -> GeneratorSet:
         known = f"a shipped one ({', '.join(sets)}), or " if sets else ""
         raise DriverError(
             f"no generators in {name!r}: expected {known}a folder with files such as {next(iter(SIMULATORS))}"
-            ".safetensors, from `ds sim2real assess --ship`"
+            ".safetensors, checkpoints of `ds sim2real train`"
         )
     return GeneratorSet(name, files)
 

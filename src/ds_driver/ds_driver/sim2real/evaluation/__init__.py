@@ -1,1 +1,0 @@
-"""Assessment of generators by numbers: lane, steering, distance to photographs, flicker."""
