@@ -12,6 +12,7 @@ import numpy as np
 
 from ds_driver.networks.pilot import Frame
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of
 from ds_sim.simulator import FRAME_TIME, HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
 
@@ -24,7 +25,7 @@ class QuickSimulator:
     def __init__(self) -> None:
         self.spec = dataclasses.replace(spec_of("donkey"), name="quick", conditions=())
 
-    def load(self, road: Road, *, seed: int) -> Observation:
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         self._road, self._rng, self._step, self._lateral = road, np.random.default_rng(seed), 0, 0.0
         return self._observe()
 

@@ -106,13 +106,12 @@ def _check(request: DriveRequest) -> None:
     import ds_road
     from ds_bags.layout import BagError
     from ds_orchestrator.engines.preflight import check_driver
-    from ds_sim.conditions.loading import check_applicable
     from ds_sim.registry import make_simulator
     from ds_sim.video import check_path
 
     simulator = make_simulator(request.sim)
     try:
-        check_applicable(request.conditions, simulator.spec)
+        simulator.spec.check(request.conditions)
     finally:
         simulator.close()
     if not request.attach:

@@ -23,8 +23,7 @@ from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.page_data import data_address, in_words
 from ds_sim.camera.spec import IMAGE_HEIGHT
-from ds_sim.conditions.loading import load
-from ds_sim.parts import Scene, conditions_of
+from ds_sim.parts import Scene
 from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
@@ -259,7 +258,7 @@ def _camera_picture(name: str, test: Test, trusted: Collection[str], driver: str
 
 def _drive_to(simulator: Simulator, test: Test, place: float) -> Observation:
     """Drive to a place of the lane, m; return the first observation there, or the last one before it."""
-    latest = load(simulator, test.road, seed=test.seed, conditions=test.conditions)
+    latest = simulator.load(test.road, seed=test.seed, conditions=test.conditions)
     autopilot = Autopilot(simulator.spec.autopilot)
     for _ in range(_CAMERA_STEPS):
         if latest.lane.arc_length >= place or latest.outcome is not Outcome.RUNNING:
@@ -348,7 +347,8 @@ def render_drive(
     if not isinstance(simulator, RoadSimulator):
         return Drive(note="no pictures: this simulator renders images only while it drives")
     try:
-        _load(simulator.scene, test)
+        scene = simulator.scene
+        scene.load(test.road, np.random.default_rng(test.seed), test.conditions.for_scene(scene.conditions))
         frames = [_frame(simulator.scene, test, execution, k, see) for k in steps]
     except Exception as error:  # as above
         return _no_pictures(error)
@@ -358,14 +358,6 @@ def render_drive(
         times=tuple(round(step / FRAME_RATE, 2) for step in steps),
         strip=tuple(index for index, step in enumerate(steps) if step in strip),
     )
-
-
-def _load(scene: Scene, test: Test) -> None:
-    rng = np.random.default_rng(test.seed)
-    if conditions_of(scene) & test.conditions.changed.keys():
-        scene.load(test.road, rng, test.conditions)
-    else:
-        scene.load(test.road, rng)  # also of scenes that take no conditions
 
 
 def _no_pictures(error: Exception) -> Drive:

@@ -6,7 +6,6 @@ from .camera.renderer import Camera
 from .camera.sensor import Sensor
 from .camera.spec import CameraSpec
 from .conditions.actuation import COMMAND_CONDITIONS, Actuation
-from .conditions.loading import load
 from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, ConditionsError, NotApplicableError
 from .conditions.text import format_conditions, parse_conditions
 from .gates.gate import Gate, GateState, gate_of
@@ -87,7 +86,6 @@ __all__ = [
     "encode_run",
     "format_conditions",
     "gate_of",
-    "load",
     "make_simulator",
     "paint_ground",
     "parse_conditions",

@@ -96,17 +96,20 @@ VEHICLE_CONDITIONS = frozenset({"friction", "payload"})
 class Scene(Protocol):
     """World of one road, as the camera of one vehicle sees it; images are (rows, columns, 3) uint8 RGB."""
 
+    @property
+    def conditions(self) -> frozenset[str]:
+        """Names of the conditions that it realises."""
+        ...
+
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Build the world of a road from scratch.
-
-        A scene that leaves `conditions` out always has the default ones; `conditions_of` says what a scene realises.
 
         The images that follow depend on these arguments and on the states alone, bit for bit, in any process.
 
         Args:
             road: a valid road.
             rng: source of all random numbers of the run, such as sensor noise.
-            conditions: of the test, all of which the scene realises.
+            conditions: of the test, as `Conditions.for_scene` returns them.
         """
         ...
 
@@ -142,9 +145,3 @@ def check_rows(top: int, bottom: int, camera: CameraSpec) -> None:
         raise ValueError(
             f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {camera.height_px}"
         )
-
-
-def conditions_of(scene: Scene) -> frozenset[str]:
-    """Names of the conditions that a scene realises: its attribute `conditions`, if it has one."""
-    names: frozenset[str] = getattr(scene, "conditions", frozenset())
-    return names

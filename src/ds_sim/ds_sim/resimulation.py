@@ -6,7 +6,6 @@ import math
 import struct
 from collections.abc import Iterator
 
-from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
@@ -47,7 +46,7 @@ def resimulate(simulator_name: str, run: RunRecord) -> Iterator[Observation]:
                 observation = (
                     simulator.step(run.commands[step - 1])
                     if step
-                    else load(simulator, run.road, seed=run.seed, conditions=run.conditions)
+                    else simulator.load(run.road, seed=run.seed, conditions=run.conditions)
                 )
             except (SimulatorError, NotApplicableError) as error:
                 raise ResimulationError(simulator_name, step, f"where the simulator fails ({error})") from None

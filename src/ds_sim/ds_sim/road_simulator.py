@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from ds_road import Road, RoadError
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS, Actuation, actuation_of
-from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
-from ds_sim.parts import VEHICLE_CONDITIONS, AdjustableVehicle, Scene, Vehicle, conditions_of
+from ds_sim.parts import VEHICLE_CONDITIONS, AdjustableVehicle, Scene, Vehicle
 from ds_sim.simulator import (
     FRAME_TIME,
     Command,
@@ -54,7 +53,7 @@ class RoadSimulator:
         self.vehicle = vehicle
         self.scene = scene or PaintedScene(spec.camera, spec.look)
         adjustable = VEHICLE_CONDITIONS if isinstance(vehicle, AdjustableVehicle) else frozenset()
-        realised = COMMAND_CONDITIONS | adjustable | conditions_of(self.scene)
+        realised = COMMAND_CONDITIONS | adjustable | self.scene.conditions
         self._spec = replace(spec, conditions=tuple(name for name in FIELDS if name in realised))
         self.limits = limits or OracleLimits()
         self._run: _Run | None = None
@@ -75,7 +74,7 @@ class RoadSimulator:
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
         self._run = None
-        check_applicable(conditions, self._spec)
+        self._spec.check(conditions)
         if not road.validity.valid:
             raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
@@ -83,11 +82,7 @@ class RoadSimulator:
             self.vehicle.adjust(friction=conditions.friction, payload=conditions.payload)
         self.vehicle.reset(*start_of(road), np.random.default_rng(vehicle_seed))
         tracker = LaneTracker(road.lane_centre)
-        sensor_rng = np.random.default_rng(sensor_seed)
-        if conditions_of(self.scene) & conditions.changed.keys():
-            self.scene.load(road, sensor_rng, conditions)
-        else:
-            self.scene.load(road, sensor_rng)  # also of scenes that take no conditions
+        self.scene.load(road, np.random.default_rng(sensor_seed), conditions.for_scene(self.scene.conditions))
         run = _Run(
             tracker=tracker,
             oracle=Oracle(tracker.length, self.limits),

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.conditions.loading import check_applicable, load
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import (
     FRAME_TIME,
@@ -112,9 +111,9 @@ class Session:
         Raises:
             ds_sim.NotApplicableError: the simulator cannot realise a condition; no run is made of that.
         """
-        check_applicable(conditions, self.simulator.spec)
+        self.simulator.spec.check(conditions)
         self.run = RunRecord(road=road, seed=seed, conditions=conditions)
-        return self._record(lambda: load(self.simulator, road, seed=seed, conditions=conditions))
+        return self._record(lambda: self.simulator.load(road, seed=seed, conditions=conditions))
 
     def advance(self, command: Command) -> Observation | None:
         """Drive one step.

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
-from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 
 FRAME_RATE = 20.0
 """Camera frames per simulated second (paper 3.2.1: all simulators aligned at 20 fps)."""
@@ -213,6 +213,17 @@ class SimulatorSpec:
     conditions: tuple[str, ...] = ()
     extra: dict[str, str] = field(default_factory=dict)
 
+    def check(self, conditions: Conditions) -> None:
+        """Check that the simulator realises all conditions that are not the default.
+
+        Raises:
+            NotApplicableError: it does not; one line with those that it realises.
+        """
+        missing = [name for name in conditions.changed if name not in self.conditions]
+        if missing:
+            realised = ", ".join(self.conditions) or "none"
+            raise NotApplicableError(f"{self.name} cannot realise {', '.join(missing)}: it realises {realised}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class AutopilotGains:
@@ -244,8 +255,10 @@ class Simulator(Protocol):
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch, with the vehicle at rest at the start of the driven lane.
 
-        A simulator may leave `conditions` out and then runs tests with the default ones: call it by
-        `ds_sim.conditions.load`, which hands over only what `spec.conditions` names.
+        Args:
+            road: a valid road.
+            seed: of all random numbers of the run.
+            conditions: operating conditions, all of which `spec.conditions` names.
 
         Returns:
             First observation, at step 0.

@@ -10,7 +10,6 @@ import pytest
 
 from ds_road import Road
 from ds_sim.conditions.actuation import Actuation
-from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import format_conditions, from_json, parse_conditions, to_json
 from ds_sim.conditions.words import PHRASES, Side, in_words
@@ -126,7 +125,7 @@ def test_a_speed_limit_cuts_the_throttle_off() -> None:
 
 
 class Foreign:
-    """Simulator of somebody else, written before there were conditions."""
+    """Simulator of somebody else that realises no condition."""
 
     spec: SimulatorSpec = spec_of("donkey").__class__(
         **{
@@ -139,7 +138,8 @@ class Foreign:
     def __init__(self) -> None:
         self._simulator = make_simulator("donkey")
 
-    def load(self, road: Road, *, seed: int) -> Observation:
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
+        self.spec.check(conditions)
         return self._simulator.load(road, seed=seed)
 
     def step(self, command: Command) -> Observation:
@@ -157,7 +157,7 @@ def test_a_simulator_without_conditions_goes_on_working() -> None:
         session.start(STRAIGHT, 1, Conditions(friction=0.5))
     assert session.run is not None and session.run.outcome is Outcome.RUNNING  # no run was made of that
     with pytest.raises(NotApplicableError):
-        load(foreign, STRAIGHT, seed=1, conditions=Conditions(friction=0.5))
+        foreign.load(STRAIGHT, seed=1, conditions=Conditions(friction=0.5))
     foreign.close()
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,8 @@ class RosWorld:
         camera: of the images.
         folder: folder of the description.
     """
+
+    conditions: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
         self._settings, self._camera, self._folder = settings, camera, folder

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from ds_road import Road, generate
 from ds_sim.camera.optics import light_of
-from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Command, VehicleState
@@ -171,7 +170,7 @@ def test_what_it_cannot_realise_is_refused_by_name() -> None:
     with pytest.raises(
         NotApplicableError, match="torcs cannot realise shadow_density, repair_share: it realises line_"
     ):
-        load(simulator, STRAIGHT, seed=1, conditions=Conditions(shadow_density=0.2, repair_share=0.1))
+        simulator.load(STRAIGHT, seed=1, conditions=Conditions(shadow_density=0.2, repair_share=0.1))
     assert set(ALL.changed) == set(simulator.spec.conditions)
     simulator.close()
 

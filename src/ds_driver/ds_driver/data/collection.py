@@ -19,7 +19,6 @@ from ds_driver.data.dataset import DatasetError, drive_path, keep_plan, write_dr
 from ds_driver.processes import Progress, map_in_processes
 from ds_road import Road, RoadError, generate, mutate, read_raw_roads, road_from_json
 from ds_sim.camera.encodings import jpeg
-from ds_sim.conditions.loading import load
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.installation import ds_command
@@ -195,7 +194,7 @@ def _drive(
     """Drive a road with disturbed autopilot commands; label each frame with the undisturbed one."""
     gains = simulator.spec.autopilot
     autopilot = Autopilot(gains)
-    observation = load(simulator, road, seed=int(rng.integers(2**31)), conditions=conditions)
+    observation = simulator.load(road, seed=int(rng.integers(2**31)), conditions=conditions)
     push, rows = 0.0, []
     while observation.outcome is Outcome.RUNNING:
         label = autopilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)

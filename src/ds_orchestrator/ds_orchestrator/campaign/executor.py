@@ -20,7 +20,6 @@ from ds_orchestrator.campaign.engine import DriveSettings, Engine
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.store import Store
-from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.gate import Gate, gate_of, left_out, not_applicable
 from ds_sim.registry import label_of, spec_of
@@ -218,7 +217,7 @@ class Executor:
         if known is not None:
             return known
         try:
-            check_applicable(test.conditions, spec_of(simulator))
+            spec_of(simulator).check(test.conditions)
         except NotApplicableError as error:
             return self._keep_gate(test, simulator, not_applicable(str(error)))
         run = self._drive(test, simulator, AUTOPILOT, probed=True)

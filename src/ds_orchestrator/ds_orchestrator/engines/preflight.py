@@ -10,7 +10,6 @@ from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.graph.supervisor import check_ros
-from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.installation import install_command
 from ds_sim.registry import make_simulator, spec_of
@@ -47,7 +46,7 @@ def preflight(settings: DriveSettings) -> None:
         made = make_simulator(name)
         made.close()
         try:
-            check_applicable(settings.conditions, made.spec)
+            made.spec.check(settings.conditions)
         except NotApplicableError as error:
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
 

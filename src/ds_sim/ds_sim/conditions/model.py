@@ -202,6 +202,10 @@ class Conditions:
         """True if these are each simulator's own conditions."""
         return self == DEFAULT
 
+    def for_scene(self, realised: frozenset[str]) -> Conditions:
+        """Return these conditions, or the default ones if none that a scene realises differs from them."""
+        return self if realised & self.changed.keys() else DEFAULT
+
 
 FIELDS: dict[str, Condition] = {}
 FIELDS.update((f.name, Condition(f.name, **f.metadata)) for f in fields(Conditions))

@@ -12,7 +12,6 @@ from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
 from ds_road import Road, RoadError
-from ds_sim.conditions.loading import check_applicable
 from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
 from ds_sim.ros.conversions import conditions_from_messages, refusal_result, road_from_message
 from ds_sim.simulator import Reason, SimulatorSpec
@@ -48,7 +47,7 @@ class LoadedRoad:
     """
 
     def __init__(self, spec: SimulatorSpec, default: Conditions) -> None:
-        check_applicable(default, spec)
+        spec.check(default)
         self._spec, self._default = spec, default
         self.road: Road | None = None
         self.seed, self.conditions = 0, default
@@ -67,7 +66,7 @@ class LoadedRoad:
             raise RequestRefused(Reason.BAD_ROAD, f"the road is not valid: {road.validity.reason}")
         try:
             found = conditions_from_messages(conditions) if conditions else self._default
-            check_applicable(found, self._spec)
+            self._spec.check(found)
         except ConditionsError as error:
             raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
         except NotApplicableError as error:
