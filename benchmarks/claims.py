@@ -26,12 +26,12 @@ from ds_analysis.common.table import Column, Table, Value
 from ds_analysis.comparison.analysis import compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_analysis.paper.correlation import evaluate, paired_differences
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
 from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
-from ds_report.findings import RoadOutcomes, Split, best_split, kind_of
+from ds_report.findings import RoadOutcomes, Split, best_split, kind_of, side_shown
 from ds_sim.conditions.model import FIELDS
 from ds_sim.simulator import Outcome
 
@@ -294,13 +294,13 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
     return rows
 
 
-def merged_maps(size: int, number: int) -> list[Value]:
+def merged_maps(size: int, noise: Effect, number: int = CAMPAIGNS) -> list[Value]:
     """Rate at which the merged map is called better or worse than a sibling, where no map knows the twin's failures."""
-    rng, stated = np.random.default_rng(size), 0
+    rng, stated, before = np.random.default_rng([size, int(noise.spread)]), 0, 0
     for k in range(number):
         searched, executions = bank(size, 2)[k % BANK], list[Execution]()
         for name in (*SIBLINGS, TWIN):
-            failed = drawn(np.full(size, NOISE), searched.families, SPREAD, rng)
+            failed = drawn(np.full(size, NOISE), searched.families, noise.spread, rng)
             executions += [_execution(test, name, lost, rng) for test, lost in zip(searched.tests, failed, strict=True)]
         maps = build_maps(SIBLINGS, TWIN, searched.tests, executions)
         allowed = {
@@ -308,14 +308,12 @@ def merged_maps(size: int, number: int) -> list[Value]:
             for c in evaluate(maps, SIBLINGS, TWIN, resamples=0)
             if c.map.kind == "merged" and not c.caution and c.r is not None and c.r > 0.0
         }
-        ends = [
-            one.r_interval
-            for one in (paired_differences(maps, SIBLINGS, TWIN, resamples=400) if allowed else [])
-            if one.value in allowed and one.r_interval is not None
-        ]
-        stated += any(low > 0.0 or high < 0.0 for low, high in ends)
-    return ["the merged map is better or worse than a sibling", "noise in families", size, 2, number, stated / number,
-            None, None, None]  # fmt: skip
+        differences = paired_differences(maps, SIBLINGS, TWIN, resamples=400) if allowed else []
+        shown = [one for one in differences if one.value in allowed]
+        stated += any(side_shown(one, len(differences)) for one in shown)
+        before += any(low > 0.0 or high < 0.0 for one in shown if one.r_interval for low, high in [one.r_interval])
+    claim = "the merged map is better or worse than a sibling"
+    return [claim, noise.name, size, None, number, stated / number, before / number, None, None]
 
 
 def _execution(test: Test, name: str, failed: bool, rng: np.random.Generator) -> Execution:
@@ -340,7 +338,7 @@ def rows_of_claims() -> Iterator[Sequence[Value]]:
         yield from (beliefs(size, siblings, follows) for siblings in (2, 4) for follows in (0.0, 0.9))
         yield from (most_often(size, first) for first in (0.25, 0.7))
         yield from (row for worse in (0.0, 0.5) for row in verdicts(size, worse, CAMPAIGNS // 4))
-    yield merged_maps(120, CAMPAIGNS // 4)
+    yield from (merged_maps(120, noise) for noise in NOISES)
 
 
 def main() -> None:

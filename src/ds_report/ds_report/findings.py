@@ -23,9 +23,10 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+from scipy.stats import t
 
 from ds_analysis.common.heatmap import Value
-from ds_analysis.common.selection import SEED, ChosenSplit, Share, choose_split
+from ds_analysis.common.selection import ALPHA, SEED, ChosenSplit, Share, choose_split
 from ds_analysis.common.statistics import Indices, families_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
@@ -203,7 +204,7 @@ def summarise(
     for value in values:
         compared = [c for c in correlations if c.value == value]
         if compared:
-            details.append(_comparison(config, compared, [d for d in paired_differences if d.value == value], value))
+            details.append(_comparison(config, compared, paired_differences, value))
     if not config.twin:
         details.append("This campaign has no twin, so there is nothing to compare the maps with.")
     headline = where_it_fails(config.driver, outcomes)
@@ -412,7 +413,8 @@ def _comparison(
     if merged.r <= 0:
         verdict = ": no positive correlation, so it does not predict the twin's failures"
     else:
-        verdict = f": {_against_siblings(paired_differences)}" if paired_differences else ""
+        own = [one for one in paired_differences if one.value == value]
+        verdict = f": {_against_siblings(own, len(paired_differences))}" if own else ""
     return f"{numbers} ({siblings}){verdict}.{chance}"
 
 
@@ -420,11 +422,20 @@ def _r(correlation: Correlation) -> str:
     return "undefined" if correlation.r is None else f"{correlation.r:.2f}"
 
 
-def _against_siblings(paired_differences: Sequence[PairedDifference]) -> str:
-    """Call the merged map better or worse than a sibling only if the 95 % interval of the difference excludes 0."""
+def _against_siblings(paired_differences: Sequence[PairedDifference], among: int) -> str:
+    """Call the merged map better or worse than a sibling only if the difference is shown among so many."""
     groups: dict[str, list[str]] = {"better than": [], "worse than": [], "not distinguishable from": []}
     better, worse, open_ = groups.values()
     for difference in paired_differences:
-        low, high = difference.r_interval or (0.0, 0.0)
-        (better if low > 0 else worse if high < 0 else open_).append(difference.over.simulator)
+        side = side_shown(difference, among)
+        (better if side > 0 else worse if side < 0 else open_).append(difference.over.simulator)
     return listed([f"{how} {listed(names)} alone" for how, names in groups.items() if names])
+
+
+def side_shown(difference: PairedDifference, among: int) -> int:
+    """1 or -1 if the interval excludes 0, widened by Student's t for few cells and for the comparisons (Bonferroni)."""
+    if difference.r is None or difference.r_interval is None:
+        return 0
+    wider = t.ppf(1.0 - ALPHA / 2.0 / among, max(difference.cells - 2, 1)) / t.ppf(1.0 - ALPHA / 2.0, np.inf)
+    low, high = (difference.r + wider * (end - difference.r) for end in difference.r_interval)
+    return int(low > 0.0) - int(high < 0.0)

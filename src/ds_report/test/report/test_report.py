@@ -359,7 +359,7 @@ def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
     unions = [MapId.union(name) for name in config.siblings]
     added = [
         PairedDifference(over=union, value="quality_loss", cells=30, r=(low + high) / 2, r_interval=(low, high))
-        for union, low, high in zip(unions, (0.01, -0.2, -0.3), (0.2, 0.3, -0.1), strict=True)
+        for union, low, high in zip(unions, (0.05, -0.2, -0.3), (0.2, 0.3, -0.1), strict=True)
     ]
     correlations = [
         Correlation(map=map_id, value="quality_loss", cells=30, failing=12, r=0.5, p=0.001)
