@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 import pyarrow.parquet as pq
 
+from ds_base.atomic_files import write_json
 from ds_driver.data.collection import CollectionPlan, collect
 from ds_driver.data.dataset import decode
-from ds_driver.whole_files import write_json
 from ds_sim.camera.encodings import JPEG_QUALITY
 from ds_sim.registry import STANDARD, spec_of
 

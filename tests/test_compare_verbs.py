@@ -20,6 +20,7 @@ from tests.campaign.engines import MadeUpEngine
 from tests.command_line import ds
 
 from ds_analysis.comparison.ci_results import Criteria
+from ds_base.folder_files import locked
 from ds_cli.campaign.run import judged
 from ds_cli.output import Result, end
 from ds_driver.closed_loop.drive_request import DriveRequest
@@ -31,7 +32,6 @@ from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
 from ds_orchestrator.engines import drive_tests as given_tests
-from ds_orchestrator.store.folder_files import locked
 from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store

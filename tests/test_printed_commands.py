@@ -17,12 +17,12 @@ from tests.campaign.engines import MadeUpEngine
 from tests.command_line import ds
 
 from ds_bags.run_writer import write_bag
+from ds_base.installation import ds_command
 from ds_cli.verbs import VERBS
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.campaign.folder import store_of
 from ds_road import Road
-from ds_sim.installation import ds_command
 from ds_sim.registry import make_simulator
 
 REPOSITORY = Path(__file__).resolve().parents[1]

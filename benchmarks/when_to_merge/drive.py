@@ -21,13 +21,13 @@ from benchmarks.when_to_merge import plan
 from benchmarks.when_to_merge.plan import PARTS, SIBLINGS, Part
 
 from ds_analysis.common.parquet import write_tables
+from ds_base.folder_files import locked
 from ds_orchestrator.campaign.config import CampaignConfig, read_config
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import CampaignData, prepare_folder, read_campaign, record_provenance, store_of
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.folder_files import locked
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import road_from_json
 from ds_sim.conditions.text import parse_conditions

@@ -21,7 +21,7 @@ from ds_bags.reader import STATE
 from ds_bags.ros.image_recorder import ImageRecorder, with_images
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.verification import IMAGE, verify_bag
-from ds_driver.processes import ChildProcesses
+from ds_base.processes import ChildProcesses
 from ds_orchestrator.graph.session import RosDomain
 from ds_road import Road
 from ds_sim.resimulation import resimulate

@@ -17,6 +17,7 @@ import yaml
 from tests.campaign.engines import EngineHere, MadeUpEngine
 
 from ds_analysis.paper.campaign_contents import maps_of
+from ds_base.folder_files import LockError, StoreError, locked
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
@@ -28,9 +29,7 @@ from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import MapId, to_json
-from ds_orchestrator.store.folder_files import LockError, locked
 from ds_orchestrator.store.model import Execution, Test
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.gates.gate import Gate

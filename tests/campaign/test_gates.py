@@ -15,6 +15,7 @@ from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
 
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
+from ds_base.folder_files import StoreError
 from ds_cli.campaign.inspection import status
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
@@ -25,7 +26,6 @@ from ds_orchestrator.campaign.folder import read_campaign, store_of
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.selection import roads_of
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions

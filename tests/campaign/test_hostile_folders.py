@@ -18,12 +18,11 @@ from tests.campaign.test_unusable_folders import Ds, content, ds
 from ds_analysis.common.outcome_table import OutcomeTableError, table_of_comparison
 from ds_analysis.real.proposal import read_proposed
 from ds_analysis.real.records import RecordError, read_csv, read_drives
-from ds_driver.whole_files import write_whole
+from ds_base import folder_files
+from ds_base.atomic_files import write_whole
+from ds_base.folder_files import StoreError, check_folder, locked, read_file
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import open_store, read_campaign, with_kept_engine
-from ds_orchestrator.store import folder_files
-from ds_orchestrator.store.folder_files import check_folder, locked, read_file
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 
 __all__ = ["ds"]  # a fixture

@@ -15,11 +15,10 @@ import pytest
 from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import maps_text, run
 
+from ds_base.folder_files import StoreError, locked
 from ds_cli import main as cli
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, read_config
 from ds_orchestrator.graph import signals as stopping
-from ds_orchestrator.store.folder_files import locked
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 
 CONFIG = """

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from ds_driver.processes import python_environment
+from ds_base.processes import python_environment
 
 OWNER = "DS_TEST_CLUSTER"
 """Variable that marks the processes of a cluster as its own; other tests drive beside them."""

@@ -91,7 +91,7 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
     other = tmp_path / "other_version.py"
     other.write_text(
         "from ds_orchestrator.engines import fingerprint\n"
-        "from ds_sim.installation import versions\n"
+        "from ds_base.installation import versions\n"
         "fingerprint.versions = lambda: versions() | {'numpy': '1.0.0'}\n"
     )
     lines = Lines()

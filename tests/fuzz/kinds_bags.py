@@ -25,9 +25,9 @@ from ds_bags.info import describe, in_words
 from ds_bags.layout import BagError
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
+from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_driver.data.recordings import Reading, open_recording
 from ds_road import Road
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.registry import UntrustedSimulatorError, make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command

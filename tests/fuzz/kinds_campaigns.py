@@ -16,6 +16,7 @@ from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged
 from tests.fuzz.harness import Kind
 
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
+from ds_base.folder_files import StoreError
 from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
@@ -23,7 +24,6 @@ from ds_driver.networks.weights import WeightsError, load_weights
 from ds_orchestrator.campaign.config import ConfigError, read_config
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.campaign.status import stages_of
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_road import RoadError
 from ds_road.files import read_roads

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ds_driver.processes import ChildProcesses
+from ds_base.processes import ChildProcesses
 
 
 @pytest.fixture

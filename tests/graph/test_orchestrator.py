@@ -117,8 +117,8 @@ def campaign(graph: Graph) -> tuple[int, Any, list[Any]]:
 def test_a_campaign_on_running_nodes_is_the_campaign_that_runs_without_ros(
     graph: Graph, campaign: tuple[int, Any, list[Any]], tmp_path: Path
 ) -> None:
+    from ds_base.bounded_yaml import load_yaml
     from ds_orchestrator.campaign.config import parse_config
-    from ds_sim.bounded_yaml import load_yaml
     from ds_studies.whole_campaign import run_campaign
 
     status, result, states = campaign

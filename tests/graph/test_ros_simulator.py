@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 import yaml
 
+from ds_base.processes import ChildProcesses
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.processes import ChildProcesses
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord

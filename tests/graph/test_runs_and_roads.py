@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_driver.processes import ChildProcesses
+from ds_base.processes import ChildProcesses
 from ds_road import Road, generate
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages

@@ -68,7 +68,7 @@ assert ds_sim.__file__.startswith({str(tmp_path)!r})
 from ds_bags.messages import typestore
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_orchestrator import read_config
-from ds_sim.installation import share_folders
+from ds_base.installation import share_folders
 from ds_cli import main
 print(sorted(name for name in typestore().types if name.startswith("ds_interfaces")))
 files = [folder / "config/paper.yaml" for folder in share_folders("ds_bringup")]

@@ -20,10 +20,10 @@ from report_campaigns import make_campaign
 from ds_analysis.common.parquet import EXECUTIONS, FRAMES, write_tables
 from ds_analysis.common.restoration import restore_campaign
 from ds_analysis.paper.campaign_contents import maps_of
+from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
 from ds_orchestrator.store.model import NO_DRIVE
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_road import read_roads
 from ds_sim.gates.gate import Gate, GateState
 

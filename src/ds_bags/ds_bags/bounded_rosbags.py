@@ -24,7 +24,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from rosbags.typesys.store import Typestore
 
 from ds_bags.layout import TooLargeError, count_opened, left_to_open, parse_metadata, too_much
-from ds_sim.bounded_yaml import load_yaml
+from ds_base.bounded_yaml import load_yaml
 
 MAX_DEFINITION = 256 * 2**10
 """Characters of one message definition with all that it refers to; chosen: ten times the longest of the common ones."""

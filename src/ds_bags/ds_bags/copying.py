@@ -27,8 +27,8 @@ from ds_bags.layout import (
 from ds_bags.messages import typestore
 from ds_bags.reader import BagReader
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
-from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
-from ds_sim.installation import ds_command
+from ds_base.bounded_yaml import BoundedYamlError, load_yaml
+from ds_base.installation import ds_command
 
 
 class DamagedFileError(BagError):

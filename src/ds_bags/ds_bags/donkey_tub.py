@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import BagError, plain_name, printable, regular_file
+from ds_base.errors import InputError
 
 MAX_FILE = 64 * 2**20
 """Bytes of a manifest or catalog; chosen: donkeycar begins a new catalog after 1,000 records, some 300 kB."""
@@ -21,7 +22,7 @@ MAX_RECORDS = 1_000_000
 _LARGEST = 2**53
 
 
-class TubError(ValueError):
+class TubError(InputError):
     """A folder that is no tub, or one that is damaged."""
 
 

@@ -13,7 +13,8 @@ from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any, Literal, get_args
 
-from ds_sim.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_bounded
+from ds_base.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_bounded
+from ds_base.errors import InputError
 
 Level = Literal["telemetry", "compressed", "raw"]
 """What a bag holds: everything but images, images as JPEG too, or images bit by bit."""
@@ -25,7 +26,7 @@ LONGEST_NAME = 200
 """Bytes of a file's name; chosen: file systems allow 255, and a hidden folder's additions need some of them."""
 
 
-class BagError(ValueError):
+class BagError(InputError):
     """A bag that cannot be written or read."""
 
 

@@ -16,6 +16,8 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ds_base.errors import InputError
+from ds_base.installation import share_folders
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
@@ -29,14 +31,13 @@ from ds_sim.frames import (
     camera_frame,
     camera_pose,
 )
-from ds_sim.installation import share_folders
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Observation, VehicleState
 
 _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
 
 
-class TypesError(ValueError):
+class TypesError(InputError):
     """Message definitions that are not installed."""
 
 

@@ -29,9 +29,9 @@ from ds_bags.layout import (
     printable,
     regular_file,
 )
+from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.installation import ds_command
 from ds_sim.registry import received_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState

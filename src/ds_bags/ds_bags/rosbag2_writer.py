@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from rosbags.typesys.store import Typestore
 
 from ds_bags.layout import MAX_TOPICS, BagError
-from ds_sim.bounded_yaml import load_yaml
+from ds_base.bounded_yaml import load_yaml
 
 _MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.Struct("<BQQQ")

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
 from ds_bags.messages import MessageFactory, frame_times, serialise_frames, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
-from ds_sim.installation import versions
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import errno
+import shlex
 import sqlite3
 import sys
+import traceback
 from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib import import_module
+from tempfile import NamedTemporaryFile
 from typing import Any
 
 import typer
@@ -15,11 +18,18 @@ from typer import completion, core
 from typer.core import TyperGroup
 from typer.main import get_group
 
+from ds_base.errors import DsError, RunError
 from ds_cli.output import Interrupted
 from ds_cli.verbs import COMPLETION_VARIABLE, PACKAGE, VERBS, overview
 from ds_orchestrator.graph import signals
 
 _UsageError: Any = next(kind for kind in typer.BadParameter.__mro__ if kind.__name__ == "UsageError")
+
+
+BUG = 70
+"""Exit status of a bug of ours: EX_SOFTWARE of BSD's sysexits."""
+DEBUG = "--debug"
+"""Before or after any verb: print the traceback of a bug, too."""
 
 
 class LazyGroup(TyperGroup):
@@ -72,7 +82,10 @@ def run(arguments: Sequence[str]) -> int:
     """
     try:
         status = make_app().main(
-            args=list(arguments), prog_name="ds", complete_var=COMPLETION_VARIABLE, standalone_mode=False
+            args=[one for one in arguments if one != DEBUG],
+            prog_name="ds",
+            complete_var=COMPLETION_VARIABLE,
+            standalone_mode=False,
         )
         sys.stdout.flush()
     except _UsageError as error:
@@ -85,14 +98,16 @@ def run(arguments: Sequence[str]) -> int:
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         sys.stdout = None  # type: ignore[assignment]
         return 0
-    except (ValueError, OSError, sqlite3.Error) as error:
+    except RunError as error:
+        return _fail(_one_line(error), 1)
+    except (DsError, OSError, sqlite3.Error) as error:
         return _fail(_one_line(error), 2)
     except RecursionError:
         return _fail("a file is nested too deeply: expected a few levels", 2)
-    except RuntimeError as error:
-        return _fail(_one_line(error), 1)
     except ModuleNotFoundError as error:  # an extra of the wheel, or an incomplete installation
         return _fail(_missing(error), 1)
+    except Exception as error:
+        return _bug(error, arguments)
     if status == 130:  # typer's answer to an interruption
         return _stopped("")
     return status if isinstance(status, int) else 0
@@ -101,6 +116,18 @@ def run(arguments: Sequence[str]) -> int:
 def _fail(problem: str, status: int) -> int:
     print(f"error: {problem}", file=sys.stderr)
     return status
+
+
+def _bug(error: Exception, arguments: Sequence[str]) -> int:
+    """Keep the traceback of what no user can have caused, and say where."""
+    from ds_base.installation import versions
+
+    text = "".join(traceback.format_exception(error))
+    if DEBUG in arguments:
+        print(text, file=sys.stderr, end="")
+    with NamedTemporaryFile("w", prefix="ds-bug-", suffix=".log", delete=False) as log:
+        log.write(f"ds {shlex.join(arguments)}\n{versions()}\n\n{text}")
+    return _fail(f"this is a bug of ds ({type(error).__name__}), not of your input: please report {log.name}", BUG)
 
 
 def _stopped(kept: str) -> int:
@@ -117,7 +144,7 @@ def _one_line(error: BaseException) -> str:
 
 
 def _missing(error: ModuleNotFoundError) -> str:
-    from ds_sim.installation import install_command, wheel_version
+    from ds_base.installation import install_command, wheel_version
 
     name = str(error.name)
     if name == "torch" and wheel_version() is not None:

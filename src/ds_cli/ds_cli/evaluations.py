@@ -145,7 +145,7 @@ def evaluate_command(
     if folder is not None:
         if given := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
             raise typer.BadParameter(f"--{given[0]} is the campaign's: leave it out, or leave out {folder}")
-        from ds_orchestrator.store.folder_files import locked, make_folder
+        from ds_base.folder_files import locked, make_folder
 
         if out is not None:
             make_folder(out)

@@ -30,8 +30,8 @@ def axes_named(text: str) -> list[str]:
     Raises:
         ds_orchestrator.search.features.FeatureError: one is unknown, or there are not two or three different ones.
     """
+    from ds_base.extension import confirm, is_extension
     from ds_orchestrator.search.features import FeatureError, base_of, feature_of
-    from ds_sim.extension import confirm, is_extension
 
     names = [name.strip() for name in text.split(",")]
     confirm(base for base in map(base_of, names) if is_extension(base))

@@ -51,9 +51,9 @@ def collect_command(
     sims: Simulators = "bullet,softbody,panda,donkey",
 ) -> None:
     """Collect labelled driving data with the autopilot."""
+    from ds_base.installation import versions
     from ds_driver.data.collection import CollectionPlan, collect, given_roads
     from ds_driver.data.dataset import DatasetError, write_manifest
-    from ds_sim.installation import versions
 
     simulators = simulators_of(sims)
     if (road is None and mutants) or (road is not None and roads is not None):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import typer
 
-from ds_sim.extension import confirm
+from ds_base.extension import confirm
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig

@@ -37,7 +37,7 @@ def outcomes_import_command(
     """
     from ds_analysis.outcomes.columns import Columns, read_columns
     from ds_analysis.outcomes.study import import_outcomes, write_study
-    from ds_orchestrator.store.folder_files import make_folder
+    from ds_base.folder_files import make_folder
 
     study = import_outcomes(tables, Columns() if columns is None else read_columns(columns))
     study.table()

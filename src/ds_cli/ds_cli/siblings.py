@@ -86,12 +86,12 @@ def siblings_compare_command(
     from ds_analysis.common.outcome_table import table_of_runs
     from ds_analysis.paper.simulator_agreement import compare, summary
     from ds_analysis.siblings.analysis import analyse, outcome_rows
+    from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_cli.roads import roads_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.drive_tests import Progress
-    from ds_orchestrator.store.folder_files import make_folder
     from ds_studies.same_roads import drive_same_roads
 
     driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)

@@ -86,10 +86,10 @@ def show_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Draw simulated images beside their translations."""
+    from ds_base.atomic_files import write_whole
     from ds_driver.sim2real.generator import load_generator
     from ds_driver.sim2real.pictures import camera_images, sheet
     from ds_driver.sim2real.translator import Translator
-    from ds_driver.whole_files import write_whole
     from ds_sim.camera.encodings import png
 
     translator = Translator(load_generator(generator))

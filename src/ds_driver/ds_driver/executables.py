@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from ds_sim.executables import start
+from ds_base.executables import start
 
 driver = partial(start, "ds_driver.ros.driver_node")
 """Runs a network that drives simulators."""

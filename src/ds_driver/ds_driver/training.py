@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 
+from ds_base.errors import InputError
+
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training on a CPU up to twice as fast
 
 import ctypes
@@ -21,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from ds_base.atomic_files import whole_file, write_json
 from ds_driver.data.dataset import (
     DatasetError,
     Sample,
@@ -36,7 +39,6 @@ from ds_driver.networks.backends import has_bfloat16
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.torch_networks import disable_dropout, load_network, make_network, save_weights
 from ds_driver.networks.weights import architecture_in, generators_in, path_of_weights, weights_sha256
-from ds_driver.whole_files import whole_file, write_json
 
 CHECKPOINT = "checkpoint.pt"
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
@@ -48,7 +50,7 @@ STEERING_PER_COLUMN = 0.002
 """Steering added per column of shift: the lane moves right, so the car must steer right (maxitwo)."""
 
 
-class TrainingError(ValueError):
+class TrainingError(InputError):
     """Training is not possible with these options on this machine."""
 
 

@@ -13,6 +13,7 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+from ds_base.installation import install_command
 from ds_driver.networks import backends, quantisation
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BackendError, onnx_runner
@@ -23,7 +24,6 @@ from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.torch_networks import load_network, make_network, replayed, save_weights
 from ds_driver.networks.weights import load_weights, weights_sha256
-from ds_sim.installation import install_command
 from ds_sim.registry import STANDARD, spec_of
 
 openvino = pytest.importorskip("openvino")  # an extra for users

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ds_bags.layout import Level
 from ds_bags.run_writer import write_bag
+from ds_base.atomic_files import write_whole
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, write_drive
 from ds_driver.data.recordings import Reading, open_recording
@@ -44,7 +45,6 @@ from ds_driver.sim2real.trainer import EPOCHS, Domains, learning_rate_share, tra
 from ds_driver.sim2real.translation import translate
 from ds_driver.sim2real.translator import Translator, generator_to_onnx
 from ds_driver.training import CHECKPOINT, TrainingError
-from ds_driver.whole_files import write_whole
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
 from ds_sim.camera.lens import project

@@ -22,9 +22,7 @@ from .search.algorithms import (
     SearchSettings,
 )
 from .search.features import FEATURES, Cell, cell_of, feature_of
-from .store.folder_files import LockError, locked
 from .store.model import Execution, Test
-from .store.sqlite_file import StoreError
 from .store.store import Store
 
 __all__ = [
@@ -48,7 +46,6 @@ __all__ = [
     "FeatureMap",
     "GivenDrives",
     "Listener",
-    "LockError",
     "MapCell",
     "MapId",
     "MapPlan",
@@ -65,7 +62,6 @@ __all__ = [
     "Stage",
     "Stopped",
     "Store",
-    "StoreError",
     "Test",
     "build_maps",
     "cell_of",
@@ -73,7 +69,6 @@ __all__ = [
     "drive_tests",
     "feature_of",
     "jeffreys_interval",
-    "locked",
     "map_ids",
     "maps_frame",
     "merge",

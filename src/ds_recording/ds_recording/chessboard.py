@@ -9,10 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 LEAST_BOARDS = 6

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from ds_base.errors import InputError
 
-class RecordingError(ValueError):
+
+class RecordingError(InputError):
     """A recording, or a file beside it, cannot be used; the message is one line with the remedy."""

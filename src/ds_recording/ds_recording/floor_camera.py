@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_recording.errors import RecordingError
 from ds_road.road import abbreviated
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 
 Array = NDArray[np.float64]
 Rays = NDArray[Any]

@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.track import Track, read_track, write_track
 from ds_road.road import abbreviated
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 
 Array = NDArray[np.float64]
 COLUMNS = (

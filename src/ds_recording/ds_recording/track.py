@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_recording.errors import RecordingError
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -16,7 +16,7 @@ from ds_analysis.paper.campaign_evaluation import (
     tables_of,
     write_correlations,
 )
-from ds_driver import whole_files
+from ds_base import atomic_files as whole_files
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
 from ds_orchestrator.store.store import Store
@@ -57,7 +57,7 @@ def write_all(
         say: called with one line for each stage.
         trusted: user-defined simulators whose code may run; the report has no camera pictures of others.
 
-    The caller holds `ds_orchestrator.store.folder_files.locked`.
+    The caller holds `ds_base.folder_files.locked`.
 
     Returns:
         Path of the report.

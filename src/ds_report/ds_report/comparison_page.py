@@ -11,8 +11,8 @@ from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
+from ds_base.atomic_files import write_whole
 from ds_driver.networks.driver_name import DriverName
-from ds_driver.whole_files import write_whole
 from ds_orchestrator.search.features import feature_of
 from ds_report.html_report import environment
 from ds_report.page_data import data_address

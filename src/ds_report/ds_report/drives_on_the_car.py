@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ds_analysis.real.proposal import ProposedDrive
 from ds_analysis.real.records import COLUMNS, FOLDER, OPTIONAL
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
 from ds_report.road_sheet import draw_sheet, sheet_of
 from ds_sim.camera.encodings import png
 from ds_sim.conditions.model import FIELDS

@@ -20,7 +20,7 @@ from ds_analysis.common.table import Table
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import Network, cautions
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.campaign.status import stages_of

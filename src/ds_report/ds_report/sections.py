@@ -15,12 +15,12 @@ from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts
 from ds_analysis.real.records import RecordError, read_drives
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.pictures import draw_failures, draw_matrix
+from ds_base.folder_files import StoreError
+from ds_base.installation import ds_command
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.page_data import data_address
-from ds_sim.installation import ds_command
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,12 +17,12 @@ from ds_analysis.prediction.car import CarPrediction, predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
 from ds_analysis.siblings.failure_patterns import nestings
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
+from ds_base.installation import ds_command
 from ds_orchestrator.maps.feature_map import slices_of
 from ds_report.html_report import environment
 from ds_report.page_data import data_address
 from ds_report.verdict_picture import draw_verdicts
-from ds_sim.installation import ds_command
 
 PAGE = "report.html"
 

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from report_campaigns import EVIL, make_campaign, make_execution, make_tests, road
 
+from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Watch
@@ -28,7 +29,6 @@ from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, ObservedEngine, read_live
 from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.store.model import Execution, Test
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_report.watch import server as watch_server
 from ds_report.watch.campaign_reader import CampaignReader

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ds_road.bounded_file import FileError, read_regular
+from ds_base.bounded_file import FileError, read_regular
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side, abbreviated
 
 LARGEST_FILE = 16 * 2**20

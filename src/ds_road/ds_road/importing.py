@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import splev, splprep
 
-from ds_road.bounded_file import FileError, read_regular
-from ds_road.bounded_xml import parse_xml
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_xml import parse_xml
 from ds_road.commonroad import constant_width, read_commonroad, without_repeats
 from ds_road.files import LARGEST_FILE, road_from_json, road_to_json
 from ds_road.geometry import BOX

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_road.geometry import BOX, Validity, catmull_rom, check_surface, curvature, largest_lane_curvature, turns_count
 
 Side = Literal["right", "left"]
@@ -26,7 +27,7 @@ MIN_SPACING = 1e-3
 _MAX_COORDINATE = 1e6
 
 
-class RoadError(ValueError):
+class RoadError(InputError):
     """Input that does not define a road, or a road that cannot be driven."""
 
 

@@ -10,9 +10,9 @@ from typing import Any, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.installation import install_command
 from ds_road import Road, generate
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
-from ds_sim.installation import install_command
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import FRAME_RATE, Command, Observation, Outcome, SimulatorError
 

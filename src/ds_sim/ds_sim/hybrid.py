@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_road import Road
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.actuation import Actuation
@@ -27,7 +28,7 @@ SENSOR_LOOK = ("gain", "gamma", "exposure", "blur", "noise", "noise_blur", "nois
 HYBRID = "ds_sim.hybrid:HybridSimulator"
 
 
-class HybridError(ValueError):
+class HybridError(InputError):
     """Parts that cannot be combined."""
 
 

@@ -10,6 +10,7 @@ from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
 
+from ds_base.errors import InputError
 from ds_sim.simulator import DrawsRows, Simulator, SimulatorSpec
 
 SIMULATORS = {
@@ -109,11 +110,11 @@ def label_of(name: str) -> str:
     return (label if len(label) <= space else label[: space // 3] + label[-(space - space // 3) :]) + ending
 
 
-class UnknownSimulatorError(ValueError):
+class UnknownSimulatorError(InputError):
     """A name does not identify a simulator."""
 
 
-class UntrustedSimulatorError(ValueError):
+class UntrustedSimulatorError(InputError):
     """A received file names a simulator whose code is not shipped, and nobody confirmed it."""
 
 

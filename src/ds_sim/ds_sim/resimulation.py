@@ -6,13 +6,14 @@ import math
 import struct
 from collections.abc import Iterator
 
+from ds_base.errors import RunError
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.registry import make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, SimulatorError
 
 
-class ResimulationError(RuntimeError):
+class ResimulationError(RunError):
     """A re-simulated run differs from its recording.
 
     Attributes:

@@ -18,6 +18,7 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions
@@ -42,7 +43,7 @@ _FRAME_SIZE = 8 * len(_FLOATS) + 4 + 1
 _COMMAND_SIZE = 8 * len(_COMMAND)
 
 
-class RunCodecError(ValueError):
+class RunCodecError(InputError):
     """A run that cannot be encoded, or bytes that are no encoded run."""
 
 

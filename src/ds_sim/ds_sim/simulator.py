@@ -15,6 +15,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError, RunError
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
@@ -29,11 +30,11 @@ HALF_LANE = 2.0
 """Half the width of a lane, m (maxitwo: road of 8 m with two lanes)."""
 
 
-class CommandError(ValueError):
+class CommandError(InputError):
     """A command that no vehicle can execute."""
 
 
-class SimulatorError(RuntimeError):
+class SimulatorError(RunError):
     """A simulator cannot continue; the run ends as an error, never as a failure of the driver."""
 
 

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_road import Road
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -36,7 +37,7 @@ _LINE = 46
 """Characters of a line of conditions, which fills the panel."""
 
 
-class VideoError(ValueError):
+class VideoError(InputError):
     """A video cannot be written."""
 
 

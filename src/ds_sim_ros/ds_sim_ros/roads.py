@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_driver.whole_files import write_json, write_whole
+from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_road import Road, RoadError, read_roads
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.oracle import LaneTracker
 from ds_sim.road_simulator import start_of
 from ds_sim_ros.settings import RosSettingsError

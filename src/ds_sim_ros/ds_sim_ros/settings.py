@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from ds_base.config_errors import problems, read_keys
+from ds_base.errors import InputError
 from ds_driver.networks.images import Crop
-from ds_sim.config_errors import problems, read_keys
 from ds_sim.simulator import FRAME_TIME
 
 REALTIME = "realtime"
@@ -18,7 +19,7 @@ ROAD_FILES = (".json", ".csv")
 _NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 
 
-class RosSettingsError(ValueError):
+class RosSettingsError(InputError):
     """The description of a simulator cannot be used; one line says why."""
 
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from ds_base.atomic_files import write_json
+from ds_base.folder_files import make_folder
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.whole_files import write_json
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.store.folder_files import make_folder
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ds_base.folder_files import make_folder
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.network_driver import translation_of
-from ds_orchestrator.store.folder_files import make_folder
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import label_of, make_simulator

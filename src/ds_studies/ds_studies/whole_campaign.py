@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_analysis.paper.correlation import Correlation
+from ds_base.folder_files import locked
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped, StopSwitch
@@ -26,7 +27,6 @@ from ds_orchestrator.campaign.status import is_driven
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.folder_files import locked
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
 from ds_report.first_screen import FirstScreen, first_screen
@@ -77,7 +77,7 @@ def run_campaign(
     Raises:
         ConfigError: the driver or a simulator of the configuration has changed since the campaign began.
         ds_orchestrator.store.sqlite_file.StoreError: the folder cannot be used.
-        ds_orchestrator.store.folder_files.LockError: another process uses the folder.
+        ds_base.folder_files.LockError: another process uses the folder.
         ds_orchestrator.campaign.executor.Stopped: the campaign was interrupted; what was finished is kept.
     """
     settings = config.drive_settings(cluster=cluster, attach=attach)
@@ -127,7 +127,7 @@ def rebuild_report(
 
     Raises:
         ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or cannot be used.
-        ds_orchestrator.store.folder_files.LockError: the campaign runs.
+        ds_base.folder_files.LockError: the campaign runs.
     """
     with closing(open_store(folder, writable=True)) as store, locked(folder):
         return write_all(folder, store, say=say, trusted=trusted)

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.engines import drive_tests, fingerprint
 from ds_orchestrator.engines.drive_tests import Progress
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_road import Road, generate
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState

@@ -17,10 +17,10 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.bounded_file import FileError
-from ds_road.bounded_xml import parse_xml
+from ds_base.bounded_file import FileError
+from ds_base.bounded_xml import parse_xml
+from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
 from ds_road.road import abbreviated
-from ds_sim.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
 from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
 

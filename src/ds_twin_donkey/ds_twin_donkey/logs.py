@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ds_bags.donkey_tub import TubError, is_tub, numbers, read_tub
 from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, stamp_of
-from ds_road.bounded_file import FileError, read_regular
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.errors import InputError
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
@@ -43,7 +44,7 @@ _BLOCK = 2**20
 """Bytes of a file that are hashed at a time."""
 
 
-class LogError(ValueError):
+class LogError(InputError):
     """A log cannot be read, or nothing can be fitted to it."""
 
 

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from ds_sim.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
+from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
+from ds_base.errors import InputError
 from ds_twin_donkey.parameters import DonkeyParameters
 
 if TYPE_CHECKING:  # whoever drives needs no part of SciPy, which takes half a second to import
@@ -21,7 +22,7 @@ if TYPE_CHECKING:  # whoever drives needs no part of SciPy, which takes half a s
 FORMAT = "ds_twin_donkey parameters 1"
 
 
-class ParameterFileError(ValueError):
+class ParameterFileError(InputError):
     """The file holds no parameters of this car."""
 
 

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import MOTION
@@ -45,7 +46,7 @@ _MIN_SLIP_SPEED = 0.1
 """Speed below which a window starts without slip, m/s, because slip is relative to speed."""
 
 
-class FitError(ValueError):
+class FitError(InputError):
     """No parameters can be fitted to the drives."""
 
 

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from ds_analysis.common.chart import INK, Picture, Rgb, text_width, write
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
 from ds_orchestrator.search.features import Cell, feature_of
 from ds_sim.camera.encodings import png

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import ds_road
 from ds_analysis.common.driven_road import DrivenRoad, recorded_profile
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
+from ds_base.errors import InputError
+from ds_base.folder_files import StoreError, read_file
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
-from ds_orchestrator.store.folder_files import read_file
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_road import Road
 from ds_road.geometry import direction_coverage
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
@@ -57,7 +57,7 @@ class State(IntEnum):
     ERROR = 4
 
 
-class OutcomeTableError(ValueError):
+class OutcomeTableError(InputError):
     """Outcomes that allow no prediction."""
 
 
@@ -252,7 +252,7 @@ def table_of_runs(
 
 
 def table_of_campaign(data: CampaignData, *, most: int | None = None) -> OutcomeTable:
-    """Collect the tests of a campaign, finished or not.
+    """Collect the tests of a campaign, finished or not; a road and conditions that it drove twice count once.
 
     Args:
         data: contents of the campaign's store.
@@ -261,6 +261,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
     Raises:
         OutcomeTableError: no test has a verdict yet.
     """
+    data = data.distinct
     names = tuple(data.config.simulators)
     column = {name: k for k, name in enumerate(names)}
     tests = data.tests if most is None else _sample_of(data.tests, most)

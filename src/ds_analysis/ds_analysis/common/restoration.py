@@ -12,10 +12,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ds_analysis.common.parquet import EXECUTIONS, FORMAT_VERSION, WEIGHTS_NOTE
+from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, prepare_folder, read_campaign, store_of
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_road import road_from_json
 from ds_sim.conditions.text import parse_conditions

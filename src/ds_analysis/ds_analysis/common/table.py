@@ -15,8 +15,9 @@ from pydantic import Field, TypeAdapter, ValidationError
 from rich.console import Console
 from rich.text import Text
 
-from ds_driver.whole_files import write_json, write_whole
-from ds_road.bounded_file import read_regular
+from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_file import read_regular
+from ds_base.errors import InputError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Value = str | Number | Annotated[int, Field(ge=-(2**53), le=2**53)] | tuple[Number, Number] | None
@@ -33,7 +34,7 @@ _TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", 
 _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
 
 
-class TablesError(ValueError):
+class TablesError(InputError):
     """Stored tables that cannot be read, or a column that a table does not have."""
 
 

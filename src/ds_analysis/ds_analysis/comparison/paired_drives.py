@@ -14,6 +14,7 @@ import numpy as np
 from ds_analysis.common.selection import ALPHA, p_of_difference
 from ds_analysis.common.statistics import Array, are_alone, families_of
 from ds_analysis.comparison.sequential import sequential_evidence
+from ds_base.errors import InputError
 from ds_orchestrator.maps.algebra import DRAWS
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution
@@ -31,7 +32,7 @@ CHANGES: Mapping[tuple[bool, bool], Change] = {
 """Whether the reference and the candidate fail -> the change."""
 
 
-class ComparisonError(ValueError):
+class ComparisonError(InputError):
     """Networks, campaigns or suites that cannot be compared."""
 
 

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.common.statistics import Bools
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
+from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 
 GUIDE = "docs/outcomes.md"
 WORDS = {

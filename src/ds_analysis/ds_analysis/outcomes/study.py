@@ -27,7 +27,7 @@ from ds_analysis.outcomes.columns import (
     verdicts_of,
 )
 from ds_analysis.outcomes.sbft import read_competition
-from ds_driver.whole_files import whole_file
+from ds_base.atomic_files import whole_file
 from ds_orchestrator.search.features import column_axis
 
 FILE = "outcomes.parquet"

@@ -22,12 +22,11 @@ from ds_analysis.paper.paper_tables import (
     paired_difference_table,
     robustness_table,
 )
-from ds_driver.whole_files import write_json
+from ds_base.atomic_files import write_json
+from ds_base.folder_files import StoreError, read_file
+from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
-from ds_orchestrator.store.folder_files import read_file
-from ds_orchestrator.store.sqlite_file import StoreError
-from ds_sim.installation import ds_command
 
 CORRELATIONS = Path("maps/correlations.json")
 """File with the comparison with the twin, relative to the campaign folder."""

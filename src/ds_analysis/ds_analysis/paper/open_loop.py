@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Array
+from ds_base.errors import InputError
 from ds_driver.data.recordings import RecordedFrame, Recording
 from ds_driver.networks.images import Crop
 
@@ -64,7 +65,7 @@ class Answers:
         return np.abs(self.errors)
 
 
-class ErrorsError(ValueError):
+class ErrorsError(InputError):
     """Steering errors that cannot be computed or compared."""
 
 

@@ -17,8 +17,9 @@ from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, State
 from ds_analysis.common.statistics import Indices
 from ds_analysis.prediction.mixture import Prediction
 from ds_analysis.real.records import FOLDER, MOST_ROWS, RecordError, Text
-from ds_driver.whole_files import write_json
-from ds_orchestrator.store.folder_files import read_file
+from ds_base.atomic_files import write_json
+from ds_base.errors import InputError
+from ds_base.folder_files import read_file
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, three_digits
@@ -30,7 +31,7 @@ _SEED = 23
 """Seed of the order in which tests are drawn, with their names; any number does."""
 
 
-class BudgetError(ValueError):
+class BudgetError(InputError):
     """A number of drives that cannot be proposed."""
 
 

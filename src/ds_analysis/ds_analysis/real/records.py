@@ -14,9 +14,10 @@ from typing import Annotated
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ds_analysis.outcomes.study import FILE, is_study, read_study
-from ds_driver.whole_files import write_json
-from ds_orchestrator.store.folder_files import LARGEST_FILE, read_file
-from ds_road.bounded_file import FileError, read_regular
+from ds_base.atomic_files import write_json
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.errors import InputError
+from ds_base.folder_files import LARGEST_FILE, read_file
 
 FOLDER = "real"
 """Folder of proposals and real drives within a campaign's."""
@@ -34,7 +35,7 @@ _LONGEST = 200
 Text = Annotated[str, Field(max_length=_LONGEST)]
 
 
-class RecordError(ValueError):
+class RecordError(InputError):
     """Outcomes of real drives that cannot be used."""
 
 

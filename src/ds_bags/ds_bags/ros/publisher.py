@@ -19,7 +19,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, 
 from rosgraph_msgs.msg import Clock
 
 from ds_bags.layout import printable
-from ds_sim.installation import share_folders
+from ds_base.installation import share_folders
 from ds_sim.ros.runtime import init_ros
 
 QUEUE = 5000

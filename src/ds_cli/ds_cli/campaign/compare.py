@@ -195,9 +195,9 @@ def campaign_compare_command(
     from ds_analysis.comparison.tables import networks_table
     from ds_analysis.outcomes.pairs import compare_studies
     from ds_analysis.outcomes.study import is_study
+    from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
-    from ds_orchestrator.store.folder_files import make_folder
     from ds_studies.comparison.compare import compare, compare_until_sure
 
     if (second is None) == (driver is None):

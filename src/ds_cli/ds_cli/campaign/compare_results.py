@@ -117,8 +117,8 @@ def write_comparison(
         markdown_of,
         simulator_table,
     )
+    from ds_base.installation import ds_command
     from ds_report.comparison_page import grids_of, write_comparison_page
-    from ds_sim.installation import ds_command
 
     road_files = write_roads(found, out / "worse")
     document = {**document_of(found, road_files), "unmet": list(unmet), "page": str(out / "comparison.html")}

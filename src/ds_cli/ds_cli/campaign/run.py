@@ -73,12 +73,12 @@ def campaign(
     Raises:
         Interrupted: the user stopped it.
     """
+    from ds_base.installation import as_typed
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.campaign.folder import open_store
     from ds_orchestrator.campaign.status import driver_habits
     from ds_orchestrator.engines.preflight import faster_choice
-    from ds_sim.installation import as_typed
     from ds_studies.whole_campaign import run_campaign
 
     if faster := faster_choice(config.driver, config.engine):
@@ -163,7 +163,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
 
 
 def _kept(out: Path, done: int) -> str:
-    from ds_sim.installation import ds_command
+    from ds_base.installation import ds_command
 
     finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
     return f"{finished}`{ds_command('campaign', 'resume', out)}` continues"
@@ -201,8 +201,8 @@ def campaign_init_command(
 
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
+    from ds_base.installation import ds_command
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_sim.installation import ds_command
 
     ask = sys.stdin.isatty()
     driver = driver or (typer.prompt("Network", DRIVER, err=True) if ask else DRIVER)
@@ -259,8 +259,8 @@ def search_command(
     As `ds campaign init` and `ds campaign run` do, without ROS unless --engine says otherwise. The configuration is
     campaign.yaml in the folder. The last line is the path of the HTML report.
     """
+    from ds_base.folder_files import make_folder
     from ds_orchestrator.campaign.config import ConfigError, read_config
-    from ds_orchestrator.store.folder_files import make_folder
 
     def tested(network: str, folder: Path) -> Result:
         file = folder / "campaign.yaml"

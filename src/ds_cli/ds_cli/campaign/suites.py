@@ -121,10 +121,10 @@ def suite_run_command(
     criterion is not met.
     """
     from ds_analysis.comparison.sequential import BATCH
+    from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Progress
     from ds_orchestrator.engines.fingerprint import code_sha256
-    from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.registry import received_simulator
     from ds_studies.failure_videos import FailedDrive, write_failure_videos
     from ds_studies.suite.suite_file import (

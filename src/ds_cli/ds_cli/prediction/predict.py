@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
-from ds_sim.installation import ds_command
 
 if TYPE_CHECKING:
     from ds_analysis.prediction.verdicts import Verdicts
@@ -62,7 +62,7 @@ def predict_command(
     from ds_analysis.prediction.mixture import predict
     from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
     from ds_analysis.prediction.verdicts import cell_table, judge
-    from ds_orchestrator.store.folder_files import make_folder
+    from ds_base.folder_files import make_folder
     from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
 from ds_cli.prediction.predict import TestsFolder, cell_labels
-from ds_sim.installation import ds_command
 
 if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
@@ -63,7 +63,7 @@ def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
     from ds_analysis.outcomes.folders import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.records import FOLDER, RecordError
-    from ds_driver.whole_files import write_json, write_whole
+    from ds_base.atomic_files import write_json, write_whole
     from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
 
@@ -130,7 +130,7 @@ def propose_command(
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.certificate import drives_until
     from ds_analysis.real.proposal import candidates_of, propose
-    from ds_orchestrator.store.folder_files import locked
+    from ds_base.folder_files import locked
     from ds_report.drives_on_the_car import TO_FILL, write_drives_to_do
 
     with locked(folder):
@@ -214,7 +214,7 @@ def record_command(
     from ds_analysis.outcomes.folders import read_table
     from ds_analysis.real.proposal import SCALE, read_proposed
     from ds_analysis.real.records import added, read_csv, read_drives, read_recorded, write_drives
-    from ds_orchestrator.store.folder_files import locked
+    from ds_base.folder_files import locked
     from ds_recording.real_drive import is_recording
 
     with locked(folder):
@@ -246,7 +246,7 @@ def update_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Show predictions before and after the recorded drives, what they certify, and whether simulators have helped."""
-    from ds_orchestrator.store.folder_files import locked, make_folder
+    from ds_base.folder_files import locked, make_folder
 
     if out is not None:
         make_folder(out)

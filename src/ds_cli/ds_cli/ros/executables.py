@@ -9,8 +9,8 @@ import sys
 
 from rclpy.utilities import remove_ros_args
 
+from ds_base.executables import start
 from ds_cli import main as cli
-from ds_sim.executables import start
 
 
 def orchestrator() -> None:

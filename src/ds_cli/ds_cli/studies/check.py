@@ -36,9 +36,9 @@ def check_command(
     from rich.console import Console
     from rich.table import Table
 
+    from ds_base.folder_files import make_folder
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.network_file import KINDS
-    from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.camera.encodings import png
     from ds_studies.network_check.description import describe, forms_of
     from ds_studies.network_check.diagnosis import check_network

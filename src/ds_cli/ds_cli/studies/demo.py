@@ -27,10 +27,10 @@ def demo_command(
 
     One road in clear air and in fog; what else breaks the network; a campaign under the conditions that do; the report.
     """
+    from ds_base.folder_files import make_folder
+    from ds_base.installation import ds_command
     from ds_cli.campaign.run import campaign
     from ds_cli.options import with_engine
-    from ds_orchestrator.store.folder_files import make_folder
-    from ds_sim.installation import ds_command
     from ds_studies import demo
 
     workers = workers or DEMO_WORKERS

@@ -46,11 +46,11 @@ def explain_command(
     """
     from ds_analysis.common.table import write_tables
     from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of, where
+    from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.engines.drive_tests import Progress
-    from ds_orchestrator.store.folder_files import make_folder
     from ds_studies.explanation.experiment import drive_experiments, experiment_on, experiments_on
     from ds_studies.whole_campaign import check_trust
 

@@ -79,8 +79,8 @@ def sensitivity_command(
     from rich.console import Console
 
     from ds_analysis.common.table import write_tables
+    from ds_base.folder_files import make_folder
     from ds_orchestrator.campaign.engine import DriveSettings
-    from ds_orchestrator.store.folder_files import make_folder
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import Sensitivity, analyse_sensitivity
     from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named

@@ -11,10 +11,11 @@ from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
 
+from ds_base.errors import RunError
+from ds_base.processes import ChildProcesses, last_line_of, python_environment
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.drive_worker import KEY_BYTES, PhaseMemory, encoded_request
 from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
-from ds_driver.processes import ChildProcesses, last_line_of, python_environment
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -33,7 +34,7 @@ _POLL = 0.2
 """Seconds between two looks at a process that is silent."""
 
 
-class WorkerError(RuntimeError):
+class WorkerError(RunError):
     """A worker process that cannot be started."""
 
 

@@ -12,13 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_sim.simulator import SimulatorSpec
 
 STANDSTILL = 1e-3
 """Commanded speed below which a yaw rate does not determine the wheel angle, m/s: a car cannot turn on the spot."""
 
 
-class MotionError(ValueError):
+class MotionError(InputError):
     """A request that no vehicle of this project can follow."""
 
 

@@ -14,14 +14,14 @@ from zlib import crc32
 
 import numpy as np
 
+from ds_base.installation import ds_command
+from ds_base.processes import Progress, map_in_processes
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import DatasetError, drive_path, keep_plan, write_drive
-from ds_driver.processes import Progress, map_in_processes
 from ds_road import Road, RoadError, generate, mutate, read_raw_roads, road_from_json
 from ds_sim.camera.encodings import jpeg
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
-from ds_sim.installation import ds_command
 from ds_sim.registry import simulator_of_process, spec_of
 from ds_sim.simulator import Command, Outcome, Simulator
 

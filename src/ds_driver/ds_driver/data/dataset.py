@@ -15,9 +15,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED
+from ds_base.atomic_files import whole_file, write_json, write_whole
+from ds_base.errors import InputError
+from ds_base.installation import ds_command
 from ds_driver.networks.images import Crop, ImageError, rgb_of_file
-from ds_driver.whole_files import whole_file, write_json, write_whole
-from ds_sim.installation import ds_command
 from ds_sim.registry import label_of, received_simulator, spec_of
 
 _READ = ["image", "steering", "simulator", "road_id", "step", "speed"]
@@ -55,7 +56,7 @@ TRUST = "--trust"
 """Command line option that confirms code named by a file."""
 
 
-class DatasetError(ValueError):
+class DatasetError(InputError):
     """The data set cannot be used."""
 
 

@@ -17,13 +17,13 @@ from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.processes import Progress
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of_file, rgb_of_message
 from ds_driver.networks.pilot import NOT_SIMULATED, Frame
-from ds_driver.processes import Progress
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import SIMULATORS, label_of, received_simulator, spec_of
 

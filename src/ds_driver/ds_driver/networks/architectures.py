@@ -10,8 +10,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import prod
 
+from ds_base.errors import InputError
 
-class UnknownNetworkError(ValueError):
+
+class UnknownNetworkError(InputError):
     """The name does not denote a network."""
 
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.installation import CPUINFO, install_command, processor_flags
 from ds_driver.networks.pilot import DriverError
-from ds_sim.installation import CPUINFO, install_command, processor_flags
 
 BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
 """auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""

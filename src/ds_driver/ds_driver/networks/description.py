@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_driver.control.bicycle import Geometry, pursuit_curvature
 from ds_driver.networks.images import Crop
 from ds_driver.networks.memory import MOST_FRAMES, GivenInput
 from ds_driver.networks.network_file import KINDS, refuse_weights_alone
 from ds_driver.networks.pilot import DriverError
-from ds_sim.bounded_yaml import BoundedYamlError, read_yaml
 from ds_sim.camera.spec import IMAGE_HEIGHT
 
 GUIDE = "docs/bring_your_own_network.md"

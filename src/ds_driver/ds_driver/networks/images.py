@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 Pixels = NDArray[np.uint8]
@@ -30,7 +31,7 @@ _TO_RGB = {
 """sensor_msgs/image_encodings -> bytes per pixel and OpenCV conversion; `yuv422` means UYVY."""
 
 
-class ImageError(ValueError):
+class ImageError(InputError):
     """The image has a size, type or content that the networks do not accept."""
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.installation import ds_command
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import graph_runner
@@ -26,7 +27,6 @@ from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import for_backend
 from ds_driver.networks.user_class import UserClassPilot, source_of
 from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
-from ds_sim.installation import ds_command
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
 

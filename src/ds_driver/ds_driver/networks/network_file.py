@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.installation import ds_command
 from ds_driver.networks.backends import BackendError, Runner, check_onnx, onnx_runner, openvino_runner
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.quantisation import Samples, for_backend
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
-from ds_sim.installation import ds_command
 
 NETWORK_MEMORY = 4 * 2**30
 """Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_driver.control.bicycle import Geometry
 from ds_driver.networks.images import Crop
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -19,7 +20,7 @@ NOT_SIMULATED = ""
 """In place of a simulator's name: a photograph, or an image that is translated already; a network sees it as it is."""
 
 
-class DriverError(ValueError):
+class DriverError(InputError):
     """The driver cannot be loaded or gives no valid answer: the run ends as an error, not as a failure."""
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
+from ds_base.installation import CPUINFO, processor_flags
 from ds_driver.networks.backends import BackendError, last_line, onnx_runner
-from ds_sim.installation import CPUINFO, processor_flags
 
 Samples = Callable[[], Sequence[NDArray[Any]]]
 """Makes inputs of a network, with a batch of one."""

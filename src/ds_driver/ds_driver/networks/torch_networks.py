@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from ds_base.atomic_files import whole_file
 from ds_driver.networks.architectures import (
     NETWORKS,
     Architecture,
@@ -26,7 +27,6 @@ from ds_driver.networks.architectures import (
 )
 from ds_driver.networks.backends import BackendError, Runner, last_line, shape_and_type
 from ds_driver.networks.weights import load_weights, metadata_of
-from ds_driver.whole_files import whole_file
 
 
 class DrivingNetwork(nn.Module):

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from safetensors import deserialize, safe_open
 from safetensors.numpy import save_file
 
+from ds_base.atomic_files import whole_file
+from ds_base.errors import InputError
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
-from ds_driver.whole_files import whole_file
 
 SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
@@ -44,7 +45,7 @@ SMALLEST_LAYER = 1_000_000
 """Fewest weights of a layer that is stored in 8 bits; chosen: smaller ones save less than 1 MB."""
 
 
-class WeightsError(ValueError):
+class WeightsError(InputError):
     """The weights file is missing, damaged, or of another architecture."""
 
 

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
+from ds_base.errors import RunError
 from ds_driver.data.recordings import RecordedFrame
 from ds_driver.networks.images import Crop
 from ds_sim.ros import conversions as messages
@@ -24,7 +25,7 @@ REPEAT = 0.5
 """Time after which an unanswered image is sent again, s; as in a simulator's node."""
 
 
-class NoDriverError(RuntimeError):
+class NoDriverError(RunError):
     """No driver node subscribes to images in the namespace."""
 
 

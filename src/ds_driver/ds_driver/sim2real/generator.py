@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
+from ds_base.errors import InputError
 
 EPSILON = 1e-5
 """Added to the variance of an instance normalisation (PyTorch's default)."""
@@ -49,7 +50,7 @@ class GeneratorShape:
         return self.rows, self.columns
 
 
-class Sim2RealError(ValueError):
+class Sim2RealError(InputError):
     """Photographs, generators or settings that cannot be used."""
 
 

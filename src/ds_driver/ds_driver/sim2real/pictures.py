@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_driver.data.dataset import decode, read_samples
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_driver.sim2real.generator import Sim2RealError, resize
 from ds_driver.sim2real.settings import HELD_OUT
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.registry import SIMULATORS
 
 SUFFIXES = (".jpg", ".jpeg", ".png")

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.processes import Progress
+from ds_base.atomic_files import write_json
+from ds_base.processes import Progress
 from ds_driver.sim2real.generator import Window, prepare
 from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
@@ -17,7 +18,6 @@ from ds_driver.sim2real.pictures import evenly, read_photographs, split
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
 from ds_driver.sim2real.trainer import SHOWN, Domains
-from ds_driver.whole_files import write_json
 from ds_sim.registry import spec_of
 from ds_sim.simulator import SimulatorSpec
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import whole_file
+from ds_base.processes import Progress, map_in_processes
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
-from ds_driver.processes import Progress, map_in_processes
 from ds_driver.sim2real.generator import Sim2RealError
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
-from ds_driver.whole_files import whole_file
 from ds_road import Road
 from ds_sim.registry import simulator_of_process
 from ds_sim.simulator import Outcome

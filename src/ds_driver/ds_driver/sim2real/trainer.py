@@ -19,13 +19,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from ds_base.atomic_files import write_whole
 from ds_driver.sim2real.generator import Sim2RealError, Window, save_generator
 from ds_driver.sim2real.lane_pairs import align_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, to_batch, to_images
 from ds_driver.sim2real.pictures import sheet
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.training import device_of, load_checkpoint, save_checkpoint
-from ds_driver.whole_files import write_whole
 from ds_sim.camera.encodings import png
 
 EPOCHS = "epochs"

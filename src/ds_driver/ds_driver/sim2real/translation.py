@@ -18,14 +18,14 @@ from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
+from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.processes import Progress, map_in_processes
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.recordings import MAX_IMAGE_FILE
 from ds_driver.networks.images import ImageError, rgb_of_file, rgb_of_message
-from ds_driver.processes import Progress, map_in_processes
 from ds_driver.sim2real.generator import Sim2RealError, check_fits, load_generator
 from ds_driver.sim2real.translator import Translator
-from ds_driver.whole_files import write_json, write_whole
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import jpeg
 
 MARK = TRANSLATED

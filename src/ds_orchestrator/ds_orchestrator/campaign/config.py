@@ -17,6 +17,9 @@ from pydantic import (
     model_validator,
 )
 
+from ds_base.config_errors import problems, read_keys
+from ds_base.errors import InputError
+from ds_base.extension import confirm, is_extension
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.algebra import operator_of
@@ -26,8 +29,6 @@ from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, VISIBLE_
 from ds_road import Side
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
-from ds_sim.config_errors import problems, read_keys
-from ds_sim.extension import confirm, is_extension
 from ds_sim.registry import SIMULATORS, SimulatorName
 
 MOST_WORKERS = 64
@@ -39,7 +40,7 @@ USUAL_AXES = ("line_contrast", "visibility", "veiling_luminance")
 whether lines are seen. The first one is the curvature of the driven lane."""
 
 
-class ConfigError(ValueError):
+class ConfigError(InputError):
     """A configuration that names an unknown key or a value that is not allowed."""
 
 

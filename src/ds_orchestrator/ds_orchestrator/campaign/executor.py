@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.run_writer import write_bag
+from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings, Engine
@@ -57,7 +58,7 @@ class StopSwitch:
                 end()
 
 
-class CampaignError(RuntimeError):
+class CampaignError(RunError):
     """Campaign that cannot continue because a simulator is broken."""
 
 
@@ -81,7 +82,7 @@ class Listener:
         """
 
 
-class NoOutcomeError(RuntimeError):
+class NoOutcomeError(RunError):
     """Every attempt ended in an error, which says nothing about the test.
 
     Attributes:

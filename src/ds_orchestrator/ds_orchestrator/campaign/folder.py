@@ -9,19 +9,18 @@ from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
+from ds_base.atomic_files import write_whole
+from ds_base.folder_files import StoreError, check_name, make_folder, read_file
+from ds_base.installation import versions
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_driver.whole_files import write_whole
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName
 from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.folder_files import check_name, make_folder, read_file
 from ds_orchestrator.store.model import Execution, Test
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import Gate
-from ds_sim.installation import versions
 
 STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
@@ -39,7 +38,7 @@ def open_store(folder: Path, *, writable: bool = False) -> Store:
 
     Args:
         folder: campaign folder.
-        writable: results may be written, under `ds_orchestrator.store.folder_files.locked`; without, nothing in the
+        writable: results may be written, under `ds_base.folder_files.locked`; without, nothing in the
             folder changes, and everything that is read is of one moment, even while the campaign runs.
 
     Raises:

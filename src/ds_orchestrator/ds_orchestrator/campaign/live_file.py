@@ -14,14 +14,13 @@ from pathlib import Path
 
 from pydantic import BaseModel, Field, ValidationError
 
+from ds_base.atomic_files import write_whole
+from ds_base.folder_files import StoreError, read_file
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.whole_files import write_whole
 from ds_orchestrator.campaign.engine import Engine, Watch
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
-from ds_orchestrator.store.folder_files import read_file
 from ds_orchestrator.store.model import Execution, Test
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_sim.gates.gate import Gate
 from ds_sim.session import RunRecord
 

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ds_base.folder_files import StoreError, is_locked
 from ds_driver.control.command_habits import Habit, command_habits
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, STAGES, CampaignData, config_of, open_store, read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
-from ds_orchestrator.store.folder_files import is_locked
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 from ds_sim.simulator import Outcome
 

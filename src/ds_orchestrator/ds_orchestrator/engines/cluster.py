@@ -12,15 +12,16 @@ from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, FilePath, ValidationError
 
-from ds_sim.config_errors import problems, read_keys
-from ds_sim.installation import install_command
+from ds_base.config_errors import problems, read_keys
+from ds_base.errors import InputError
+from ds_base.installation import install_command
 from ds_sim.registry import path_moved
 
 CONNECT_TIME = 10.0
 """Limit for reaching a scheduler, s; chosen: a loaded one answers in a second."""
 
 
-class ClusterError(ValueError):
+class ClusterError(InputError):
     """A cluster that cannot be used as it was asked for."""
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines import dask_worker
@@ -36,7 +37,7 @@ LOSSES = 5
 """Workers that one drive may lose; chosen: further ones are taken to be the drive's own fault."""
 
 
-class EngineError(RuntimeError):
+class EngineError(RunError):
     """The cluster cannot drive any more; what was finished is kept."""
 
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from ds_base.folder_files import locked, make_folder
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Executor, Listener, Stopped, StopSwitch
 from ds_orchestrator.campaign.folder import record_provenance
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.folder_files import locked, make_folder
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate

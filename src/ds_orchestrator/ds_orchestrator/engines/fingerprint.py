@@ -11,12 +11,12 @@ from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from ds_sim.installation import CPUINFO, processor_flags, versions
+from ds_base.installation import CPUINFO, processor_flags, versions
 from ds_sim.registry import SimulatorName, UnknownSimulatorError, spec_of
 from ds_sim.simulator import SimulatorError
 
 CODE = (
-    "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs",
+    "ds_base", "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs",
     "ds_sim_ros", "ds_twin_donkey", "ds_recording",
 )  # fmt: skip
 """Packages whose code takes part in a drive."""

@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ds_base.errors import InputError
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_sim.registry import SimulatorName
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from ds_driver.networks.driver_name import DriverName
 
 
-class ParcelError(ValueError):
+class ParcelError(InputError):
     """A driver or a simulator that cannot be sent to another machine."""
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.util import find_spec
 
+from ds_base.installation import install_command
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.model import NotApplicableError
-from ds_sim.installation import install_command
 from ds_sim.registry import make_simulator, spec_of
 
 BFLOAT16_SHARE = {"graph": 0.55, "local": 0.6, "dask": 0.6}

@@ -19,6 +19,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_srvs.srv import Trigger
 
+from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.graph.supervisor import (
@@ -51,7 +52,7 @@ QUERY_TIME = 2.5
 _NUMBERS = itertools.count()
 
 
-class GraphError(RuntimeError):
+class GraphError(RunError):
     """Graph that does not start, or holds unexpected simulators."""
 
 

@@ -10,6 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from queue import SimpleQueue
 
+from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
@@ -30,7 +31,7 @@ LOCKS = Path("/tmp")
 """Shared by all users of the machine; a folder per user would not keep two users apart."""
 
 
-class RosDomainError(RuntimeError):
+class RosDomainError(RunError):
     """No free ROS domain."""
 
 

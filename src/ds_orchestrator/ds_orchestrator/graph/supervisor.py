@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
 
+from ds_base.errors import RunError
+from ds_base.processes import USER_DOMAIN, ChildProcesses, last_line_of
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_driver.processes import USER_DOMAIN, ChildProcesses, last_line_of
 
 
-class RosMissingError(RuntimeError):
+class RosMissingError(RunError):
     """ROS, or the workspace's messages, are not installed."""
 
 
@@ -38,7 +39,7 @@ STOP_TIME = 3.0
 """Limit for a process to obey SIGINT, then SIGTERM, before it is killed, s."""
 
 
-class ProcessError(RuntimeError):
+class ProcessError(RunError):
     """Process that ended unexpectedly."""
 
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from ds_base.extension import ExtensionError, is_extension, load_extension
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
 from ds_orchestrator.store.model import Execution
-from ds_sim.extension import ExtensionError, is_extension, load_extension
 
 LEVEL = 0.95
 """Coverage of intervals; chosen: the usual one, matching the paper's alpha of 0.05."""
@@ -82,7 +82,7 @@ def operator_of(name: str) -> MergeOperator:
     """Look up an operator: a key of `OPERATORS`, or `module:NAME`, a `MergeOperator`.
 
     Raises:
-        ds_sim.extension.ExtensionError: the name is unknown, or leads to no operator.
+        ds_base.extension.ExtensionError: the name is unknown, or leads to no operator.
     """
     if name in OPERATORS:
         return OPERATORS[name]

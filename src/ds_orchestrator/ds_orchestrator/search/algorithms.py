@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import softmax
 
+from ds_base.extension import ExtensionError, is_extension, load_extension
 from ds_orchestrator.search.features import Cell, cell_of
 from ds_road import MutationError, Road, Side, generate, mutate
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.conditions.scales import between, share_of
 from ds_sim.conditions.text import check_known
-from ds_sim.extension import ExtensionError, is_extension, load_extension
 
 STEP = 0.2
 """Largest mutation of a condition, as a share of its range; chosen: about what 6 m, the largest move of a
@@ -428,7 +428,7 @@ def search_of(name: str) -> type[Search]:
     """Look up a search: a key of `SEARCHES`, or `module:Class`, a subclass of `Search`.
 
     Raises:
-        ds_sim.extension.ExtensionError: the name is unknown, or leads to no search.
+        ds_base.extension.ExtensionError: the name is unknown, or leads to no search.
     """
     if name in SEARCHES:
         return SEARCHES[name]

@@ -16,12 +16,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
+from ds_base.extension import is_extension, load_extension
 from ds_road import Road
 from ds_road.geometry import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import between, share_of
 from ds_sim.conditions.text import three_digits
-from ds_sim.extension import is_extension, load_extension
 from ds_sim.gates.gate import LEAST_CONTRAST
 
 Cell = tuple[int, ...]
@@ -217,7 +218,7 @@ DEFAULT_FEATURES = ("turns_count", "curvature")
 """The paper's (3.3)."""
 
 
-class FeatureError(ValueError):
+class FeatureError(InputError):
     """Unknown feature name, or invalid bin width."""
 
 
@@ -233,7 +234,7 @@ def feature_of(name: str) -> Feature:
 
     Raises:
         FeatureError: the name is unknown, or the width is not a whole number of at least 1.
-        ds_sim.extension.ExtensionError: the user's own feature cannot be loaded.
+        ds_base.extension.ExtensionError: the user's own feature cannot be loaded.
 
     Examples:
         >>> from ds_orchestrator import feature_of

@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
+
 LONGEST_TEXT = 10_000
 """Characters of a message, name or fact; chosen: far above the longest one that a campaign writes."""
 LONGEST_ROAD = 200_000
@@ -23,7 +25,7 @@ _COLUMNS = 5
 _SHA256 = 64
 
 
-class RowError(ValueError):
+class RowError(InputError):
     """Value that no campaign can have written; the message names the column."""
 
 

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from ds_base.folder_files import StoreError
+
 SCHEMA_VERSION = 4
 SCHEMA = """
 CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL);
@@ -47,10 +49,6 @@ _TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if sta
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """Ends a rollback journal that names a super-journal, which SQLite would delete (SQLite file format, 3)."""
 Row = tuple[Any, ...]
-
-
-class StoreError(ValueError):
-    """Campaign folder that cannot be used."""
 
 
 class SqliteFile:

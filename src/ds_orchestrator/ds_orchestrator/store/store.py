@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from ds_base.folder_files import StoreError
 from ds_orchestrator.store import rows as check
 from ds_orchestrator.store.model import (
     EXECUTION_COLUMNS,
@@ -19,7 +20,7 @@ from ds_orchestrator.store.model import (
     test_of,
 )
 from ds_orchestrator.store.rows import pack_numbers
-from ds_orchestrator.store.sqlite_file import Row, SqliteFile, StoreError
+from ds_orchestrator.store.sqlite_file import Row, SqliteFile
 from ds_road import Side
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate, GateState

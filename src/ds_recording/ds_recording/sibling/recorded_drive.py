@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import TubError, is_tub, read_tub
 from ds_bags.layout import BagError
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
@@ -19,7 +20,6 @@ from ds_recording.floor_camera import FloorCamera
 from ds_recording.located import ABOUT, CAMERA, LOCATED, MAX_FILE, TRACK, Located, read_located
 from ds_recording.track import Track
 from ds_road.geometry import BOX
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.camera.encodings import png
 from ds_twin_donkey.parameters import SCALE
 

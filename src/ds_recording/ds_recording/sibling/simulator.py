@@ -8,6 +8,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ds_base.config_errors import problems, read_keys
 from ds_recording.errors import RecordingError
 from ds_recording.sibling.photo_scene import PhotoScene, camera_spec
 from ds_recording.sibling.recorded_drive import RecordedDrive, read_drive
@@ -15,7 +16,6 @@ from ds_recording.sibling.sections import check_is_section
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.config_errors import problems, read_keys
 from ds_sim.registry import UnknownSimulatorError
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Observation, SimulatorSpec, VehicleState

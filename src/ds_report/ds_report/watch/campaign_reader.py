@@ -7,12 +7,12 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
 from ds_orchestrator.campaign.live_file import Live, read_live
 from ds_orchestrator.search.features import Cell, cell_of
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_orchestrator.store.store import Store
 
 

@@ -16,8 +16,9 @@ from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
+from ds_base.errors import InputError, RunError
+from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_report.camera_pictures import translates
 from ds_report.html_report import environment
 from ds_report.watch.campaign_reader import CampaignReader
@@ -39,11 +40,11 @@ PATIENCE = 60.0
 _POLICY = "default-src 'none'; connect-src 'self'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 
-class ServerError(ValueError):
+class ServerError(InputError):
     """Server that cannot start."""
 
 
-class BusyError(RuntimeError):
+class BusyError(RunError):
     """Too many drives are asked for at once."""
 
 

@@ -15,15 +15,17 @@ from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import Any
 
+from ds_base.errors import InputError
+
 REFERENCE_ILLUMINANCE = 10_000.0
 """Illuminance of the road in every simulator's own picture, lx; chosen: an overcast day (CIE: 10 to 25 klx)."""
 
 
-class ConditionsError(ValueError):
+class ConditionsError(InputError):
     """Conditions that are unknown, out of range or contradictory; one line with what is allowed."""
 
 
-class NotApplicableError(ValueError):
+class NotApplicableError(InputError):
     """A test with a condition that a simulator cannot realise: neither a failure of the driver nor an error."""
 
 

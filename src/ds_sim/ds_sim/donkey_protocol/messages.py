@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.errors import InputError
 from ds_sim.camera.encodings import jpeg, png
 from ds_sim.simulator import Command, Observation, Outcome
 
@@ -20,7 +21,7 @@ LARGEST_MESSAGE = 64 * 1024
 _SPACE = b" \t\r\n\0"
 
 
-class ProtocolError(ValueError):
+class ProtocolError(InputError):
     """A client sent what the protocol does not allow; its session ends."""
 
 

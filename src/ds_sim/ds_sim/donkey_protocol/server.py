@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from ds_base.errors import InputError
 from ds_sim.donkey_protocol.conversation import SCENE, Conversation, ServedTests
 from ds_sim.donkey_protocol.messages import MessageSplitter, ProtocolError
 from ds_sim.registry import make_simulator
@@ -28,7 +29,7 @@ YIELDS_AFTER = 30.0
 than a network computes, so that only clients that hang or pause lose theirs."""
 
 
-class ServerError(ValueError):
+class ServerError(InputError):
     """The server cannot listen."""
 
 

@@ -11,13 +11,14 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
 
+from ds_base.errors import InputError
 from ds_road import Road, RoadError
 from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
 from ds_sim.ros.conversions import conditions_from_messages, refusal_result, road_from_message
 from ds_sim.simulator import Reason, SimulatorSpec
 
 
-class RequestRefused(ValueError):
+class RequestRefused(InputError):
     """A node does not accept a road or a goal.
 
     Args:

@@ -19,6 +19,8 @@ from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from ds_base.errors import InputError
+
 try:
     from rclpy.experimental import EventsExecutor
 except ImportError:  # rclpy before 7.1.5 has none
@@ -61,7 +63,7 @@ class Stop:
         os._exit(128 + number)
 
 
-class LogFolderError(ValueError):
+class LogFolderError(InputError):
     """ROS 2 has no writable folder for its logs."""
 
 

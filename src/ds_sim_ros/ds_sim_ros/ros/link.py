@@ -20,9 +20,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
+from ds_base.processes import USER_DOMAIN
 from ds_driver.control.bicycle import Geometry
 from ds_driver.control.other_stacks import KINDS, Motion, set_part
-from ds_driver.processes import USER_DOMAIN
 from ds_driver.ros.command_publisher import message_type
 from ds_road import Road
 from ds_sim.ros.conversions import road_to_message

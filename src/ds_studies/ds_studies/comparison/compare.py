@@ -10,6 +10,7 @@ from typing import Literal
 from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks, is_sure
 from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from ds_analysis.comparison.sequential import BATCH
+from ds_base.installation import ds_command
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -20,7 +21,6 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate
-from ds_sim.installation import ds_command
 
 Drives = Mapping[Key, Execution]
 SAME = ("siblings", "twin", "lane", "conditions", "gates", "maxitwo_compatible", "features", "migration", "search")

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ds_analysis.failures.reasons import Groups
+from ds_base.errors import RunError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import CampaignData
@@ -60,7 +61,7 @@ class Experiment:
         return Explanation(test_id=self.test.test_id, fails=self.fails, against=self.against, losses=losses)
 
 
-class ExplanationError(RuntimeError):
+class ExplanationError(RunError):
     """A drive of an experiment gave no outcome."""
 
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from ds_base.installation import ds_command
 from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.described_network import DescribedNetworkPilot, sizes
 from ds_driver.networks.description import GUIDE, DescribedNetwork
 from ds_driver.networks.network_file import limited_memory, runner_of
 from ds_driver.networks.pilot import DriverError
-from ds_sim.installation import ds_command
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement, agreement
 from ds_studies.network_check.diagnosis import (
     SHARE_TRIED,

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Indices
+from ds_base.processes import Progress, map_in_processes
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
-from ds_driver.processes import Progress, map_in_processes
 from ds_road import Road
 from ds_sim.registry import simulator_of_process
 from ds_sim.session import Session

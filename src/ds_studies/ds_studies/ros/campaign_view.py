@@ -15,9 +15,9 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
-from ds_orchestrator.store.sqlite_file import StoreError
 from ds_studies.ros.campaign_messages import Grids, grids_of, stamped, test_response
 from ds_studies.ros.goals import Job
 

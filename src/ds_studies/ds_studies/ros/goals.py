@@ -10,13 +10,13 @@ from typing import Any
 
 from rclpy.action.server import ServerGoalHandle
 
+from ds_base.bounded_yaml import BoundedYamlError, load_yaml
+from ds_base.config_errors import read_keys
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, moved, parse_config
 from ds_orchestrator.campaign.executor import StopSwitch
 from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.store.model import Test
-from ds_sim.bounded_yaml import BoundedYamlError, load_yaml
-from ds_sim.config_errors import read_keys
 from ds_sim.ros.conversions import conditions_from_messages, road_from_message
 from ds_sim.ros.requests import GoalServer
 from ds_studies.ros.campaign_messages import outcome_message

@@ -19,9 +19,9 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
+from ds_base.extension import confirm
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.graph.signals import listen
-from ds_sim.extension import confirm
 from ds_sim.ros.neighbours import Presence
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.parameters import declare

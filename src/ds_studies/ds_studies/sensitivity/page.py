@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ds_driver.whole_files import write_whole
+from ds_base.atomic_files import write_whole
 from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import CameraPicture, camera_pictures
 from ds_report.html_report import environment

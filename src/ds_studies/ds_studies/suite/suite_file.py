@@ -15,6 +15,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
+from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.config_errors import problems
+from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, moved
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
@@ -23,10 +26,7 @@ from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.search.features import DEFAULT_FEATURES, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
-from ds_sim.bounded_yaml import BoundedYamlError, read_bounded
 from ds_sim.conditions.model import DEFAULT
-from ds_sim.config_errors import problems
-from ds_sim.installation import ds_command
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 

@@ -1,0 +1,49 @@
+"""Reads files that a stranger may have sent: regular ones of bounded size, never a FIFO, a device or a folder."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from ds_base.errors import InputError
+
+
+class FileError(InputError):
+    """File that is not read; the message is one line without the file's name."""
+
+
+def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
+    """Open a regular file for reading; never waits, as a FIFO would make it.
+
+    Args:
+        path: the file.
+        follow_links: whether the path itself may be a link.
+
+    Raises:
+        FileError: another kind of file.
+        OSError: it cannot be opened.
+    """
+    # Opening some devices has effects, so the kind is known before; the second look is at what was opened.
+    if not stat.S_ISREG(path.stat(follow_symlinks=follow_links).st_mode):
+        raise FileError("not a regular file: give the path of one")
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | (0 if follow_links else os.O_NOFOLLOW)
+    file = os.fdopen(os.open(path, flags), "rb")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise FileError("not a regular file: give the path of one")
+    return file
+
+
+def read_regular(path: Path, largest: int, *, follow_links: bool = True) -> bytes:
+    """Read a regular file of at most so many bytes; arguments and errors as in `open_regular`.
+
+    Raises:
+        FileError: another kind of file, or a longer one.
+    """
+    with open_regular(path, follow_links=follow_links) as file:
+        content = file.read(largest + 1)
+    if len(content) > largest:
+        raise FileError(f"longer than {largest / 2**20:g} MiB, the limit for such a file")
+    return content

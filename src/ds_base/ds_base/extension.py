@@ -1,0 +1,65 @@
+"""Loads a user's own part of the method, `module:NAME`, once the user has named it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from importlib import import_module
+from typing import TypeVar
+
+from ds_base.errors import InputError
+
+TRUST_VARIABLE = "DS_TRUST"
+"""Environment variable with names that may be loaded, separated by commas."""
+
+Part = TypeVar("Part")
+_confirmed: set[str] = set()
+
+
+class ExtensionError(InputError):
+    """A name that nobody confirmed, or that leads to no such part."""
+
+
+def is_extension(name: str) -> bool:
+    """Whether a name has the form `module:NAME`.
+
+    Examples:
+        >>> is_extension("my_parts.features:HAIRPINS"), is_extension("minimum_radius:20")
+        (True, False)
+    """
+    module, colon, attribute = name.partition(":")
+    return bool(colon) and all(part.isidentifier() for part in module.split(".")) and attribute.isidentifier()
+
+
+def confirm(names: Iterable[str]) -> None:
+    """Let names be loaded in this process; only the user's own words count, never those of a received file."""
+    _confirmed.update(names)
+
+
+def load_extension(name: str, kind: type[Part], what: str) -> Part:
+    """Import what a name leads to.
+
+    Args:
+        name: `module:NAME`.
+        kind: class that the part must be an instance of.
+        what: the part in the words of a message, such as `feature`.
+
+    Raises:
+        ExtensionError: nobody confirmed the name, it cannot be imported, or it is something else.
+    """
+    if name not in _confirmed and name not in os.environ.get(TRUST_VARIABLE, "").split(","):
+        raise ExtensionError(
+            f"{what} {name:.100} is Python code that is not shipped, and a received file must not run code: if you "
+            f"trust it, set {TRUST_VARIABLE}={name:.100}"
+        )
+    module, _, attribute = name.partition(":")
+    try:
+        part = getattr(import_module(module), attribute)
+    except Exception as error:  # importing a module can raise anything
+        raise ExtensionError(
+            f"{what} {name} cannot be imported ({type(error).__name__}: {error}): expected module:NAME, with the "
+            "module in this folder or on PYTHONPATH"
+        ) from None
+    if not isinstance(part, kind):
+        raise ExtensionError(f"{what} {name} is a {type(part).__name__}, expected a {kind.__name__}")
+    return part

@@ -1,0 +1,157 @@
+"""The one way into a folder of results, which may be a stranger's: regular files inside of it, of bounded size.
+
+Who reads takes `read_file`, which follows no link; who writes holds `locked`, which refuses every link, FIFO and device
+among the files of the folder before anything is written. The store has checks of its own.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import islice
+from pathlib import Path, PurePath
+
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.errors import InputError, RunError
+
+LARGEST_FILE = 16 * 2**20
+"""Bytes of a file beside the store that is read at once; chosen: a hundred times the usual one."""
+MOST_ENTRIES = 5_000_000
+"""Files and folders; chosen: bags of a million executions, looked at within a minute."""
+_OURS = re.compile(
+    r"(campaign|drives)\.sqlite.*|\.(lock|engine\.json|live\.json).*|bags|logs|maps|evaluation|real|drives|tables|worse"
+    r"|.*\.(json|html|md|csv|tex|png)"
+)
+"""Names of what verbs read and write in a folder; whatever else is there is left alone."""
+
+
+class StoreError(InputError):
+    """Folder or file of results that cannot be read or written; one line with the remedy."""
+
+
+class LockError(RunError):
+    """Folder that another process uses, or that cannot be written."""
+
+
+def read_file(folder: Path, name: str | PurePath, largest: int = LARGEST_FILE) -> bytes:
+    """Read a file inside a folder.
+
+    Args:
+        folder: the folder.
+        name: path of the file relative to it, of the program's own.
+        largest: limit, bytes.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        StoreError: a link, no regular file, too large, or it cannot be opened.
+    """
+    path = folder / name
+    try:
+        for parent in PurePath(name).parents[:-1]:
+            if (folder / parent).is_symlink():
+                raise StoreError(f"{folder / parent} is a link, expected a folder: remove it")
+        if path.is_symlink():
+            raise StoreError(f"{path} is a link, expected a file: remove it")
+        return read_regular(path, largest, follow_links=False)
+    except FileNotFoundError:
+        raise
+    except FileError as error:
+        raise StoreError(f"{path}: {error}") from None
+    except OSError as error:
+        raise StoreError(f"{path} cannot be opened ({error.strerror}): check its permissions") from None
+
+
+def check_name(folder: Path) -> None:
+    """Refuse a folder whose name is no text, which no report or page could show.
+
+    Raises:
+        StoreError: the name is not UTF-8.
+    """
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError:
+        raise StoreError(f"{os.fsencode(folder)!r}: the name is not UTF-8: rename the folder") from None
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder in which a write would follow a link out of it, or wait for a FIFO.
+
+    Raises:
+        StoreError: an entry is a link, or neither a file nor a folder, or there are too many.
+    """
+    check_name(folder)
+    try:
+        found = [entry for entry in os.scandir(folder) if _OURS.fullmatch(entry.name)]
+        left = MOST_ENTRIES
+        while found:
+            entry = found.pop()
+            left -= 1
+            if left < 0:
+                raise StoreError(f"{folder} has more than {MOST_ENTRIES} files, the limit for a campaign")
+            if entry.is_symlink():
+                raise StoreError(f"{entry.path} is a link, and could lead outside the campaign's folder: remove it")
+            if entry.is_dir(follow_symlinks=False):
+                with os.scandir(entry.path) as inside:
+                    found += islice(inside, MOST_ENTRIES)
+            elif not entry.is_file(follow_symlinks=False):
+                raise StoreError(f"{entry.path} is neither a file nor a folder: remove it")
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be read ({error.strerror}): check its permissions") from None
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder for results, or check the one that is there; errors as in `check_folder`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise StoreError(f"{folder} is a file, expected a folder: choose another --out") from None
+    except OSError as error:
+        raise StoreError(f"{folder} cannot be created ({error.strerror}): choose another --out") from None
+    check_folder(folder)
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Check a folder and lock it, to write there; the kernel releases the lock when this process ends.
+
+    Raises:
+        StoreError: see `check_folder`.
+        LockError: another process holds the lock, or the folder cannot be written.
+    """
+    check_folder(folder)
+    try:
+        file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise LockError(
+            f"{folder} cannot be written ({error.strerror}): check its permissions and disk, or choose another --out"
+        ) from None
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise LockError(f"{folder} is in use by another run: wait for it, or choose another --out") from None
+        except OSError as error:
+            raise LockError(f"{folder} cannot be locked ({error.strerror}): choose an --out on a local disk") from None
+        yield
+    finally:
+        os.close(file)
+
+
+def is_locked(folder: Path) -> bool:
+    """Whether a process holds the lock of a folder."""
+    try:
+        file = os.open(folder / ".lock", os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
+    finally:
+        os.close(file)
+    return False

@@ -1,0 +1,96 @@
+"""Where shared files are, how extras are added, and which library versions are installed."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shlex
+from functools import lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+WHEEL = "digital-siblings"
+"""Distribution with all packages that need no ROS."""
+
+
+def share_folders(package: str) -> list[Path]:
+    """Folders in which the shared files of a ROS package may be, such as its messages, the first ones first.
+
+    Args:
+        package: name of a package without Python modules, such as `ds_interfaces`.
+    """
+    prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    return [prefix / "share" / package for prefix in [*prefixes, Path(__file__).parent]]
+
+
+def wheel_version() -> str | None:
+    """Version of the installed wheel; None in a checkout or a workspace."""
+    try:
+        return version(WHEEL)
+    except PackageNotFoundError:
+        return None
+
+
+def ds_command(*words: object) -> str:
+    """A command that can be typed where `ds` was started, with names of files quoted.
+
+    Args:
+        words: verbs, options and arguments.
+    """
+    return shlex.join([os.environ.get("DS_COMMAND", "ds"), *map(str, words)])
+
+
+def as_typed(commands: str) -> str:
+    """Commands of a page, which begin with `ds`, as they are typed where `ds` was started."""
+    return re.sub(r"(^|&& )ds ", lambda found: f"{found[1]}{ds_command()} ", commands)
+
+
+def install_command(extra: str) -> str:
+    """Command that installs the libraries of an extra.
+
+    Args:
+        extra: name of a file in `requirements/`, which is also the name of the wheel's extra.
+    """
+    if wheel_version() is not None:
+        return f"python -m pip install '{WHEEL}[{extra}]'"
+    return f".venv/bin/python -m pip install --no-deps -r requirements/{extra}.txt"
+
+
+CPUINFO = Path("/proc/cpuinfo")
+"""Where Linux describes the processors."""
+
+
+def processor_flags(cpuinfo: Path = CPUINFO) -> frozenset[str]:
+    """Features of this machine's first processor in Linux's words (`avx2`, `avx512_bf16`); empty if it states none."""
+    try:
+        lines = cpuinfo.read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return frozenset()
+    for line in lines:
+        name, _, value = line.partition(":")
+        if name.strip() in ("flags", "Features"):
+            return frozenset(value.split())
+    return frozenset()
+
+
+_DISTRIBUTIONS = (
+    "numpy", "scipy", "scikit-learn", "statsmodels", "opencv-python-headless", "torch", "onnxruntime", "openvino",
+    "pybullet", "pymunk", "panda3d", "numba", "commonroad-vehicle-models", "shapely", "plotly",
+)  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the libraries that results depend on, by name, and the machine type."""
+    return dict(_versions())
+
+
+@lru_cache(maxsize=1)  # each look-up parses a distribution's metadata
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

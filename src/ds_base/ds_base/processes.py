@@ -1,0 +1,118 @@
+"""Child processes that never outlive this one, and pools of processes for independent jobs."""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import TypeVar
+
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)
+USER_DOMAIN = "DS_USER_ROS_DOMAIN_ID"
+"""Variable with the user's ROS domain, in the processes of a graph that has a domain of its own."""
+Progress = Callable[[int, int, str], None]
+"""Called with the number of jobs done, their total number, and a line about the last one."""
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+class ChildProcesses:
+    """Starts children from one lasting thread: the kernel ends a child when the thread that created it ends."""
+
+    def __init__(self) -> None:
+        self._spawner = ThreadPoolExecutor(1, thread_name_prefix="spawner")
+
+    def start(
+        self, command: Sequence[str], *, environment: Mapping[str, str], log: Path, pass_fds: Sequence[int] = ()
+    ) -> subprocess.Popen[bytes]:
+        """Start a child in a session of its own, so that Ctrl-C in the terminal reaches only this process.
+
+        It has the given environment only, and inherits the descriptors `pass_fds`; what it prints is appended to `log`.
+        """
+
+        def spawn() -> subprocess.Popen[bytes]:
+            with log.open("ab") as file:
+                return subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=subprocess.STDOUT,
+                    env=environment,
+                    start_new_session=True,
+                    pass_fds=pass_fds,
+                    preexec_fn=partial(_die_with_parent, os.getpid()),
+                )
+
+        return self._spawner.submit(spawn).result()
+
+    def close(self) -> None:
+        """End the thread, and with it every child that still runs."""
+        self._spawner.shutdown()
+
+
+def python_environment() -> dict[str, str]:
+    """Environment in which a child imports the same code as this process, with one thread per maths library."""
+    path = os.pathsep.join(entry for entry in sys.path if entry)
+    return os.environ | {"PYTHONPATH": path, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
+
+
+def last_line_of(log: Path) -> str:
+    """Read the last line that a child wrote."""
+    lines = log.read_text(errors="replace").strip().splitlines() if log.is_file() else []
+    return lines[-1] if lines else "(it wrote nothing)"
+
+
+def _die_with_parent(parent: int) -> None:
+    """Let the kernel end this process when its parent ends, even by SIGKILL."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # the parent ended before prctl took effect
+        os._exit(128 + signal.SIGTERM)
+
+
+def map_in_processes(
+    work: Callable[[Job], Result], jobs: Sequence[Job], *, workers: int | None = None
+) -> Iterator[Result]:
+    """Run jobs in worker processes with one OpenMP thread each, and yield the results in order.
+
+    `work` is a module-level function that depends on its argument only; if `workers` is None, there are as many as
+    available processors.
+    """
+    count = min(workers or len(os.sched_getaffinity(0)), max(len(jobs), 1))
+    context = multiprocessing.get_context("spawn")
+    threads = os.environ.get("OMP_NUM_THREADS")
+    os.environ["OMP_NUM_THREADS"] = "1"  # inherited; in the child it would come after the imports
+    try:
+        with ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker) as pool:
+            try:
+                yield from pool.map(work, jobs)
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+    finally:
+        if threads is None:
+            del os.environ["OMP_NUM_THREADS"]
+        else:
+            os.environ["OMP_NUM_THREADS"] = threads
+
+
+def _start_worker() -> None:
+    """Ignore Ctrl-C, on which the parent stops the pool, and exit with the parent."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+
+
+def _exit_with_parent() -> None:
+    """Exit when the parent ends; a parent that was killed cannot stop its pool."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

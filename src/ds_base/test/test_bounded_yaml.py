@@ -1,0 +1,100 @@
+"""Received YAML is built only within its limits, and refused in one line beyond them."""
+
+from __future__ import annotations
+
+import os
+import time
+import tracemalloc
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ds_base.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_yaml
+
+LAUGHS = "a0: &a0 [lol]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 12))
+MERGES = "a0: &a0 {k: v}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 10)}]}}\n" for i in range(1, 9))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a: 1\nb: [1.5, .inf, yes, null, ~, text, '3', 0x1f, 1_000]\nc: {d: {}}\n",
+        "base: &b {x: 1, y: [1, 2]}\nmore: {<<: *b, y: 3}\nagain: *b\n",
+        "",
+        "# nothing but this\n",
+        "- {1: a, true: b, null: c}\n",
+        '"\\u00fcber": |\n  line\n  line\n',
+    ],
+)
+def test_ordinary_documents_are_what_the_safe_loader_makes_of_them(text: str) -> None:
+    assert load_yaml(text) == load_yaml(text.encode(), unique_keys=True) == yaml.safe_load(text)
+
+
+def test_a_date_stays_text() -> None:
+    assert load_yaml("{a: 2024-02-30, b: 2024-02-03 10:00:00}") == {"a": "2024-02-30", "b": "2024-02-03 10:00:00"}
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (LAUGHS, "aliases expanded"),
+        (MERGES, "aliases expanded"),
+        (f"a: &a {'x' * 10_000}\nb: [{', '.join(['*a'] * 1000)}]", "aliases expanded"),
+        ("&a [*a]", "refers to nothing before it"),
+        ("[" * 100_000, "nested deeper than 50 levels"),
+        ("- " * 1_000 + "x", "nested deeper than 50 levels"),
+        ("a: " + "9" * 400, "a whole number of 400 digits"),
+        ("a: " + "9" * 100_000, "a whole number of 100000 digits"),
+        ("a: 18446744073709551616", "of 64 bits"),
+        ("a: !!python/object/apply:os.system [ls]", "is not allowed"),
+        ("a: !!binary aGk=", "is not allowed"),
+        ("a: !!float text", "is not of the type float"),
+        ("a: !!bool [1]", "line 1, column 4"),
+        ("!!map [a]", "expected keys with values"),
+        ("? [a, b]\n: 1", "a key is a list"),
+        ("a: 1\n\tb: 2", "line 2, column 1"),
+        ("a: [1", "line 2, column 1: did not find"),
+        ("a: 1\n---\nb: 2", "another document"),
+        ("x" * (2**20 + 1), "longer than 1 MiB"),
+        (b"\xff\xfe\x00", "not UTF-8"),
+        ("a: \x00", "is not text"),
+        ("a: \ud800", "is not text"),
+    ],
+)
+def test_what_is_beyond_the_limits_is_refused_in_one_line_at_once(text: str | bytes, reason: str) -> None:
+    begun = time.monotonic()
+    with pytest.raises(BoundedYamlError) as refused:
+        load_yaml(text)
+    assert reason in str(refused.value) and "\n" not in str(refused.value) and len(str(refused.value)) < 300
+    assert time.monotonic() - begun < 2.0
+
+
+def test_a_bomb_takes_no_memory() -> None:
+    tracemalloc.start()
+    with pytest.raises(BoundedYamlError):
+        load_yaml(LAUGHS)
+    assert tracemalloc.get_traced_memory()[1] < 20_000_000
+    tracemalloc.stop()
+
+
+def test_a_key_that_comes_twice_is_refused_where_asked_also_among_many() -> None:
+    many = "".join(f"k{i}: 1\n" for i in range(20_000))
+    begun = time.monotonic()
+    assert len(load_yaml(many, unique_keys=True)) == 20_000
+    assert time.monotonic() - begun < 5.0
+    assert load_yaml("{a: 1, a: 2}") == {"a": 2}
+    with pytest.raises(BoundedYamlError, match="line 20001, column 1: the key k7 comes twice"):
+        load_yaml(f"{many}k7: 2\n", unique_keys=True)
+
+
+def test_only_regular_files_of_bounded_size_are_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "long").write_bytes(b"a" * 11)
+    for path in (tmp_path / "fifo", tmp_path, Path("/dev/zero"), tmp_path / "long"):
+        with pytest.raises(BoundedYamlError):
+            read_yaml(path, limits=YamlLimits(size=10))
+    with pytest.raises(FileNotFoundError):
+        read_yaml(tmp_path / "none")
+    (tmp_path / "file").write_text("a: [1]")
+    assert read_yaml(tmp_path / "file") == {"a": [1]}
