@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from ds_bags import rosbag2_writer
-from ds_bags.messages import MessageFactory, MessageTable, frame_times, serialise_frames, typestore
+from ds_bags.messages import MessageTable, frame_times, message_builder, serialise_frames, typestore
 from ds_bags.rosbag2_writer import CHUNK_SIZE, MESSAGE_HEAD, Rosbag2Writer, Topic
 from ds_bags.run_writer import write_bag
 from ds_road import Road
@@ -78,16 +78,17 @@ def written(folder: Path) -> list[bytes]:
 
 @pytest.mark.graph
 def test_frames_serialised_at_once_are_those_serialised_one_by_one() -> None:
-    run, make, store = a_run(50), MessageFactory("/twin"), typestore()
+    run, make, store = a_run(50), message_builder("/twin"), typestore()
     rows = serialise_frames(make, run)
     for index, (seen, time) in enumerate(zip(run.observations, frame_times(run).tolist(), strict=True)):
+        header = make.header(time, "road")
         messages = {
-            "state": make.state(seen, ROAD.road_id, time),
-            "odom": make.odometry(seen.vehicle, time),
-            "/tf": make.body_transform(seen.vehicle, time),
+            "state": make.state(seen, header, ROAD.road_id),
+            "odom": make.odometry(seen.vehicle, header.stamp),
+            "/tf": make.body_transform(seen.vehicle, header.stamp),
         }
         if index < len(run.commands):
-            messages["drive"] = make.command(run.commands[index], time)
+            messages["drive"] = make.command(run.commands[index], header)
         for topic, message in messages.items():
             assert rows[topic][index].tobytes() == bytes(store.serialize_cdr(message, message.__msgtype__)), topic
 
@@ -95,8 +96,8 @@ def test_frames_serialised_at_once_are_those_serialised_one_by_one() -> None:
 @pytest.mark.graph
 def test_every_number_of_a_message_has_its_place() -> None:
     """Strings, arrays and sequences before a number, of types with every alignment."""
-    store, make = typestore(), MessageFactory("/twin")
-    marker = make.road_markers(ROAD, spec_of("donkey").look, 0)
+    store, make = typestore(), message_builder("/twin")
+    marker = make.road_markers(ROAD, spec_of("donkey").look, make.stamp(0))
     table = MessageTable(store, marker, 2)
     for path, value in (("markers.1.color.g", 0.25), ("markers.2.lifetime.sec", -7), ("markers.2.points.5.z", 1.5)):
         table.put(path, [value, value])

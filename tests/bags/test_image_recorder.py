@@ -16,7 +16,7 @@ import pytest
 from rclpy.context import Context
 from rclpy.node import Node
 
-from ds_bags.messages import MessageFactory, typestore
+from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import STATE
 from ds_bags.ros.image_recorder import ImageRecorder, with_images
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
@@ -52,7 +52,7 @@ def test_a_subscribed_bag_has_every_image_bit_by_bit(tmp_path: Path) -> None:
 def test_a_lost_state_costs_no_image_and_a_lost_image_only_itself(run: RunRecord, tmp_path: Path, lost: int) -> None:
     """A node's stamps begin anywhere, and floats are rounded: the recording is shifted by no whole nanosecond."""
     start = 86_400.123456789012
-    make, writer = MessageFactory("/ds1"), Rosbag2Writer(tmp_path / "spool", {})
+    make, writer = message_builder("/ds1"), Rosbag2Writer(tmp_path / "spool", {})
 
     def encode(message: Any) -> bytes:
         return bytes(typestore().serialize_cdr(message, message.__msgtype__))
@@ -63,9 +63,9 @@ def test_a_lost_state_costs_no_image_and_a_lost_image_only_itself(run: RunRecord
     for frame in seen:
         stamp = round((start + frame.time) * 1e9)
         if frame.step != lost:
-            writer.write(states, stamp, encode(make.state(frame, run.road.road_id, stamp)))
+            writer.write(states, stamp, encode(make.state(frame, make.header(stamp, "road"), run.road.road_id)))
         if frame.step != lost + 1:
-            writer.write(images, stamp, encode(make.image(frame, stamp)))
+            writer.write(images, stamp, encode(make.image(frame.image, make.header(stamp, "ds1/camera"))))
     writer.close({})
     found = list(with_images(run, tmp_path / "spool"))
     assert [frame.step for frame in found if not frame.image.size] == [lost + 1]

@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader
 from ds_bags.copying import UNFINISHED, recover
 from ds_bags.info import describe
 from ds_bags.layout import BagError, partial_path
-from ds_bags.messages import MessageFactory, typestore
+from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.run_writer import RunWriter, write_bag
@@ -54,9 +54,9 @@ def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
     sizes = rng.integers(100, 60_000, 400)
     flushed = rng.random(400) < 0.3
     target, delay = int(rng.integers(1, 200)), float(rng.uniform(0.0, 0.004))
-    store, make = typestore(), MessageFactory("/x")
+    store, make = typestore(), message_builder("/x")
     empty = make._make(
-        "sensor_msgs/CompressedImage", header=make._header(5, "camera"), format="jpeg", data=np.zeros(0, np.uint8)
+        "sensor_msgs/CompressedImage", header=make.header(5, "camera"), format="jpeg", data=np.zeros(0, np.uint8)
     )
 
     def message(number: int) -> bytes:

@@ -18,10 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from ds_bags.info import describe, in_words
 from ds_bags.layout import LEVELS, BagError, Level
-from ds_bags.messages import MessageFactory, typestore
+from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
 from ds_sim.camera.lens import optical_axes
+from ds_sim.messages import MessageBuilder
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.session import RunRecord
@@ -116,9 +117,9 @@ def test_transforms_and_camera_info_put_the_road_where_the_camera_draws_it() -> 
     vehicle = VehicleState(
         x=31.0, y=-7.0, yaw=2.1, speed=0.0, yaw_rate=0.0, steering_angle=0.0, roll=0.05, pitch=-0.08, heave=0.03
     )
-    maker = MessageFactory("/twin")
-    body = maker.body_transform(vehicle, 0).transforms[0]
-    camera = maker.camera_transform(spec.camera, 0).transforms[0]
+    make = message_builder("/twin")
+    body = make.body_transform(vehicle, make.stamp(0)).transforms[0]
+    camera = make.camera_transform(spec.camera, make.stamp(0)).transforms[0]
     assert (body.header.frame_id, body.child_frame_id) == ("road", camera.header.frame_id)
 
     def matrix(stamped: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -138,38 +139,27 @@ def test_messages_are_those_of_the_graph_byte_for_byte(run: RunRecord) -> None:
     """Messages of the graph serialised by rclpy, against the bag's writer, which works without ROS."""
     pytest.importorskip("rclpy")
     from rclpy.serialization import serialize_message
-    from std_msgs.msg import Header
 
-    from ds_sim.ros import conversions as messages
+    from ds_sim.ros import conversions
 
-    spec, seen, time = make_simulator("donkey").spec, run.observations[17], 850_000_000
-    maker, store = MessageFactory("/twin"), typestore()
-    header = Header(stamp=messages.to_time(0.85), frame_id="twin/camera")
-    road_header = Header(stamp=header.stamp, frame_id="road")
-    pairs: list[tuple[Any, Any, str]] = [
-        (
-            messages.state_to_message(seen, road_header, run.road.road_id),
-            maker.state(seen, run.road.road_id, time),
-            "ds_interfaces/msg/VehicleState",
-        ),
-        (
-            messages.odometry_message(seen.vehicle, header, "twin/base_link"),
-            maker.odometry(seen.vehicle, time),
-            "nav_msgs/msg/Odometry",
-        ),
-        (
-            messages.camera_info_message(spec.camera, header),
-            maker.camera_info(spec.camera, time),
-            "sensor_msgs/msg/CameraInfo",
-        ),
-        (
-            messages.road_markers(run.road, spec.look, messages.to_time(0.85)),
-            maker.road_markers(run.road, spec.look, time),
-            "visualization_msgs/msg/MarkerArray",
-        ),
-        (messages.road_to_message(run.road), maker.road(run.road), "ds_interfaces/msg/Road"),
-    ]
-    for theirs, ours, kind in pairs:
+    spec, seen, store = make_simulator("donkey").spec, run.observations[17], typestore()
+    pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
+
+    def made(make: MessageBuilder) -> list[Any]:
+        stamp, header, camera = make.stamp(850_000_000), make.header(850_000_000, "road"), make.camera_frame
+        return [
+            make.state(seen, header, run.road.road_id),
+            make.command(run.commands[17], header),
+            make.odometry(seen.vehicle, stamp),
+            make.camera_info(spec.camera, make.header(850_000_000, camera)),
+            make.image(pixels, make.header(850_000_000, camera)),
+            make.compressed_image(pixels, make.header(850_000_000, camera)),
+            make.road_markers(run.road, spec.look, stamp),
+            make.road(run.road),
+        ]
+
+    for theirs, ours in zip(made(conversions.message_builder("/twin")), made(message_builder("/twin")), strict=True):
+        kind = ours.__msgtype__
         # rclpy leaves arbitrary padding bytes between fields; they are zero after rewriting.
         again = store.deserialize_cdr(serialize_message(theirs), kind)
         assert bytes(store.serialize_cdr(again, kind)) == bytes(store.serialize_cdr(ours, kind)), kind

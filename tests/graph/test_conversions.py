@@ -83,13 +83,13 @@ def test_the_numbers_of_outcomes_and_reasons_are_those_of_the_messages() -> None
 
 def test_odometry_is_marked_as_ground_truth() -> None:
     """Tiny variances for exact values, huge ones for missing values; zeros would mean unknown."""
-    from std_msgs.msg import Header
-
-    from ds_sim.ros.conversions import odometry_message
+    from ds_sim.ros.conversions import message_builder
     from ds_sim.simulator import VehicleState
 
     vehicle = VehicleState(x=1.0, y=2.0, yaw=0.5, speed=3.0, yaw_rate=0.1, steering_angle=0.0)
-    message = odometry_message(vehicle, Header(), "ds1/base_link")
+    make = message_builder("/ds1")
+    message = make.odometry(vehicle, make.stamp(0))
+    assert (message.header.frame_id, message.child_frame_id) == ("road", "ds1/base_link")
     for covariance in (message.pose.covariance, message.twist.covariance):
         matrix = np.reshape(covariance, (6, 6))
         assert np.all(np.linalg.eigvalsh(matrix) > 0.0)

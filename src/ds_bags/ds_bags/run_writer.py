@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
-from ds_bags.messages import MessageFactory, frame_times, serialise_frames, typestore
+from ds_bags.messages import frame_times, message_builder, serialise_frames, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_base.installation import versions
 from ds_road import road_to_json
@@ -163,7 +162,7 @@ class RunWriter:
         self._image = _IMAGE_TOPIC.get(level, "")
         self._translate = translate
         self.images = 0
-        self._make = MessageFactory(namespace)
+        self._make = message_builder(namespace)
         self._store = typestore()
         skipped = {topic for topic in _TOPICS if topic.startswith("camera/") and topic != self._image}
         skipped |= {topic for topic in _TOPICS if topic.startswith(TRANSLATED)}
@@ -187,9 +186,10 @@ class RunWriter:
 
     def begin(self) -> None:
         """Write what is constant over the run: the road and the camera's mount."""
+        start = self._make.stamp(0)
         self._put("road", 0, self._make.road(self._run.road))
-        self._put("road_markers", 0, self._make.road_markers(self._run.road, self._spec.look, 0))
-        self._put("/tf_static", 0, self._make.camera_transform(self._spec.camera, 0))
+        self._put("road_markers", 0, self._make.road_markers(self._run.road, self._spec.look, start))
+        self._put("/tf_static", 0, self._make.camera_transform(self._spec.camera, start))
 
     def frames(self, observations: Iterable[Observation] | None = None) -> None:
         """Write all frames and the commands that answer them.
@@ -219,11 +219,12 @@ class RunWriter:
             return
         self.images += 1
         image = self._make.image if self._image == "camera/image_raw" else self._make.compressed_image
-        self._put(self._image, time, image(seen, time))
+        header = self._make.header(time, self._make.camera_frame)
+        self._put(self._image, time, image(seen.image, header))
         if self._translate is not None:
-            translated = replace(seen, image=self._translate(seen.image))
-            self._put(self._image.replace("camera", TRANSLATED, 1), time, image(translated, time))
-        self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, time))
+            translated = self._translate(seen.image)
+            self._put(self._image.replace("camera", TRANSLATED, 1), time, image(translated, header))
+        self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, header))
 
     def end(self) -> None:
         """Write the outcome."""

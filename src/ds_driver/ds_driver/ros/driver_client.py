@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from ds_base.errors import RunError
 from ds_driver.data.recordings import RecordedFrame
 from ds_driver.networks.images import Crop
-from ds_sim.ros import conversions as messages
+from ds_sim.ros.conversions import MESSAGES
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import FRAME_TIME
 
@@ -72,11 +72,9 @@ class DriverClient:
         self._crop = crop
         # Stamps never repeat, so a late answer is not taken for the next image's.
         self._count += 1
-        self._asked = Header(stamp=messages.to_time(1.0 + self._count * FRAME_TIME), frame_id="camera")
+        self._asked = MESSAGES.header(round((1.0 + self._count * FRAME_TIME) * 1e9), "camera")
         self._answer = None
-        rows, columns, channels = frame.image.shape
-        image = Image(header=self._asked, height=rows, width=columns, encoding="rgb8", step=columns * channels)
-        image.data = frame.image.tobytes()
+        image = MESSAGES.image(frame.image, self._asked)
         state = VehicleState(header=self._asked, step=self._step, speed=frame.speed)
         whole = Frame(header=self._asked, step=self._step, speed=frame.speed, image=image)
         whole.crop_top, whole.crop_bottom = crop.top, crop.bottom

@@ -23,7 +23,7 @@ from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
 from ds_driver.networks.pilot import Frame as Seen
 from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
 from ds_driver.sim2real.stage import Sim2RealStage
-from ds_sim.ros.conversions import pixels_of, pixels_to_message
+from ds_sim.ros.conversions import MESSAGES, pixels_of
 from ds_sim.ros.frame_publisher import FRAME_DEPTH
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
@@ -68,7 +68,7 @@ class TranslatedImages:
         translated = self._stage.translate(image, name)
         publisher = self._publishers[index]
         if publisher.get_subscription_count():
-            publisher.publish(pixels_to_message(translated, frame.header))
+            publisher.publish(MESSAGES.image(translated, frame.header))
         return translated
 
     def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:

@@ -2,36 +2,32 @@
 
 from __future__ import annotations
 
-import math
 from array import array
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from functools import cache
+from importlib import import_module
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from ds_interfaces.action import DriveRoad
 from ds_interfaces.msg import Condition as ConditionMsg
-from ds_interfaces.msg import DriveCommand, Frame, Trajectory, VehicleState
+from ds_interfaces.msg import DriveCommand, Frame, Trajectory
 from ds_interfaces.msg import Outcome as OutcomeMsg
 from ds_interfaces.msg import Reason as ReasonMsg
 from ds_interfaces.msg import Road as RoadMsg
 from ds_interfaces.srv import GetSimulatorInfo
-from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Vector3
-from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from rclpy.action.server import ServerGoalHandle
-from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from sensor_msgs.msg import Image
+from std_msgs.msg import Header
 
 from ds_road import Road, road_from_fields
-from ds_sim.camera.look import Colour, Look
-from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import from_pairs
-from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose
+from ds_sim.frames import ROAD_FRAME
+from ds_sim.messages import MessageBuilder
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import (
     FRAME_RATE,
@@ -54,10 +50,24 @@ FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run; two messages per simulated second."""
 
 
-def to_time(seconds: float) -> Time:
-    """Convert seconds to a stamp, rounded to the nanosecond."""
-    nanoseconds = round(seconds * 1e9)
-    return Time(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+@cache
+def _type_named(name: str) -> Any:
+    package, kind = name.split("/")
+    return getattr(import_module(f"{package}.msg"), kind)
+
+
+def _packed(values: NDArray[Any]) -> array[Any]:
+    """Convert numbers to what messages keep as it is; a list or an array takes a thousand times as long."""
+    return array(values.dtype.char, values.tobytes())
+
+
+def message_builder(namespace: str = "") -> MessageBuilder:
+    """Make the builder of the messages of one simulator; its namespace prefixes its tf frames."""
+    return MessageBuilder(_type_named, _packed, namespace)
+
+
+MESSAGES = message_builder()
+"""Builds messages that name no frame of a simulator."""
 
 
 def road_from_message(message: RoadMsg) -> Road:
@@ -77,14 +87,8 @@ def road_from_message(message: RoadMsg) -> Road:
 
 def road_to_message(road: Road) -> RoadMsg:
     """Convert a road to a message from which `road_from_message` makes an equal road."""
-    return RoadMsg(
-        road_id=road.road_id,
-        control_points=[Point(x=x, y=y) for x, y in road.control_points],
-        lane_width=road.lane_width,
-        sampled=road.sampled,
-        maxitwo_compatible=road.maxitwo_compatible,
-        left_lane=road.lane == "left",
-    )
+    message: RoadMsg = MESSAGES.road(road)
+    return message
 
 
 def conditions_from_messages(messages: Sequence[ConditionMsg]) -> Conditions:
@@ -116,19 +120,6 @@ def command_from_message(message: DriveCommand) -> Command:
     return Command(message.steering, message.throttle)
 
 
-def image_to_message(observation: Observation, header: Header) -> Image:
-    """Convert the image of an observation, rgb8."""
-    return pixels_to_message(observation.image, header)
-
-
-def pixels_to_message(pixels: NDArray[np.uint8], header: Header) -> Image:
-    """Convert pixels, (rows, columns, 3) RGB, rgb8."""
-    rows, columns, channels = pixels.shape
-    message = Image(header=header, height=rows, width=columns, encoding="rgb8", step=columns * channels)
-    message.data = pixels.tobytes()  # assigning an array or a list takes a thousand times as long
-    return message
-
-
 def pixels_of(message: Image) -> NDArray[np.uint8]:
     """Return the pixels of an rgb8 image, (rows, columns, 3), without copying them.
 
@@ -153,70 +144,8 @@ def frame_to_message(observation: Observation, header: Header, spec: SimulatorSp
         crop_bottom=spec.crop_bottom,
         wheelbase=spec.wheelbase,
         max_steering_angle=spec.max_steering_angle,
-        image=image_to_message(observation, header),
+        image=MESSAGES.image(observation.image, header),
     )
-
-
-def camera_info_message(camera: CameraSpec, header: Header) -> CameraInfo:
-    """Make the message with intrinsics and distortion of the delivered image, exact for `cv2.undistort`.
-
-    The wide-angle lens is a `rational_polynomial`, not ROS's `equidistant`, which image_geometry and plain
-    `cv2.undistort` would misread. P is K: an undistorted image shows the middle at the same scale.
-    """
-    k = camera.intrinsics
-    message = CameraInfo(header=header, height=camera.height_px, width=camera.width)
-    message.distortion_model = "plumb_bob" if camera.lens == "pinhole" else "rational_polynomial"
-    message.d = list(camera.distortion)
-    message.k = k.ravel().tolist()
-    message.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
-    message.p = [*k[0].tolist(), 0.0, *k[1].tolist(), 0.0, *k[2].tolist(), 0.0]
-    return message
-
-
-def state_to_message(observation: Observation, header: Header, road_id: str) -> VehicleState:
-    """Convert vehicle and lane state of one frame to a message."""
-    vehicle, lane = observation.vehicle, observation.lane
-    return VehicleState(
-        header=header,
-        road_id=road_id,
-        step=observation.step,
-        simulated_time=observation.time,
-        x=vehicle.x,
-        y=vehicle.y,
-        yaw=vehicle.yaw,
-        speed=vehicle.speed,
-        lateral_speed=vehicle.lateral_speed,
-        yaw_rate=vehicle.yaw_rate,
-        steering_angle=vehicle.steering_angle,
-        roll=vehicle.roll,
-        pitch=vehicle.pitch,
-        heave=vehicle.heave,
-        lateral_position=lane.lateral_position,
-        lateral_distance=lane.lateral_distance,
-        preview_lateral_position=lane.preview_lateral_position,
-        arc_length=lane.arc_length,
-        outcome=OutcomeMsg(value=int(observation.outcome)),
-    )
-
-
-def odometry_message(vehicle: PlainState, header: Header, child_frame: str) -> Odometry:
-    """Make the odometry: pose in the road frame, twist in the vehicle frame (REP-105), ground-truth covariances."""
-    message = Odometry(header=Header(stamp=header.stamp, frame_id=ROAD_FRAME), child_frame_id=child_frame)
-    message.pose.pose.position = Point(x=vehicle.x, y=vehicle.y)
-    message.pose.pose.orientation = Quaternion(z=math.sin(vehicle.yaw / 2), w=math.cos(vehicle.yaw / 2))
-    message.twist.twist.linear.x = vehicle.speed
-    message.twist.twist.linear.y = vehicle.lateral_speed
-    message.twist.twist.angular.z = vehicle.yaw_rate
-    message.pose.covariance = message.twist.covariance = GROUND_TRUTH_COVARIANCE
-    return message
-
-
-def transform_message(pose: Pose, stamp: Time, parent: str, child: str) -> TransformStamped:
-    """Convert the pose of a child frame in its parent to a message for tf2."""
-    (x, y, z), (qx, qy, qz, qw) = pose
-    message = TransformStamped(header=Header(stamp=stamp, frame_id=parent), child_frame_id=child)
-    message.transform = Transform(translation=Vector3(x=x, y=y, z=z), rotation=Quaternion(x=qx, y=qy, z=qz, w=qw))
-    return message
 
 
 def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
@@ -270,8 +199,8 @@ def drive_result(run: RunRecord) -> DriveRoad.Result:
     )
     if run.observations:
         last = run.observations[-1]
-        header = Header(stamp=to_time(last.time), frame_id=ROAD_FRAME)
-        result.final_state = state_to_message(last, header, run.road.road_id)
+        header = MESSAGES.header(round(last.time * 1e9), ROAD_FRAME)
+        result.final_state = MESSAGES.state(last, header, run.road.road_id)
     return result
 
 
@@ -333,22 +262,3 @@ def close_goal(goal: ServerGoalHandle, outcome: Outcome) -> None:
         goal.abort()
     else:
         goal.succeed()
-
-
-def road_markers(road: Road, look: Look, stamp: Time) -> MarkerArray:
-    """Make line strips for RViz and Foxglove: edges and centre line of the road, in the colours of `look`."""
-    lines = ((road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line))
-    markers = []
-    for index, (line, colour) in enumerate(lines):
-        marker = Marker(header=Header(stamp=stamp, frame_id=ROAD_FRAME), ns="road", id=index, type=Marker.LINE_STRIP)
-        marker.scale.x = look.line_width
-        marker.pose.orientation.w = 1.0
-        marker.color = _colour(colour)
-        marker.points = [Point(x=float(x), y=float(y)) for x, y in line]
-        markers.append(marker)
-    return MarkerArray(markers=markers)
-
-
-def _colour(colour: Colour) -> ColorRGBA:
-    red, green, blue = (float(v) / 255.0 for v in colour)
-    return ColorRGBA(r=red, g=green, b=blue, a=1.0)

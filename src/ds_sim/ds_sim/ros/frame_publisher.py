@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from ds_interfaces.msg import Frame
 from ds_interfaces.msg import VehicleState as VehicleStateMsg
 from nav_msgs.msg import Odometry
@@ -18,9 +17,8 @@ from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
 from ds_sim.camera.spec import CameraSpec
-from ds_sim.frames import ROAD_FRAME, base_frame, body_pose, camera_frame, camera_pose
-from ds_sim.ros import conversions as messages
-from ds_sim.ros.conversions import transform_message
+from ds_sim.messages import MessageBuilder
+from ds_sim.ros.conversions import frame_to_message, message_builder
 from ds_sim.simulator import FRAME_TIME, DrawsRows, Observation, Simulator, SimulatorSpec, VehicleState
 
 try:
@@ -40,12 +38,11 @@ class TransformPublisher:
     Args:
         node: node that owns the publishers.
         camera: camera of the simulator.
-        camera_frame: name of the camera's optical frame.
-        base_frame: name of the vehicle's frame.
+        make: makes its messages.
     """
 
-    def __init__(self, node: Node, camera: CameraSpec, camera_frame: str, base_frame: str) -> None:
-        self._base_frame = base_frame
+    def __init__(self, node: Node, camera: CameraSpec, make: MessageBuilder) -> None:
+        self._make = make
         self._moving: Any = None
         if TFMessage is None:
             node.get_logger().info("tf2_msgs is not installed: no /tf is published")
@@ -53,14 +50,12 @@ class TransformPublisher:
         self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=FRAME_DEPTH))
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
-        fixed = transform_message(camera_pose(camera), Time(), base_frame, camera_frame)
-        self._fixed.publish(TFMessage(transforms=[fixed]))
+        self._fixed.publish(make.camera_transform(camera, make.stamp(0)))
 
-    def publish(self, vehicle: VehicleState, stamp: Time) -> None:
+    def publish(self, vehicle: VehicleState, stamp: Any) -> None:
         """Publish the vehicle's pose if there is a subscriber."""
         if self._moving is not None and self._moving.get_subscription_count():
-            transform = transform_message(body_pose(vehicle), stamp, ROAD_FRAME, self._base_frame)
-            self._moving.publish(TFMessage(transforms=[transform]))
+            self._moving.publish(self._make.body_transform(vehicle, stamp))
 
 
 class FramePublisher:
@@ -74,9 +69,8 @@ class FramePublisher:
 
     def __init__(self, node: Node, spec: SimulatorSpec, *, clock: bool = False) -> None:
         self._spec = spec
-        self._camera_frame = camera_frame(node.get_namespace())
-        self._base_frame = base_frame(node.get_namespace())
-        self._transforms = TransformPublisher(node, spec.camera, self._camera_frame, self._base_frame)
+        self._make = message_builder(node.get_namespace())
+        self._transforms = TransformPublisher(node, spec.camera, self._make)
         self._frame = node.create_publisher(Frame, "frame", 5)
         self._image = node.create_publisher(Image, "camera/image_raw", FRAME_DEPTH)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", FRAME_DEPTH)
@@ -98,25 +92,29 @@ class FramePublisher:
 
         What nobody subscribes to is not built. A driver that connects late gets the first frame when it is repeated.
         """
-        header = Header(stamp=messages.to_time(self._run_start + observation.time), frame_id=self._camera_frame)
+        header = self._header(observation.time)
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
         if self._state.get_subscription_count():
-            self._state.publish(messages.state_to_message(observation, header, road.road_id))
+            self._state.publish(self._make.state(observation, header, road.road_id))
         if self._image.get_subscription_count():
-            self._image.publish(messages.image_to_message(observation, header))
+            self._image.publish(self._make.image(observation.image, header))
         if self._frame.get_subscription_count():
-            self._frame.publish(messages.frame_to_message(observation, header, self._spec))
+            self._frame.publish(frame_to_message(observation, header, self._spec))
         if self._info.get_subscription_count():
-            self._info.publish(messages.camera_info_message(self._spec.camera, header))
+            self._info.publish(self._make.camera_info(self._spec.camera, header))
         if self._odom.get_subscription_count():
-            self._odom.publish(messages.odometry_message(observation.vehicle, header, self._base_frame))
+            self._odom.publish(self._make.odometry(observation.vehicle, header.stamp))
         self._transforms.publish(observation.vehicle, header.stamp)
         return header
 
     def publish_road(self, road: Road) -> None:
         """Publish a road for viewers, including those that join later."""
-        self._markers.publish(messages.road_markers(road, self._spec.look, messages.to_time(self._run_start)))
+        self._markers.publish(self._make.road_markers(road, self._spec.look, self._header(0.0).stamp))
+
+    def _header(self, seconds: float) -> Header:
+        """Stamp a moment of the run, s after its start, in the camera's frame."""
+        return self._make.header(round((self._run_start + seconds) * 1e9), self._make.camera_frame)
 
     def end_run(self, seconds: float) -> None:
         """Let the stamps of the next run follow those of one that lasted some simulated time, s."""
