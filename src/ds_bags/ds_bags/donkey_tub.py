@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +58,26 @@ class Tub:
 
     records: tuple[TubRecord, ...]
     files: tuple[Path, ...]
+
+    @property
+    def pictures(self) -> list[tuple[TubRecord, Path]]:
+        """Records that have an image, with its file."""
+        return [(record, record.image) for record in self.records if record.image is not None]
+
+    @property
+    def seconds(self) -> NDArray[np.float64]:
+        """Time of each record, (n,), s."""
+        return np.array([record.seconds for record in self.records], dtype=np.float64)
+
+    @property
+    def commands(self) -> NDArray[np.float64]:
+        """Steering and throttle of each record, (n, 2); NaN where it has none."""
+        return np.array([(r.steering, r.throttle) for r in self.records], dtype=np.float64).reshape(-1, 2)
+
+    def numbers(self, *keys: str) -> NDArray[np.float64]:
+        """First finite number of each record, (n,), among these fields; NaN where it has none."""
+        found = [[number(record.fields.get(key)) for key in keys] for record in self.records]
+        return np.array([next((v for v in values if v is not None), np.nan) for values in found], dtype=np.float64)
 
 
 def is_tub(folder: Path) -> bool:
@@ -121,12 +140,6 @@ def _record(folder: Path, row: dict[str, Any]) -> TubRecord:
         throttle=None if throttle is None else min(throttle, 1.0),
         fields=row,
     )
-
-
-def numbers(rows: Iterable[dict[str, Any]], *keys: str) -> NDArray[np.float64]:
-    """First finite number of each record, (n,), among these fields; NaN where it has none."""
-    found = [[number(row.get(key)) for key in keys] for row in rows]
-    return np.array([next((v for v in values if v is not None), np.nan) for values in found], dtype=np.float64)
 
 
 def number(value: object) -> float | None:

@@ -161,6 +161,15 @@ class BagReader:
         except Exception as error:
             raise self._damaged(error) from None
 
+    def decoded(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, Any]]:
+        """Iterate over the deserialised messages of topics as `messages` does: topic, time in ns, and message.
+
+        Raises:
+            BagError: the file is damaged, or the bytes do not match the type of the topic.
+        """
+        for connection, time, raw in self.messages(connections):
+            yield connection, time, self.message(connection, raw)
+
     def of_type(self, message_type: str) -> list[Connection]:
         """Return the topics of one message type."""
         return [connection for connection in self._reader.connections if connection.msgtype == message_type]
@@ -222,6 +231,19 @@ class RecordedRun:
     stamps: list[int]
 
 
+def states_and_commands(bag: BagReader) -> Iterator[tuple[bool, int, Any]]:
+    """Iterate over the states and commands of this project's runs, as they were recorded.
+
+    Yields:
+        Whether it is a command, its stamp in ns, and the message.
+
+    Raises:
+        BagError: the file is damaged, or a message has no stamp.
+    """
+    for connection, _, message in bag.decoded([*bag.of_type(STATE), *bag.of_type(DRIVE)]):
+        yield connection.msgtype == DRIVE, stamp_of(message), message
+
+
 def read_run(
     bag: BagReader, *, simulator: str | None = None, seed: int | None = None, trusted: Collection[str] = ()
 ) -> RecordedRun:
@@ -240,7 +262,7 @@ def read_run(
         BagError: the bag holds no run or several, is not consistent, or lacks something.
         ds_sim.registry.UntrustedSimulatorError: the bag names a simulator that is neither shipped nor confirmed.
     """
-    states, drives = bag.of_type(STATE), bag.of_type(DRIVE)
+    states = bag.of_type(STATE)
     if len(states) != 1:
         found = "no run" if not states else "several runs"
         raise BagError(f"{bag.path} holds {found} of this project: `ds bag info` lists its topics")
@@ -256,10 +278,8 @@ def read_run(
             conditions=parse_conditions(facts.get("conditions", "")),
             message=facts.get("message", ""),
         )
-        for connection, _, raw in bag.messages([*states, *drives]):
-            message = bag.message(connection, raw)
-            stamp = stamp_of(message)
-            if connection.msgtype == DRIVE:
+        for is_command, stamp, message in states_and_commands(bag):
+            if is_command:
                 commands.setdefault(stamp, Command(message.steering, message.throttle))
             elif not stamps or stamp > stamps[-1]:  # nodes resend the first frame until it is answered
                 observations.append(_observation(message))
@@ -321,8 +341,7 @@ def _road(bag: BagReader, facts: dict[str, str]) -> Road:
             return road_from_json(json.loads(facts["road"]))
         except RecursionError:
             raise RoadError("its road is nested too deeply") from None
-    for connection, _, raw in bag.messages(bag.of_type(ROAD)):
-        message = bag.message(connection, raw)
+    for _, _, message in bag.decoded(bag.of_type(ROAD)):
         # Road messages of version 0.1 have control points only, those of 0.2 no lane.
         return road_from_fields(
             [(point.x, point.y) for point in message.control_points],

@@ -84,7 +84,7 @@ def _images(bag: BagReader, recorded: RecordedRun) -> Iterator[Any]:
         for connection in bag.connections
         if connection.msgtype in (IMAGE, COMPRESSED) and connection.topic.startswith(f"{recorded.namespace}/camera/")
     ]
-    found = (bag.message(connection, raw) for connection, _, raw in bag.messages(cameras))
+    found = (message for _, _, message in bag.decoded(cameras))
     image = next(found, None)
     for stamp in recorded.stamps:
         while image is not None and stamp_of(image) < stamp:

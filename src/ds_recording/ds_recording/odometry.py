@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from ds_bags.donkey_tub import numbers, read_tub
+from ds_bags.donkey_tub import read_tub
 from ds_bags.reader import BagReader, stamp_of
 from ds_driver.data.recordings import Recording
 from ds_recording.errors import RecordingError
@@ -182,14 +182,12 @@ def _sound(times: Array, values: Array, largest: float) -> tuple[Array, Array]:
 
 
 def _tub_sources(recording: Recording, start: float, wanted: str | None) -> Iterator[Source]:
-    records = read_tub(recording.path).records
-    rows = [record.fields for record in records]  # poses are in none that Donkey Car writes on a car
-    times = np.array([record.seconds for record in records]) - start
+    tub = read_tub(recording.path)  # poses are in none that Donkey Car writes on a car
     readings = [(name, name, AHEAD, 1.0) for name in SPEEDS]
     readings += [(name, name.rpartition("_")[0], TURN, factor) for name, factor in GYROSCOPES]
     for name, device, part, factor in readings:
-        if wanted in (None, name) and np.isfinite(values := factor * numbers(rows, name)).any():
-            yield _rate(name, device, part, times, values)
+        if wanted in (None, name) and np.isfinite(values := factor * tub.numbers(name)).any():
+            yield _rate(name, device, part, tub.seconds - start, values)
 
 
 def _bag_sources(recording: Recording, start: float, wanted: str | None) -> Iterator[Source]:
@@ -199,10 +197,9 @@ def _bag_sources(recording: Recording, start: float, wanted: str | None) -> Iter
             if kind not in (ODOMETRY, IMU, POSE) or wanted not in (None, topic):
                 continue
             rows: list[tuple[float, ...]] = []
-            for _, logged, raw in bag.messages([connection]):
+            for _, logged, message in bag.decoded([connection]):
                 if len(rows) > MOST_SAMPLES:
                     raise RecordingError(f"{bag.path}: more than {MOST_SAMPLES} messages of {topic}: split the bag")
-                message = bag.message(connection, raw)
                 try:
                     values = _IN_MESSAGE[kind](message)
                 except (AttributeError, TypeError, ValueError, IndexError, OverflowError):

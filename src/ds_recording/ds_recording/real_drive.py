@@ -140,8 +140,8 @@ def _poses(bag: BagReader, topic: str | None) -> Array:
             f"{bag.path}: name one topic of odometry (it has {known}) or of a lateral position: --topic"
         )
     poses = []
-    for connection, _, raw in bag.messages(found):
-        pose = bag.message(connection, raw).pose.pose
+    for _, _, message in bag.decoded(found):
+        pose = message.pose.pose
         q = pose.orientation
         yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))
         if all(map(math.isfinite, (pose.position.x, pose.position.y, yaw))):

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_bags.donkey_tub import TubError, is_tub, numbers, read_tub
+from ds_bags.donkey_tub import TubError, is_tub, read_tub
 from ds_bags.layout import BagError, printable
-from ds_bags.reader import BagReader, stamp_of
+from ds_bags.reader import STATE, BagReader, states_and_commands
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
 from ds_sim.registry import SIMULATORS
@@ -152,17 +152,13 @@ def _read_bag(path: Path) -> Log:
                     f"{path}: a drive of {simulator}, which is not a 1:16 car: give drives of the car that is fitted"
                 )
             files = bag.files
-            wanted = [c for c in bag.connections if c.msgtype.rpartition("/")[2] in ("VehicleState", "DriveCommand")]
-            vehicles = sum(connection.msgtype.endswith("/VehicleState") for connection in wanted)
-            if vehicles > 1:
+            if (vehicles := len(bag.of_type(STATE))) > 1:
                 raise LogError(f"{path}: states of {vehicles} runs, which would be mixed: give bags of one run")
-            for connection, _, raw in bag.messages(wanted):
-                message = bag.message(connection, raw)
-                stamp = stamp_of(message)
-                if connection.msgtype.endswith("/VehicleState"):
-                    states[stamp] = tuple(float(getattr(message, name)) for name in CHANNELS)
-                else:
+            for is_command, stamp, message in states_and_commands(bag):
+                if is_command:
                     commands_by_stamp[stamp] = float(message.steering), float(message.throttle)
+                else:
+                    states[stamp] = tuple(float(getattr(message, name)) for name in CHANNELS)
     except BagError as error:
         raise LogError(str(error)) from None
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
@@ -191,14 +187,13 @@ def _read_tub(path: Path) -> Log:
         tub = read_tub(path)
     except TubError as error:
         raise LogError(str(error)) from None
-    rows = [record.fields for record in tub.records]
-    times = np.array([record.seconds for record in tub.records])
+    times = tub.seconds
     columns = {
-        "x": numbers(rows, "pos/pos_x"),
+        "x": tub.numbers("pos/pos_x"),
         # Unity's axes are left-handed with y up. Seen from above, x points right and z ahead, so a left turn is
         # counter-clockwise, as in the road frame.
-        "y": numbers(rows, "pos/pos_z"),
-        "speed": numbers(rows, "pos/speed", "enc/speed"),
+        "y": tub.numbers("pos/pos_z"),
+        "speed": tub.numbers("pos/speed", "enc/speed"),
     }
     if not (np.isfinite(columns["x"]) & np.isfinite(columns["y"])).any() and not np.isfinite(columns["speed"]).any():
         raise LogError(
@@ -208,14 +203,14 @@ def _read_tub(path: Path) -> Log:
     if not np.isfinite(times).all():
         raise LogError(f"{path}: _timestamp_ms of a record is not a number: remove that record")
     _check_units(path, times, columns)
-    measured = np.full((len(rows), len(CHANNELS)), np.nan)
+    measured = np.full((len(times), len(CHANNELS)), np.nan)
     for name, column in columns.items():
         measured[:, CHANNELS.index(name)] = column
     return Log(
         name=path.name,
         kind="tub",
         sha256=_digest(tub.files),
-        drives=drives_of(times, np.array([(r.steering, r.throttle) for r in tub.records], dtype=np.float64), measured),
+        drives=drives_of(times, tub.commands, measured),
     )
 
 

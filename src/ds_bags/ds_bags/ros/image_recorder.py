@@ -116,8 +116,8 @@ def with_images(run: RunRecord, folder: Path) -> Iterator[Observation]:
     times = frame_times(run).tolist()
     with BagReader(folder) as bag:
         start = _start_of(run, times, bag)
-        recorded: Iterator[Any] = (bag.message(c, raw) for c, _, raw in bag.messages(bag.of_type(IMAGE)))
-        images = iter(()) if start is None else (image for image in recorded if image.encoding == "rgb8")
+        recorded = bag.decoded([] if start is None else bag.of_type(IMAGE))
+        images = (image for _, _, image in recorded if image.encoding == "rgb8")
         image = next(images, None)
         for observation, when in zip(run.observations, times, strict=True):
             wanted = (start or 0) + when
@@ -133,8 +133,7 @@ def _start_of(run: RunRecord, frames: Sequence[int], bag: BagReader) -> int | No
     """Find the stamp of a run's start, ns: a node's stamps do not begin at 0, and any state may be missing."""
     times = {observation.step: when for observation, when in zip(run.observations, frames, strict=True)}
     start: int | None = None
-    for connection, _, raw in bag.messages(bag.of_type(STATE)):
-        state = bag.message(connection, raw)
+    for _, _, state in bag.decoded(bag.of_type(STATE)):
         if state.road_id == run.road.road_id and state.step in times:
             start = stamp_of(state) - times[state.step]  # the last one: another client's run may have come before
     return start

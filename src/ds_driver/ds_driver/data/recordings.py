@@ -165,23 +165,21 @@ def open_recording(path: Path, reading: Reading) -> Recording:
 
 
 def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
-    records = [record for record in read_tub(recording.path).records if record.image is not None]
-    for record in records:
+    pictures = read_tub(recording.path).pictures
+    for record, file in pictures:
         image, trouble = None, ""
         try:
-            assert record.image is not None
-            data = read_bounded(record.image, MAX_IMAGE_FILE)
-            image = recording.reading.fitted(rgb_of_file(data))
+            image = recording.reading.fitted(rgb_of_file(read_bounded(file, MAX_IMAGE_FILE)))
         except (OSError, ImageError, BoundedYamlError) as error:
-            trouble = f"{record.image}: {getattr(error, 'strerror', None) or error}"
+            trouble = f"{file}: {getattr(error, 'strerror', None) or error}"
         yield RecordedFrame(
             index=record.index,
-            seconds=record.seconds - records[0].seconds,
+            seconds=record.seconds - pictures[0][0].seconds,
             image=image,
             steering=record.steering,
             trouble=trouble,
             throttle=record.throttle,
-            start=records[0].seconds,
+            start=pictures[0][0].seconds,
         )
 
 
@@ -190,8 +188,7 @@ def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
     with BagReader(recording.path) as bag:
         labels = _labels(bag, recording)
         first: int | None = None
-        for index, (connection, logged, raw) in enumerate(bag.messages([_camera(bag, reading)])):
-            message = bag.message(connection, raw)
+        for index, (_, logged, message) in enumerate(bag.decoded([_camera(bag, reading)])):
             time = stamp_of(message) or logged
             first = time if first is None else first
             image, trouble = None, ""
@@ -275,8 +272,7 @@ def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
         names = ", ".join(sorted({c.topic for c in bag.connections}))
         raise BagError(f"{bag.path}: steering {reading.steering!r}: expected TOPIC:FIELD with one of {names}")
     values = {}
-    for connection, logged, raw in bag.messages(found):
-        message = bag.message(connection, raw)
+    for connection, logged, message in bag.decoded(found):
         try:
             value = reading.factor * float(reduce(getattr, path.split("."), message))
         except (AttributeError, TypeError, ValueError):

@@ -60,8 +60,8 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
     if not source.exists():
         raise Sim2RealError(f"{source} does not exist: expected a tub, a bag, or a folder of photographs")
     if is_tub(source):
-        records = [record.image for record in read_tub(source).records if record.image is not None]
-        yield from (_decoded(records[i]) for i in evenly(len(records), limit))
+        pictures = read_tub(source).pictures
+        yield from (_decoded(pictures[i][1]) for i in evenly(len(pictures), limit))
         return
     if (source / "metadata.yaml").exists() or source.suffix in (".bag", ".mcap", ".db3"):
         frames = list(open_recording(source, Reading()).frames())

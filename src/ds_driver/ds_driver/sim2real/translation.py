@@ -159,7 +159,7 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
 def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
     """Translate the images of a tub that a simulator's camera recorded; catalogues are copied as they are."""
     tub = read_tub(folder)
-    images = [record.image for record in tub.records if record.image is not None]
+    images = [file for _, file in tub.pictures]
     if not images:
         raise Sim2RealError(f"{folder} is a tub without images: nothing to translate")
     mark = out / f"{MARK}.json"

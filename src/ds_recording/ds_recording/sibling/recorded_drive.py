@@ -126,8 +126,8 @@ def _photographs(folder: Path, located: Located) -> dict[int, bytes]:
     wanted = set(located.column("frame").astype(int).tolist())
     try:
         if is_tub(source):
-            records = [one for one in read_tub(source).records if one.image is not None and one.index in wanted]
-            return {one.index: read_bounded(one.image, MAX_IMAGE_FILE) for one in records if one.image is not None}
+            pictures = read_tub(source).pictures
+            return {one.index: read_bounded(file, MAX_IMAGE_FILE) for one, file in pictures if one.index in wanted}
         frames = open_recording(source, Reading(whole=True, camera=topic if isinstance(topic, str) else None)).frames()
         return {one.index: png(one.image) for one in frames if one.image is not None and one.index in wanted}
     except (OSError, BoundedYamlError, TubError, BagError) as error:
