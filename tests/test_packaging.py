@@ -31,11 +31,16 @@ def test_every_manifest_has_the_version_of_the_project() -> None:
 
 
 @pytest.mark.parametrize("package", PYTHON_PACKAGES, ids=lambda package: package.name)
-def test_setup_installs_type_information_under_the_project_version(
+def test_setup_installs_type_information_under_what_the_manifest_says(
     package: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     distribution = distribution_of(package, monkeypatch)
-    assert distribution.get_version() == VERSION
+    manifest = ElementTree.parse(package / "package.xml").getroot()
+    said = {
+        key: getattr(distribution.metadata, key) for key in ("name", "version", "description", "license", "maintainer")
+    }
+    assert said == {key: manifest.findtext(key) for key in said}
+    assert [entry.get("email") for entry in manifest.iter("maintainer")] == [distribution.metadata.maintainer_email]
     assert distribution.extras_require == {"test": ["pytest"]}  # colcon runs pytest for these, else unittest
     command = distribution.get_command_obj("build_py")
     command.ensure_finalized()

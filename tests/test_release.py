@@ -14,7 +14,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FILES = ("pyproject.toml", "CITATION.cff", "tools/release.py", "src/*/package.xml", "examples/ci/*.yml")
+FILES = (
+    "pyproject.toml",
+    "CITATION.cff",
+    "tools/release.py",
+    "src/*/package.xml",
+    "src/*/setup.cfg",
+    "examples/ci/*.yml",
+)
 CHANGELOG = """\
 # Changelog
 
@@ -69,6 +76,8 @@ def test_a_release_is_one_commit_with_an_annotated_tag(repository: Path) -> None
     manifests = sorted(repository.glob("src/*/package.xml"))
     assert len(manifests) == len(list(ROOT.glob("src/*/package.xml")))
     assert {ElementTree.parse(file).findtext("version") for file in manifests} == {"9.10.11"}
+    configurations = sorted(repository.glob("src/*/setup.cfg"))
+    assert all(file.read_text().count("\nversion = 9.10.11\n") == 1 for file in configurations) and configurations
     citation = (repository / "CITATION.cff").read_text()
     assert "\nversion: 9.10.11\n" in citation and f"\ndate-released: {today}\n" in citation
     assert citation.startswith("cff-version: 1.2.0\n")

@@ -253,11 +253,11 @@ def test_cmake_paths_of_the_builder_become_those_of_this_machine(tmp_path: Path)
     [
         (lambda src: (src / "ds_interfaces/msg/Outcome.msg").open("a").write("# more\n"), {"ds_interfaces"}),
         (lambda src: (src / "ds_bringup/launch/new.launch.py").touch(), {"ds_bringup"}),
-        (lambda src: (src / "ds_sim/setup.py").open("a").write("# more\n"), {"ds_sim"}),
+        (lambda src: (src / "ds_sim/setup.cfg").open("a").write("# more\n"), {"ds_sim"}),
         (lambda src: (src / "ds_sim/ds_sim/new_module.py").touch(), set()),
         (lambda src: (src / "ds_sim/README.md").touch(), set()),
     ],
-    ids=["message", "launch file", "setup.py", "module", "text"],
+    ids=["message", "launch file", "setup.cfg", "module", "text"],
 )
 def test_only_what_a_change_touches_is_built_again(
     tmp_path: Path, change: Callable[[Path], object], changed: set[str]

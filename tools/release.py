@@ -17,6 +17,7 @@ RELEASED = re.compile(r"^## \[(\d+)\.(\d+)\.(\d+)\]", re.MULTILINE)
 UNRELEASED = re.compile(r"^## \[Unreleased\]\n+(.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
 PLACES = (
     ("pyproject.toml", r'^version = ".*"$', 'version = "{version}"'),
+    ("src/*/setup.cfg", r"^version = .*$", "version = {version}"),
     ("src/*/package.xml", r"<version>.*</version>", "<version>{version}</version>"),
     ("examples/ci/*.yml", r"DIGITAL_SIBLINGS_VERSION: v\S+", "DIGITAL_SIBLINGS_VERSION: v{version}"),
     ("CITATION.cff", r"^version: .*$", "version: {version}"),

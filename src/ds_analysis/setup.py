@@ -1,7 +1,4 @@
-import sys
-from pathlib import Path
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import setup
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
-from package_setup import setup_package
-
-setup_package()
+setup()

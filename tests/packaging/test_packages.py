@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ast
+import configparser
 import re
 import sys
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -73,6 +76,14 @@ WITHOUT_IMPORT = {
         "ds_sim_torcs",
         "ds_sim_ros",
     ),  # made by the names in ds_sim/registry.py
+    "ds_bringup": (
+        "ds_cli",  # what the executables of ds_orchestrator run
+        "ds_sim_panda",
+        "ds_sim_ros",
+        "ds_sim_torcs",  # simulators by name
+        "ros2launch",
+    ),
+    "ds_sim": ("builtin_interfaces", "geometry_msgs"),  # imported by the names of messages in ds_sim/messages.py
     "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
     "ds_driver": ("geometry_msgs",),  # imported by the name of the message that a user chooses
     "ds_sim_ros": ("rcl_interfaces", "simulation_interfaces", "std_srvs"),  # imported by the name of a service's type
@@ -81,16 +92,36 @@ WITHOUT_IMPORT = {
 NO_KEY_WITHOUT_IMPORT = {"ds_sim_panda": {"panda3d"}}  # imported when the first scene is made
 
 
-def imports_of(package: Path) -> set[str]:
-    """List the top-level modules that a package imports, except its own and the standard library's."""
-    found: set[str] = set()
-    for path in (package / package.name).rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                found |= {alias.name.partition(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-                found.add(node.module.partition(".")[0])
-    return found - set(sys.stdlib_module_names) - {package.name}
+def top_level(file: Path) -> Iterator[str]:
+    """List the top-level modules that a file imports."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            yield node.module.partition(".")[0]
+
+
+def executables(name: str) -> dict[str, str]:
+    """Map each executable of a package to its entry point, `module:function`."""
+    config = configparser.ConfigParser()
+    config.read(SOURCE / name / "setup.cfg")
+    lines = config.get("options.entry_points", "console_scripts", fallback="").split("\n")
+    return {left.strip(): right.strip() for left, _, right in (line.partition("=") for line in lines) if right}
+
+
+def imports_of(name: str) -> set[str]:
+    """List the top-level modules that a package imports, except its own and the standard library's.
+
+    An executable imports its entry point; a launch file, the packages that it names.
+    """
+    used: set[str] = {target.partition(".")[0] for target in executables(name).values()}
+    launched = list((SOURCE / name).glob("launch/*.py"))
+    for file in [*(SOURCE / name / name).rglob("*.py"), *launched]:
+        used.update(top_level(file))
+    for file in launched:
+        constants = (node.value for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant))
+        used.update(str(value) for value in constants if value in PACKAGES)
+    return used - set(sys.stdlib_module_names) - {name}
 
 
 def manifest(name: str) -> ElementTree.Element:
@@ -101,14 +132,35 @@ def declared(name: str) -> set[str]:
     return {str(e.text) for e in manifest(name) if e.tag in ("depend", "exec_depend")}
 
 
-@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+@pytest.mark.parametrize("name", [*PYTHON_PACKAGES, "ds_bringup"])
 def test_every_import_is_declared_and_nothing_else_is(name: str) -> None:
-    used = imports_of(SOURCE / name)
+    used = imports_of(name)
     needed = {KEYS.get(module, module) for module in used - NO_KEY.keys()} | set(WITHOUT_IMPORT.get(name, ()))
     assert declared(name) == needed
     comment = re.search(r"<!-- no rosdep key[^:]*: (.*?) -->", (SOURCE / name / "package.xml").read_text())
     named = set(comment.group(1).split(", ")) if comment else set()
     assert named == {NO_KEY[module] for module in used & NO_KEY.keys()} | NO_KEY_WITHOUT_IMPORT.get(name, set())
+
+
+def test_ds_bringup_depends_on_every_package() -> None:
+    """What `colcon build --packages-up-to ds_bringup` builds in a workspace of somebody else."""
+    built, found = {"ds_bringup"}, ["ds_bringup"]
+    while found:
+        found = sorted({key for name in found for key in declared(name)} & set(PACKAGES) - built)
+        built.update(found)
+    assert built == set(PACKAGES)
+
+
+@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+def test_every_executable_has_its_function(name: str) -> None:
+    for target in executables(name).values():
+        module, _, function = target.partition(":")
+        assert callable(getattr(import_module(module), function))
+
+
+@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+def test_a_package_is_set_up_by_files_of_its_own_folder(name: str) -> None:
+    assert list(top_level(SOURCE / name / "setup.py")) == ["setuptools"]
 
 
 @pytest.mark.parametrize("name", PACKAGES)
@@ -119,8 +171,10 @@ def test_every_key_is_one_of_this_workspace_or_known_to_rosdep(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", PACKAGES)
-def test_a_manifest_has_a_maintainer_a_url_and_the_version_of_the_project(name: str) -> None:
+def test_a_manifest_has_a_licence_a_maintainer_a_url_and_the_version_of_the_project(name: str) -> None:
     root = manifest(name)
     assert root.findtext("maintainer") and root.findtext("url") and root.findtext("license") == "Apache-2.0"
+    assert all((SOURCE / name / str(entry.get("file"))).is_file() for entry in root.iter("license"))
+    assert (SOURCE / name / "LICENSE").read_text() == (SOURCE.parent / "LICENSE").read_text()
     version = tomllib.loads((SOURCE.parent / "pyproject.toml").read_text())["project"]["version"]
     assert root.findtext("version") == version
