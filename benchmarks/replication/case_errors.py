@@ -1,7 +1,9 @@
 """How often `ds evaluate` states a wrong merge case, and how often the right one, on simulated campaigns.
 
 `python -m benchmarks.replication.case_errors`. Two siblings and a twin drive the same tests. Tests of a family resemble
-each other, in difficulty and in what a simulator makes of them. Designs were fixed before any rate was computed.
+each other, in difficulty and in what a simulator makes of them; families are about as uneven as those of a search. The
+designs were fixed before any rate was computed. Only the last two of equal rates were added to break a first version,
+which had no opposite family, and did.
 """
 
 from __future__ import annotations
@@ -43,22 +45,25 @@ DESIGNS = (
     Design("all equal, 30 %", (0.3, 0.3, 0.3)),
     Design("all equal, one in lumps", (0.2, 0.2, 0.2), lumped=True),
     Design("one equal, one more often", (0.2, 0.6, 0.2)),
-    Design("one equal, one in lumps less often", (0.05, 0.3, 0.3), lumped=True),
+    Design("one in lumps less often, one equal", (0.05, 0.3, 0.3), lumped=True),
+    Design("one equal in lumps, 10 %, one more often", (0.1, 0.7, 0.1), lumped=True),
+    Design("one equal in lumps, 3 %, one more often", (0.03, 0.5, 0.03), lumped=True),
     Design("both more often", (0.4, 0.5, 0.2), "product"),
     Design("one more often, one less", (0.1, 0.5, 0.25), "mean"),
     Design("both less often", (0.1, 0.2, 0.4), "hardest sibling"),
 )
-SIZES = ((14, 1), (40, 1), (40, 8), (340, 8))
+SIZES = ((14, 1), (40, 1), (120, 8), (340, 8), (1700, 8))
 """Tests, and tests of a family."""
 
 
 def simulated(design: Design, tests: int, size: int, rng: np.random.Generator) -> tuple[dict[str, Bools], Indices]:
     """Outcomes of one campaign, and the families of its tests."""
-    families = np.arange(tests, dtype=np.intp) // size
-    shared = rng.standard_normal(families[-1] + 1)[families]
+    many = tests // size
+    families = np.arange(tests) if size == 1 else (many * rng.random(tests) ** 2).astype(np.intp)
+    shared = rng.standard_normal(many)[families]
     failed = {}
     for k, (name, rate) in enumerate(zip(NAMES, design.rates, strict=True)):
-        own = rng.standard_normal(families[-1] + 1)[families]
+        own = rng.standard_normal(many)[families]
         of_family, rest = OF_FAMILY**0.5 * own, (1 - SHARED - OF_FAMILY) ** 0.5 * rng.standard_normal(tests)
         value = SHARED**0.5 * shared + of_family + rest
         if design.lumped and k != 1:

@@ -12,8 +12,9 @@ from ds_analysis.common.statistics import Bools
 from ds_analysis.paper.merge_case import CAR, merge_case, merge_case_table, merge_cases
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_road import generate
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 
@@ -28,8 +29,8 @@ def first(failures: int, tests: int = 40) -> Bools:
         (30, 4, 15, "mean", "Some siblings fail more often than donkey, others less often. Take the mean"),
         (10, 4, 30, "hardest sibling", "A product would miss more failures. Use a alone."),
         (0, 0, 30, "drive", "No sibling fails, so they do not know where donkey fails. Drive donkey."),
-        (0, 30, 2, "drive", "whether a fails more or less often than donkey. Drive donkey."),
-        (8, 8, 8, "drive", "whether a and b fails more or less often than donkey."),
+        (0, 30, 2, "drive", "whether a fails more or less often than donkey. Drive donkey on more roads."),
+        (8, 8, 8, "drive", "whether a and b fail more or less often than donkey."),
         (0, 0, 0, "drive", "No sibling fails"),
     ],
 )
@@ -46,13 +47,17 @@ def test_p_values_are_those_of_an_exact_permutation_of_families() -> None:
         families = np.sort(rng.integers(0, 9, 40))
         one, twin = rng.random(40) < 0.5, rng.random(40) < 0.25
         sums = [np.bincount(families, values, 9) for values in (one, twin)]
+        # One more family of average size that says the opposite.
+        average = round(40 / len(set(families.tolist())))
+        fewer = int(one.sum() > twin.sum())
+        sums = [np.append(values, average * (k == fewer)) for k, values in enumerate(sums)]
         exact = permutation_test(
             sums, lambda x, y: abs(np.sum(x - y)), permutation_type="samples", alternative="greater", n_resamples=np.inf
         )
         found = merge_case({"a": one, "twin": twin}, "twin", families).siblings[0]
         assert found.p == pytest.approx(exact.pvalue, abs=0.02)
-        assert found.against == (0 if exact.pvalue > 0.05 else 1 if one.sum() > twin.sum() else -1) or (
-            abs(exact.pvalue - 0.05) < 0.02
+        assert found.against == (0 if exact.pvalue > 0.03 else 1 if one.sum() > twin.sum() else -1) or (
+            abs(exact.pvalue - 0.03) < 0.02
         )
 
 
@@ -60,7 +65,7 @@ def campaign(tests: int, copies: int) -> CampaignData:
     """Distinct roads, and copies of the first; a fails on all, b on every second, the twin on none."""
     roads = [generate(np.random.default_rng(number)) for number in range(tests)]
     made = [
-        Test(test_id=f"a-0-{number:04d}", sibling="a", run=0, number=number, road=road, seed=number)
+        Test(f"a-0-{number:04d}", Scenario(road, seed=number), Origin("a", 0, number))
         for number, road in enumerate([*roads, *roads[:1] * copies])
     ]
     executions = [
@@ -88,10 +93,10 @@ def test_a_road_counts_once_and_the_car_is_compared_on_its_own_tests() -> None:
     (twin,) = merge_cases(data, {})
     assert [(one.failures, one.tests) for one in (*twin.siblings, twin.truth)] == [(20, 20), (10, 20), (0, 20)]
     assert twin.advice == "product"
-    driven = {test.test_id: test.number < 2 for test in data.tests[:8]}
+    driven = {test.test_id: test.number < 2 for test in data.tests[:16]}
     _, car = merge_cases(data, driven | {"unknown": True})
-    assert [(one.failures, one.tests) for one in (*car.siblings, car.truth)] == [(8, 8), (4, 8), (2, 8)]
-    assert car.truth.simulator == CAR and car.advice == "drive" and "Drive the car." in car.sentence
+    assert [(one.failures, one.tests) for one in (*car.siblings, car.truth)] == [(16, 16), (8, 16), (2, 16)]
+    assert car.truth.simulator == CAR and car.advice == "drive" and "Drive the car on more roads." in car.sentence
     # The copy of a road that the car has driven is the same road.
     copied = {data.tests[-1].test_id: True, data.tests[0].test_id: False}
     assert [case.truth.tests for case in merge_cases(data, copied)] == [20, 1]

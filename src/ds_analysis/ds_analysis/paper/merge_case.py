@@ -19,10 +19,9 @@ from ds_orchestrator.maps.algebra import jeffreys_interval
 
 Advice = Literal["product", "mean", "hardest sibling", "drive"]
 ERROR_RATE = 0.05
-"""Share of campaigns with equal rates in which a sibling may be called different; chosen before results were seen.
-
-Each sibling is tested both ways at this rate, and a case needs all of them to differ, so it is wrong at most as often.
-"""
+"""Share of campaigns in which a case may be wrong. A case needs all siblings to differ, so it is that of one test."""
+SIGNIFICANT = 0.03
+"""Level of a sibling's test; chosen: below the error rate, which failures of whole families raise (simulated)."""
 FLIPS = 9_999
 """Random sign flips of the test; chosen: p-values near 0.05 are accurate to 0.002."""
 CAR = "the car"
@@ -66,8 +65,9 @@ class MergeCase(NamedTuple):
     def sentence(self) -> str:
         """Failure rates, the case, and which operator follows."""
         truth, hardest = self.truth.simulator, max(self.siblings, key=lambda one: one.failures)
-        undecided = " and ".join(one.simulator for one in self.siblings if not one.against)
-        drive = f"Too few failures to decide whether {undecided} fails more or less often than {truth}. Drive {truth}."
+        undecided = [one.simulator for one in self.siblings if not one.against]
+        fail = f"{' and '.join(undecided)} fail{'s' * (len(undecided) == 1)}"
+        drive = f"It is not decided whether {fail} more or less often than {truth}. Drive {truth} on more roads."
         if not hardest.failures:
             drive = f"No sibling fails, so they do not know where {truth} fails. Drive {truth}."
         found = {
@@ -86,13 +86,17 @@ def merge_case(failed: Mapping[str, Bools], truth: str, families: Indices) -> Me
     for name in [name for name in failed if name != truth]:
         p = _p_of_equal_rates(failed[name], failed[truth], families)
         sign = int(np.sign(failures[name] - failures[truth]))
-        siblings.append(FailureRate(name, failures[name], len(families), sign if p <= ERROR_RATE else 0, p))
+        siblings.append(FailureRate(name, failures[name], len(families), sign if p <= SIGNIFICANT else 0, p))
     return MergeCase(FailureRate(truth, failures[truth], len(families)), siblings)
 
 
 def _p_of_equal_rates(one: Bools, other: Bools, families: Indices) -> float:
-    """p-value of equal failure rates: flips the sign of whole families' differences, both directions together."""
+    """p-value of equal failure rates: flips the sign of whole families' differences, both directions together.
+
+    One more family of average size is taken to say the opposite, as failures of whole families may have been missed.
+    """
     differences = np.bincount(families, one.astype(np.float64) - other)
+    differences = np.append(differences, -np.sign(differences.sum()) * round(len(families) / len(np.unique(families))))
     sizes, counts = np.unique(np.abs(differences[differences != 0]), return_counts=True)
     flipped = 2 * np.random.default_rng(0).binomial(counts, 0.5, (FLIPS, len(counts))) - counts
     return float((1 + np.sum(np.abs(flipped @ sizes) >= abs(differences.sum()))) / (1 + FLIPS))
