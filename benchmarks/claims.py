@@ -30,9 +30,10 @@ from ds_base.atomic_files import write_whole
 from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_report.findings import RoadOutcomes, Split, best_split, kind_of, side_shown
 from ds_sim.conditions.model import FIELDS
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 SIBLINGS, TWIN = ("bullet", "softbody"), "donkey"
@@ -115,10 +116,7 @@ def _searched(size: int, axes: int, number: int) -> Searched:
         while not search.done:
             asked = search.ask_test()
             test_id = f"{sibling}-0-{len(tests):04d}"
-            tests.append(
-                Test(test_id=test_id, sibling=sibling, run=0, number=len(tests), road=asked.road, seed=1,
-                     conditions=asked.conditions)
-            )  # fmt: skip
+            tests.append(Test(test_id, Scenario(asked.road, asked.conditions, seed=1), Origin(sibling, 0, len(tests))))
             search.tell(float(rng.uniform(0.0, 2.0)))
     values = [[value_on(test, axis) for test in tests] for axis in ("curvature", "turns", *names)]
     return Searched(tests=tuple(tests), axes=np.array(values), families=families_of([test.road for test in tests]))

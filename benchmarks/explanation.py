@@ -30,6 +30,7 @@ from ds_sim.camera.look import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import AdjustableVehicle, Vehicle
 from ds_sim.road_simulator import RoadSimulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_studies.explanation.experiment import Experiment, drive_experiments
 from ds_studies.explanation.shares import Explanation, Subset, shapley
@@ -178,7 +179,7 @@ class Pair(NamedTuple):
 def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
     """Find the pairs: on the first roads that the simulators as they were complete, drive every made car."""
     tests = [
-        Test(test_id=f"road-0-{k:04d}", sibling="road", run=0, number=k, road=road, seed=seed)
+        Test(f"road-0-{k:04d}", Scenario(road, seed=seed))
         for k, (road, seed) in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
     ]
 

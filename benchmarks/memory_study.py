@@ -41,6 +41,7 @@ from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.gates.gate import Gate
+from ds_sim.scenario import Scenario
 from ds_studies.same_roads import driven_road
 
 SIMULATORS = ("bullet", "softbody", "panda", "donkey")
@@ -60,12 +61,9 @@ def draw_tests(conditions: bool) -> list[Test]:
     space = ConditionSpace([SearchedCondition(name=name, **ends) for name, ends in CONDITIONS.items()])
     drawn = [space.draw(np.random.default_rng([SEED, 1, k])) for k in range(TESTS)]
     return [
-        Test(
-            test_id=f"{k:04d}", sibling="", run=0, number=0, road=road, seed=SEED + k,
-            conditions=drawn[k] if conditions else DEFAULT,
-        )
+        Test(f"{k:04d}", Scenario(road, drawn[k] if conditions else DEFAULT, seed=SEED + k))
         for k, road in enumerate(unseen_roads(TESTS, SEED))
-    ]  # fmt: skip
+    ]
 
 
 def drive(
@@ -85,7 +83,7 @@ def drive(
         settings = DriveSettings(
             siblings=(name,), driver=driver, gates="none" if gates is None else "all", workers=workers
         )
-        work, folder = {name: [replace(test, sibling=name) for test in tests]}, out / driver / name
+        work, folder = {name: tests}, out / driver / name
         if known_only:
             found = read_drives(folder, work)
         else:

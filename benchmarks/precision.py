@@ -30,6 +30,7 @@ from ds_orchestrator.engines.drive_tests import GivenDrives, drive_tests, read_d
 from ds_orchestrator.store.model import Test
 from ds_road import generate
 from ds_sim.registry import STANDARD
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 SEED = 8_130_013
@@ -51,7 +52,7 @@ def work_of(count: int) -> dict[str, list[Test]]:
     work: dict[str, list[Test]] = {name: [] for name in names}
     for number in range(count):
         name, road = names[number % len(names)], generate(rng, max_angle=int(rng.choice(ANGLES)))
-        test = Test(test_id=f"{name}-0-{number:04d}", sibling=name, run=0, number=number, road=road, seed=SEED + number)
+        test = Test(f"{name}-0-{number:04d}", Scenario(road, seed=SEED + number))
         work[name].append(test)
     return work
 

@@ -24,12 +24,13 @@ from ds_cli.verbs import GROUPS, VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Road, generate, read_roads, write_roads
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SIMULATORS, make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 DS = [sys.executable, "-m", "ds_cli.main"]
@@ -60,9 +61,10 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     store = Store(folder / "campaign.sqlite", config=parse_config(raw, "here").identity())
     for number in range(4):
         test = Test(
-            test_id=f"bullet-0-{number:04d}", sibling="bullet", run=0, number=number,
-            road=generate(np.random.default_rng(number)), seed=100 + number,
-        )  # fmt: skip
+            f"bullet-0-{number:04d}",
+            Scenario(generate(np.random.default_rng(number)), seed=100 + number),
+            Origin("bullet", 0, number),
+        )
         store.add_test(test)
         for simulator in ("bullet", "softbody", "donkey"):
             digest = trajectory_sha256(np.zeros((0, 5)))

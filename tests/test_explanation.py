@@ -20,10 +20,11 @@ from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.campaign.folder import open_store, read_campaign
-from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 from ds_studies.explanation.experiment import experiment_on
 from ds_studies.explanation.shares import Explanation, shapley, subsets
@@ -36,10 +37,7 @@ def campaign(folder: Path, siblings: list[str], conditions: Conditions = DEFAULT
     """A campaign of one short road, driven by the autopilot, which sees no image."""
     folder.mkdir()
     road, seed = candidate_roads(1, 1, segments=2)[0]
-    test = Test(
-        test_id=f"{siblings[0]}-0-0000", sibling=siblings[0], run=0, number=0, road=road, seed=seed,
-        conditions=conditions,
-    )  # fmt: skip
+    test = Test(f"{siblings[0]}-0-0000", Scenario(road, conditions, seed=seed), Origin(siblings[0], 0, 0))
     config = CampaignConfig(siblings=siblings, driver=AUTOPILOT, conditions=conditions)
     store = Store(folder / "campaign.sqlite", config=config.identity())
     store.add_test(test)

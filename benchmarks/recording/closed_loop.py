@@ -40,6 +40,7 @@ from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.oracle import LaneTracker
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Command, Outcome
 from ds_studies.same_roads import driven_road
 from ds_twin_donkey.fit import FitSettings, fit
@@ -151,19 +152,20 @@ def main() -> None:
             for name in (*MADE, *OTHERS):
                 names = [f"recording@{folder}" for folder in siblings[name]] if name in MADE else [name] * ROADS
                 tests = [
-                    Test(test_id=f"{k:02d}", sibling=of, run=0, number=0, road=road, seed=SEED + k,
-                         conditions=conditions)
-                    for k, (of, road) in enumerate(zip(names, roads.get(name, roads[MADE[0]]), strict=True))
-                ]  # fmt: skip
+                    Test(f"{k:02d}", Scenario(road, conditions, seed=SEED + k))
+                    for k, road in enumerate(roads.get(name, roads[MADE[0]]))
+                ]
                 work: dict[str, list[Test]] = {}
-                for test in tests:
-                    work.setdefault(test.sibling, []).append(test)
+                for of, test in zip(names, tests, strict=True):
+                    work.setdefault(of, []).append(test)
                 settings = DriveSettings(
                     siblings=tuple(work), driver=f"{network}@onnx", gates="none", workers=arguments.workers
                 )
                 place = out / "drives" / network / label.replace(" ", "_") / name.replace(" ", "_")
                 driven = drive_tests(settings, work, place, Progress(say=lambda _: None))
-                runs: list[DrivenRoad | None] = [driven_road(driven, test, test.sibling) for test in tests]
+                runs: list[DrivenRoad | None] = [
+                    driven_road(driven, test, of) for of, test in zip(names, tests, strict=True)
+                ]
                 verdicts[name] = ["?" if run is None else "F" if run.outcome.is_failure else "." for run in runs]
                 say(f"  {name:10} {''.join(verdicts[name])}")
                 rows += [

@@ -28,10 +28,11 @@ from ds_orchestrator.campaign.folder import CampaignData, prepare_folder, read_c
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_road import road_from_json
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import Gate
+from ds_sim.scenario import Scenario
 
 SAY_EVERY = 20
 """Drives between two lines of progress."""
@@ -78,11 +79,10 @@ def tests_of(part: Part, tables: Path) -> list[Test]:
         files = [tables / f"{part._replace(where=one, searches=True).name}.parquet" for one in searching]
     tests: dict[str, Test] = {}
     for row in (row for file in files for row in pq.read_table(file, filters=[("run", "==", 0)]).to_pylist()):
-        known = {key: row[key] for key in ("test_id", "sibling", "run", "number", "seed")}
         conditions = parse_conditions(plan.HAZE if part.where == "haze" else row["conditions"])
-        tests.setdefault(
-            row["test_id"], Test(**known, road=road_from_json(json.loads(row["road"])), conditions=conditions)
-        )
+        scenario = Scenario(road_from_json(json.loads(row["road"])), conditions, seed=row["seed"])
+        origin = Origin(row["sibling"], row["run"], row["number"])
+        tests.setdefault(row["test_id"], Test(row["test_id"], scenario, origin))
     return [test for test in tests.values() if test.sibling != part.where]
 
 

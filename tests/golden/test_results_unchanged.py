@@ -26,12 +26,13 @@ from ds_driver.networks.pilot import Frame
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import SEARCHES
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_report.build import write_json
 from ds_road import Road
 from ds_sim.camera.lens import components, sample_rays
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Outcome
 
@@ -58,8 +59,10 @@ def probe() -> str:
 
 
 def demo_tests() -> list[Test]:
-    keys = ("test_id", "sibling", "run", "number", "seed")
-    return [Test(**dict(zip(keys, row[:5], strict=True)), road=Road(row[5])) for row in DEMO["tests"]]
+    return [
+        Test(test_id, Scenario(Road(points), seed=seed), Origin(*origin))
+        for test_id, *origin, seed, points in (row[:6] for row in DEMO["tests"])
+    ]
 
 
 def demo_executions() -> list[Execution]:

@@ -11,10 +11,11 @@ from ds_analysis.common.statistics import Array
 from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of, where
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.store.model import DriveArrays, Execution, Test
+from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.oracle import LaneTracker
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 RIGHT = Road([(100, 0), (100, 25), (100, 50), (100, 75), (118, 93), (143, 93), (168, 93)])
@@ -47,8 +48,7 @@ def failed(
 
 
 def made_test(road: Road, **conditions: float) -> Test:
-    return Test(test_id="bullet-0-0000", sibling="bullet", run=0, number=0, road=road, seed=1,
-                conditions=Conditions(**conditions))  # fmt: skip
+    return Test("bullet-0-0000", Scenario(road, Conditions(**conditions), seed=1), Origin("bullet", 0, 0))
 
 
 def straight_on(road: Road) -> Array:
@@ -118,7 +118,7 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     drift[:, 0] -= np.arange(len(drift)) * 0.03
     straight = failed(drift, steering_from(0.0, 0.2), RIGHT)
     # The same road under the same conditions would count once.
-    tests = [replace(made_test(RIGHT, visibility=50.0 + k), test_id=f"bullet-0-{k:04d}", number=k) for k in range(9)]
+    tests = [replace(made_test(RIGHT, visibility=50.0 + k), test_id=f"bullet-0-{k:04d}") for k in range(9)]
     executions = [replace(straight if k == 0 else wide, test_id=test.test_id) for k, test in enumerate(tests)]
     config = CampaignConfig(siblings=["bullet"], driver="autopilot")
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))

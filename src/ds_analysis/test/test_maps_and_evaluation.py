@@ -20,9 +20,10 @@ from ds_orchestrator.maps.algebra import apply, jeffreys_interval, merge, merged
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
 from ds_orchestrator.search.features import Cell, feature_of
-from ds_orchestrator.store.model import NO_DRIVE, DriveArrays, Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, DriveArrays, Execution, Origin, Test
 from ds_road import Road, generate
 from ds_sim.gates.gate import Gate, GateState
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 SIBLINGS = ["a", "b", "c"]
@@ -34,7 +35,7 @@ X, Y = sorted(ROADS)[:2]
 
 
 def make_test(test_id: str, sibling: str, turns: int) -> Test:
-    return Test(test_id=test_id, sibling=sibling, run=0, number=0, road=ROADS[turns], seed=1)
+    return Test(test_id, Scenario(ROADS[turns], seed=1), Origin(sibling, 0, 0))
 
 
 def make_execution(test_id: str, simulator: str, lateral: float, outcome: Outcome | None = None) -> Execution:

@@ -22,7 +22,7 @@ from .search.algorithms import (
     SearchSettings,
 )
 from .search.features import FEATURES, Cell, cell_of, feature_of
-from .store.model import Execution, Test
+from .store.model import Execution, Origin, Test
 from .store.store import Store
 
 __all__ = [
@@ -52,6 +52,7 @@ __all__ = [
     "MergeOperator",
     "OPERATORS",
     "OperatorsConfig",
+    "Origin",
     "Progress",
     "RandomSearch",
     "SEARCHES",

@@ -9,10 +9,11 @@ import pytest
 
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.status import DRIVES_SAMPLED, driver_habits
-from ds_orchestrator.store.model import DriveArrays, Execution, Test
+from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import generate
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 FRAMES = 40
@@ -27,7 +28,7 @@ def store_of(folder: Path, tests: int, factor: float, speed: float) -> Store:
     trajectory[:, 3] = speed
     road = generate(np.random.default_rng(1))
     for number in range(tests):
-        test = Test(test_id=f"bullet-0-{number:04d}", sibling="bullet", run=0, number=number, road=road, seed=1)
+        test = Test(f"bullet-0-{number:04d}", Scenario(road, seed=1), Origin("bullet", 0, number))
         store.add_test(test)
         for simulator in ("bullet", "donkey"):
             store.add_execution(Execution(

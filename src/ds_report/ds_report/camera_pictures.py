@@ -26,6 +26,7 @@ from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.parts import Scene
 from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.road_simulator import RoadSimulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
 
 DRIVEN_TESTS = 24
@@ -216,10 +217,10 @@ def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test 
 
 
 def camera_pictures(
-    names: Sequence[str], test: Test, trusted: Collection[str] = (), driver: str = AUTOPILOT
+    names: Sequence[str], scenario: Scenario, trusted: Collection[str] = (), driver: str = AUTOPILOT
 ) -> list[CameraPicture]:
     """Render the same place of one road on every simulator, driven by the autopilot; below it what a driver sees."""
-    return [_camera_picture(name, test, trusted, driver) for name in names]
+    return [_camera_picture(name, scenario, trusted, driver) for name in names]
 
 
 def translates(driver: str) -> bool:
@@ -236,11 +237,11 @@ def _paired(image: NDArray[np.uint8], driver: str, simulator: str) -> NDArray[np
     return image if translate is None else np.vstack((image, translate(image)))
 
 
-def _camera_picture(name: str, test: Test, trusted: Collection[str], driver: str) -> CameraPicture:
+def _camera_picture(name: str, scenario: Scenario, trusted: Collection[str], driver: str) -> CameraPicture:
     try:
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         try:
-            reached = _drive_to(simulator, test, CAMERA_PLACE)
+            reached = _drive_to(simulator, scenario, CAMERA_PLACE)
             physics = simulator.spec.physics
             image = _paired(reached.image, driver, name)
         finally:
@@ -256,9 +257,9 @@ def _camera_picture(name: str, test: Test, trusted: Collection[str], driver: str
     return CameraPicture(simulator=name, physics=physics, picture=data_address(image), note=note)
 
 
-def _drive_to(simulator: Simulator, test: Test, place: float) -> Observation:
+def _drive_to(simulator: Simulator, scenario: Scenario, place: float) -> Observation:
     """Drive to a place of the lane, m; return the first observation there, or the last one before it."""
-    latest = simulator.load(test.road, seed=test.seed, conditions=test.conditions)
+    latest = simulator.load(scenario.road, seed=scenario.seed, conditions=scenario.conditions)
     autopilot = Autopilot(simulator.spec.autopilot)
     for _ in range(_CAMERA_STEPS):
         if latest.lane.arc_length >= place or latest.outcome is not Outcome.RUNNING:

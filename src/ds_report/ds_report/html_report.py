@@ -112,7 +112,7 @@ def write_report(
         first=first_screen(data),
         findings=summarise(data, maps, correlations, paired_differences=paired_differences),
         tiles=_tiles(data),
-        cameras=camera_pictures(config.simulators, place, trusted, config.driver) if place else [],
+        cameras=camera_pictures(config.simulators, place.scenario, trusted, config.driver) if place else [],
         paired=paired,
         camera_test=place,
         camera_cell=data.cells.get(place.test_id, ()) if place else (),

@@ -13,12 +13,14 @@ from ds_analysis.paper.correlation import Correlation, evaluate
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
-from ds_orchestrator.store.model import DriveArrays, Execution, Test
+from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_report.html_report import write_report
 from ds_road import Road, generate
+from ds_sim.conditions.model import Conditions
 from ds_sim.registry import label_of
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 EVIL = "nowhere:</script><script>alert('&')</script>"
@@ -28,6 +30,10 @@ EVIL = "nowhere:</script><script>alert('&')</script>"
 @cache
 def road(seed: int) -> Road:
     return generate(np.random.default_rng(seed), max_angle=200)
+
+
+def set_conditions(test: Test, conditions: Conditions) -> Test:
+    return replace(test, scenario=replace(test.scenario, conditions=conditions))
 
 
 def make_execution(test: Test, simulator: str, offset: float) -> Execution:
@@ -59,7 +65,7 @@ def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> l
         for number in range(per_sibling):
             test_id = f"{label_of(sibling)}-0-{number:04d}"
             chosen = road((len(config.siblings) * number + k) % roads)
-            test = Test(test_id=test_id, sibling=sibling, run=0, number=number, road=chosen, seed=3)
+            test = Test(test_id, Scenario(chosen, seed=3), Origin(sibling, 0, number))
             driven = [make_execution(test, name, float(rng.uniform(0.2, 2.6))) for name in config.simulators]
             made.append((test, driven))
     return made

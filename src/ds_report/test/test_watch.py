@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
-from report_campaigns import EVIL, make_campaign, make_execution, make_tests, road
+from report_campaigns import EVIL, make_campaign, make_execution, make_tests, road, set_conditions
 
 from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.drive_request import DriveRequest
@@ -28,7 +27,7 @@ from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, ObservedEngine, read_live
 from ds_orchestrator.graph.session import GraphEngine
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_report.watch import server as watch_server
 from ds_report.watch.campaign_reader import CampaignReader
@@ -37,6 +36,7 @@ from ds_report.watch.server import ServerError, serve
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import Gate, GateState
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -99,7 +99,7 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 
 
 def later_test(number: int) -> Test:
-    return Test(test_id=f"bullet-0-{number:04d}", sibling="bullet", run=0, number=number, road=road(number), seed=3)
+    return Test(f"bullet-0-{number:04d}", Scenario(road(number), seed=3), Origin("bullet", 0, number))
 
 
 def test_a_campaign_is_read_while_it_is_written_and_stays_as_it_is(tmp_path: Path) -> None:
@@ -200,7 +200,7 @@ def test_campaigns_that_have_not_begun_or_have_gates_are_shown(tmp_path: Path) -
     )
     store = Store(tmp_path / "gated/campaign.sqlite", config=config.identity())
     for test, driven in make_tests(config, 3):
-        store.add_test(replace(test, conditions=Conditions(visibility=60.0)))
+        store.add_test(set_conditions(test, Conditions(visibility=60.0)))
         store.add_execution(next(e for e in driven if e.simulator == test.sibling))
         other = next(name for name in config.siblings if name != test.sibling)
         store.add_gate(test.test_id, other, Gate(state=GateState.INFEASIBLE, message="stuck", outcome=Outcome.STUCK))

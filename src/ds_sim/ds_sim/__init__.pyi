@@ -23,6 +23,7 @@ from .registry import (
 from .resimulation import ResimulationError, resimulate
 from .road_simulator import RoadSimulator
 from .run_codec import RunCodecError, decode_run, encode_run
+from .scenario import Scenario
 from .session import RunRecord, Session
 from .simulator import (
     AutopilotGains,
@@ -72,6 +73,7 @@ __all__ = [
     "RunCodecError",
     "RunRecord",
     "SIMULATORS",
+    "Scenario",
     "Scene",
     "Sensor",
     "Session",

@@ -12,6 +12,7 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import GivenDrives, NoVerdict, Progress, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import Road
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 
@@ -30,11 +31,7 @@ def drive_same_roads(
     Returns:
         Simulator -> what became of the roads, in their order; what a simulator cannot realise ends in an error.
     """
-    tests = [
-        Test(test_id=f"{road.road_id}-{seed + k}", sibling=settings.siblings[0], run=0, number=0, road=road,
-             seed=seed + k)
-        for k, road in enumerate(roads)
-    ]  # fmt: skip
+    tests = [Test(f"{road.road_id}-{seed + k}", Scenario(road, seed=seed + k)) for k, road in enumerate(roads)]
     with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_roads_") as place:
         found = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), progress)
         return {

@@ -15,10 +15,11 @@ from ds_analysis.common.parquet import EXECUTIONS, FORMAT_VERSION, WEIGHTS_NOTE
 from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, prepare_folder, read_campaign, store_of
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
+from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_road import road_from_json
 from ds_sim.conditions.text import parse_conditions
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 LARGEST_TABLE = 2**30
@@ -81,12 +82,9 @@ def _read(table: Path) -> tuple[list[dict[str, Any]], dict[str, str]]:
 def _add(store: Store, row: dict[str, Any]) -> None:
     if row["gate"] is not None:
         raise ValueError("its tests passed gates, whose measurements are not in the table")
-    test = Test(
-        test_id=row["test_id"], sibling=row["sibling"], run=row["run"], number=row["number"],
-        road=road_from_json(json.loads(row["road"])), seed=row["seed"],
-        conditions=parse_conditions(row["conditions"]),
-    )  # fmt: skip
-    store.add_test(test)
+    road, conditions = road_from_json(json.loads(row["road"])), parse_conditions(row["conditions"])
+    origin = Origin(row["sibling"], row["run"], row["number"])
+    store.add_test(Test(row["test_id"], Scenario(road, conditions, seed=row["seed"]), origin))
     store.add_execution(
         Execution(
             test_id=row["test_id"], simulator=row["simulator"], outcome=Outcome[row["outcome"]],

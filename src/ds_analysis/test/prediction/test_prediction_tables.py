@@ -13,10 +13,11 @@ from ds_analysis.common.statistics import families_of
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.search.algorithms import DeepHyperion, SearchSettings
-from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_road import MutationError, Road, generate, mutate
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import not_applicable
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 CONFIG = CampaignConfig(search=SearchConfig(population=10, iterations=0, runs=1))
@@ -109,11 +110,12 @@ def test_searched_conditions_are_features_on_their_scale(tmp_path: Path) -> None
     values = (20.0, 40.0, 80.0)
     tests = tuple(
         Test(
-            test_id=t.test_id, sibling=t.sibling, run=t.run, number=t.number, road=t.road, seed=t.seed,
-            conditions=Conditions(visibility=values[k % 3], line_contrast=0.5),
+            t.test_id,
+            Scenario(t.road, Conditions(visibility=values[k % 3], line_contrast=0.5), seed=t.seed),
+            Origin(t.sibling, t.run, t.number),
         )
         for k, t in enumerate(data.tests)
-    )  # fmt: skip
+    )
     table = table_of_campaign(CampaignData(config=data.config, tests=tests, executions=data.executions))
     assert table.feature_names[-1] == "visibility"  # line_contrast is the same in all
     # The reciprocal is the extinction of the air: 1/20 at the range's lower end, 0 at clear air.

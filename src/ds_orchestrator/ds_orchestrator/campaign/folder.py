@@ -186,14 +186,13 @@ class CampaignData:
 
     @cached_property
     def distinct(self) -> CampaignData:
-        """The same campaign with every scenario once: of tests of one road and conditions, the first alone.
+        """The same campaign without repetitions: of scenarios that differ in their seeds alone, the first.
 
-        Everything that counts or infers counts these. Seeds do not make a scenario: every test of a campaign has its
-        own. The paper's maps, and how far a campaign is, take all tests.
+        Everything that counts or infers counts these. The paper's maps, and how far a campaign is, take all tests.
         """
         first: dict[tuple[str, Conditions], Test] = {}
         for test in self.tests:
-            first.setdefault((test.road.road_id, test.conditions), test)
+            first.setdefault(test.scenario.unseeded, test)
         if len(first) == len(self.tests):
             return self
         ids = {test.test_id for test in first.values()}

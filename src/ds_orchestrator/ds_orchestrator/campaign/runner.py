@@ -22,9 +22,10 @@ from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
 from ds_orchestrator.search.algorithms import search_of
 from ds_orchestrator.search.features import cell_of
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import label_of
+from ds_sim.scenario import Scenario
 
 
 class Campaign:
@@ -116,16 +117,8 @@ class Campaign:
         for number in range(search.budget):
             test_id = f"{label_of(sibling)}-{run}-{number:04d}"
             candidate = search.ask_test()
-            test_seed = _seed(config.seed, "test", test_id)
-            test = Test(
-                test_id=test_id,
-                sibling=sibling,
-                run=run,
-                number=number,
-                road=candidate.road,
-                seed=test_seed,
-                conditions=candidate.conditions,
-            )
+            scenario = Scenario(candidate.road, candidate.conditions, seed=_seed(config.seed, "test", test_id))
+            test = Test(test_id, scenario, Origin(sibling, run, number))
             self._store.add_test(test)
             execution = self._executor.execute(test, sibling)
             if execution is None:

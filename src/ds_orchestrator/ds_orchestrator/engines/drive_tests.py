@@ -15,7 +15,7 @@ from ds_orchestrator.campaign.folder import record_provenance
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import NO_ORIGIN, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
 from ds_sim.simulator import Outcome
@@ -120,14 +120,14 @@ def open_drives(
         settings: how they are driven; see `drive_tests` for what may not have changed since the folder began.
         folder: folder of the drives.
         say: called with one line if the code has changed since the folder began.
-        tests: those that the store may hold; if empty, any with the run 0 and the number 0.
+        tests: those that the store may hold.
     """
     make_folder(folder)
     with locked(folder), closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store:
         store.check(
-            {test.sibling for test in tests} or settings.simulators, settings.simulators,
+            {*settings.simulators, NO_ORIGIN.sibling, *(test.sibling for test in tests)}, settings.simulators,
             runs=1 + max((test.run for test in tests), default=0),
-            budget=1 + max((test.number for test in tests), default=0),
+            budget=max(1, len(tests), *(1 + test.number for test in tests)),
         )  # fmt: skip
         record_provenance(store, settings, folder)
         if store.note("code", (code := code_sha256())) != code:

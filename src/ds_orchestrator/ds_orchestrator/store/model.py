@@ -14,34 +14,60 @@ from ds_orchestrator.store import rows as check
 from ds_orchestrator.store.sqlite_file import Row, SqliteFile
 from ds_road import Road, Side
 from ds_road.road import MAX_POINTS
-from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import parse_conditions
+from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 
-@dataclass(frozen=True, kw_only=True)
-class Test:
-    """Road, with operating conditions, that the search generated on one sibling.
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Place of a test in the search that generated it.
 
     Attributes:
-        test_id: `<sibling>-<run>-<number>`.
-        sibling: simulator whose search generated the road.
+        sibling: simulator that the search drove on.
         run: index of the search run, from 0.
         number: index of the test within the run, from 0.
-        road: road to drive.
-        seed: seed of every execution of this test.
-        conditions: operating conditions of every execution of this test.
+    """
+
+    sibling: str
+    run: int
+    number: int
+
+
+NO_ORIGIN = Origin("", 0, 0)
+"""How the store writes that no search generated a test."""
+
+
+@dataclass(frozen=True)
+class Test(OfScenario):
+    """Scenario with a name, which every simulator drives alike.
+
+    Attributes:
+        test_id: unique within a campaign; `<sibling>-<run>-<number>` if a search generated the test.
+        scenario: road, operating conditions and seed of every execution.
+        origin: which search generated it; None if none did.
     """
 
     __test__ = False  # not a test case for pytest
 
     test_id: str
-    sibling: str
-    run: int
-    number: int
-    road: Road
-    seed: int
-    conditions: Conditions = DEFAULT
+    scenario: Scenario
+    origin: Origin | None = None
+
+    @property
+    def sibling(self) -> str:
+        """Simulator whose search generated the test; "" without an origin."""
+        return (self.origin or NO_ORIGIN).sibling
+
+    @property
+    def run(self) -> int:
+        """Index of the search run; 0 without an origin."""
+        return (self.origin or NO_ORIGIN).run
+
+    @property
+    def number(self) -> int:
+        """Index of the test within its run; 0 without an origin."""
+        return (self.origin or NO_ORIGIN).number
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +157,8 @@ def test_of(row: Row, lane: Side) -> Test:
     """
     test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id, conditions, turns, curvature = row
     try:
-        sibling = check.text(sibling, "sibling")
-        run, number = check.whole(run, "run"), check.whole(number, "number")
-        if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}"):
+        origin = Origin(check.text(sibling, "sibling"), check.whole(run, "run"), check.whole(number, "number"))
+        if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}") and origin != NO_ORIGIN:
             raise check.RowError(f"test_id does not end in -{run}-{number:04d}")
         quirk = bool(check.whole(maxitwo_compatible, "maxitwo_compatible", high=1))
         road = Road(check.control_points(points), maxitwo_compatible=quirk, lane=lane)
@@ -144,15 +169,9 @@ def test_of(row: Row, lane: Side) -> Test:
             turns_count=check.whole(turns, "turns_count", high=MAX_POINTS),
             curvature=check.real(curvature, "curvature", low=0.0, high=_LARGEST_CURVATURE),
         )
-        return Test(
-            test_id=test_id,
-            sibling=sibling,
-            run=run,
-            number=number,
-            road=road,
-            seed=check.whole(seed, "seed"),
-            conditions=_conditions_of(check.text(conditions, "conditions")),
-        )
+        under = _conditions_of(check.text(conditions, "conditions"))
+        scenario = Scenario(road, under, seed=check.whole(seed, "seed"))
+        return Test(test_id, scenario, None if origin == NO_ORIGIN else origin)
     except ValueError as error:
         raise check.RowError(f"the test {test_id!r:.60}: {error}") from None
 

@@ -10,7 +10,7 @@ from report_campaigns import make_execution, road
 
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.executor import execution_of
-from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_report.camera_pictures import (
     SIZE,
     camera_pictures,
@@ -21,9 +21,10 @@ from ds_report.camera_pictures import (
     telling_tests,
 )
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 
-TEST = Test(test_id="t", sibling="bullet", run=0, number=0, road=road(0), seed=1)
+TEST = Test("t", Scenario(road(0), seed=1), Origin("bullet", 0, 0))
 
 
 def picture(text: str) -> np.ndarray:
@@ -33,7 +34,7 @@ def picture(text: str) -> np.ndarray:
 
 
 def test_camera_pictures_repeat() -> None:
-    assert camera_pictures(["donkey"], TEST) == camera_pictures(["donkey"], TEST)
+    assert camera_pictures(["donkey"], TEST.scenario) == camera_pictures(["donkey"], TEST.scenario)
 
 
 def test_pictures_are_what_the_simulator_has_shown() -> None:
@@ -73,7 +74,7 @@ def test_moments_cover_a_drive_or_lead_to_its_failure() -> None:
 
 
 def test_the_worst_of_every_cell_comes_first() -> None:
-    tests = [Test(test_id=f"t{k}", sibling="A", run=0, number=k, road=road(0), seed=1) for k in range(6)]
+    tests = [Test(f"t{k}", Scenario(road(0), seed=1), Origin("A", 0, k)) for k in range(6)]
     cells = {"t0": (1,), "t1": (1,), "t2": (2,), "t3": (1,), "t4": (3,)}
     offsets = {"t0": 0.5, "t1": 2.2, "t2": 0.3, "t3": 2.4, "t4": 1.0, "t5": 2.5}
     driven = [make_execution(test, "A", offsets[test.test_id]) for test in tests]
@@ -89,7 +90,7 @@ def test_the_worst_of_every_cell_comes_first() -> None:
 
 
 def test_replays_show_failed_drives_first_and_stay_within_their_bound() -> None:
-    tests = [Test(test_id=f"t{k}", sibling="A", run=0, number=k, road=road(k), seed=1) for k in range(4)]
+    tests = [Test(f"t{k}", Scenario(road(k), seed=1), Origin("A", 0, k)) for k in range(4)]
     cells = {test.test_id: (k,) for k, test in enumerate(tests)}
     offsets = {"A": (2.4, 0.5, 2.2, 0.4), "B": (0.5, 0.6, 2.5, 0.3)}
     driven = [make_execution(test, name, offsets[name][k]) for name in "AB" for k, test in enumerate(tests)]

@@ -16,10 +16,11 @@ from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.feature_map import MapId, map_ids
-from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
 from ds_sim.registry import label_of
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 TWO = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin="nowhere:Twin")
@@ -34,7 +35,7 @@ def campaign(folder: Path, config: CampaignConfig, offsets: list[float], roads: 
     store = Store(folder / "campaign.sqlite", config=config.identity())
     for k, (offset, seed) in enumerate(zip(offsets, roads, strict=True)):
         sibling = config.siblings[k % len(config.siblings)]
-        test = Test(test_id=f"t-0-{k:04d}", sibling=sibling, run=0, number=k, road=road(seed), seed=1)
+        test = Test(f"t-0-{k:04d}", Scenario(road(seed), seed=1), Origin(sibling, 0, k))
         store.add_test(test)
         for name in config.simulators:
             store.add_execution(make_execution(test, name, offset))

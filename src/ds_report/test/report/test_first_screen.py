@@ -120,7 +120,7 @@ def test_siblings_that_never_disagree_are_measured_by_the_twin(
 
 def test_a_road_that_was_driven_twice_counts_once(tmp_path: Path) -> None:
     data = with_outcomes(tmp_path, CONFIG, {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))})
-    again = replace(data.tests[0], test_id="a-0-0099", number=99)
+    again = replace(data.tests[0], test_id="a-0-0099")
     drives = [replace(one, test_id="a-0-0099") for one in data.executions if one.test_id == data.tests[0].test_id]
     repeated = replace(data, tests=(*data.tests, again), executions=(*data.executions, *drives))
     assert first_screen(repeated).believe == first_screen(data).believe

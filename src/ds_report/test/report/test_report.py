@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from report_campaigns import EVIL, make_campaign, make_execution, make_tests, report_of, results, road
+from report_campaigns import EVIL, make_campaign, make_execution, make_tests, report_of, results, road, set_conditions
 from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.table import Column, Table
@@ -24,7 +24,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import Cell
-from ds_orchestrator.store.model import Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
 from ds_report.findings import RoadOutcomes, best_split, road_outcomes, summarise, where_it_fails
@@ -32,6 +32,7 @@ from ds_report.html_report import duration, write_report
 from ds_report.page_data import page_data
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 
@@ -181,7 +182,7 @@ def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> N
 def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
     config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
     store = make_campaign(tmp_path, config, 2)
-    lost = Test(test_id="A-0-0009", sibling="nowhere:A", run=0, number=9, road=road(1), seed=1)
+    lost = Test("A-0-0009", Scenario(road(1), seed=1), Origin("nowhere:A", 0, 9))
     store.add_test(lost)
     store.add_error(lost.test_id, "nowhere:A", 0, Outcome.SIM_ERROR, "the wheels came off")
     store.give_up(lost.test_id)
@@ -227,7 +228,7 @@ def test_a_campaign_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
     page = Page(report_of(tmp_path, store).read_text())
     assert "Nothing was driven yet" in page.texts["p"][1]
     assert page.data["tests"] == [] and page.data["selected"] is None
-    store.add_test(Test(test_id="A-0-0000", sibling="nowhere:A", run=0, number=0, road=road(1), seed=1))
+    store.add_test(Test("A-0-0000", Scenario(road(1), seed=1), Origin("nowhere:A", 0, 0)))
     store.add_execution(make_execution(store.tests()[0], "nowhere:A", 2.4))
     page = Page(report_of(tmp_path, store).read_text())
     assert [run is None for run in page.data["tests"][0][10]] == [False, True, True]
@@ -315,7 +316,7 @@ def hand_made(map_id: MapId, values: tuple[float, ...], times: int = TIMES) -> F
 
 def driven(config: CampaignConfig) -> CampaignData:
     """One test that every simulator completed."""
-    test = Test(test_id="t", sibling=config.siblings[0], run=0, number=0, road=road(0), seed=1)
+    test = Test("t", Scenario(road(0), seed=1), Origin(config.siblings[0], 0, 0))
     executions = tuple(make_execution(test, name, 0.5) for name in config.simulators)
     return CampaignData(config=config, tests=(test,), executions=executions)
 
@@ -391,7 +392,7 @@ def shaped(curvature: float, turns: int, number: int) -> Test:
     """A test whose road has these features, whatever its control points, and is no mutant of another."""
     made = Road(road(number).control_points)
     made.__dict__.update(curvature=curvature, turns_count=turns)
-    return Test(test_id=f"t{number}", sibling="A", run=0, number=number, road=made, seed=1)
+    return Test(f"t{number}", Scenario(made, seed=1), Origin("A", 0, number))
 
 
 def outcomes(*roads: tuple[float, int, bool]) -> RoadOutcomes:
@@ -424,7 +425,7 @@ def test_the_headline_names_turns_where_they_separate_better() -> None:
 def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
     """The same roads, each with its own value of a condition."""
     pairs = zip(made.tests, values, strict=True)
-    return replace(made, tests=tuple(replace(test, conditions=Conditions(**{name: value})) for test, value in pairs))
+    return replace(made, tests=tuple(set_conditions(test, Conditions(**{name: value})) for test, value in pairs))
 
 
 @pytest.mark.parametrize(
@@ -524,8 +525,8 @@ def test_limits_say_what_was_tested_and_what_was_not() -> None:
 
 def test_limits_name_the_conditions_that_were_tested() -> None:
     data = driven(CampaignConfig())
-    foggy = replace(data, tests=tuple(replace(t, conditions=Conditions(visibility=50.0 + k))
-                                      for k, t in enumerate(data.tests)))  # fmt: skip
+    tests = tuple(set_conditions(t, Conditions(visibility=50.0 + k)) for k, t in enumerate(data.tests))
+    foggy = replace(data, tests=tests)
     found = summarise(foggy, results(data)[0], [])
     assert (
         "Conditions: in fog or haze with a visibility of 50 m (visibility). Traffic" in found.limits
@@ -553,7 +554,7 @@ def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: P
     )
     store = Store(tmp_path / "campaign.sqlite", config=config.identity())
     for test, driven in make_tests(config, 4):
-        store.add_test(replace(test, conditions=Conditions(line_contrast=0.5)))
+        store.add_test(set_conditions(test, Conditions(line_contrast=0.5)))
         for execution in driven:
             store.add_execution(execution)
     page = Page(write_all(tmp_path, store).read_text())

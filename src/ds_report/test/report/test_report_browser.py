@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
-from report_campaigns import make_campaign, make_tests, report_of
+from report_campaigns import make_campaign, make_tests, report_of, set_conditions
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.config import CampaignConfig
@@ -393,7 +392,7 @@ def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path
     store = Store(tmp_path / "campaign.sqlite", config=config.identity())
     kinds = (Conditions(visibility=40.0), Conditions(visibility=200.123, friction=0.5))
     for number, (test, driven) in enumerate(make_tests(config, 4, roads=1)):
-        store.add_test(replace(test, conditions=kinds[number % 2]))
+        store.add_test(set_conditions(test, kinds[number % 2]))
         store.add_execution(driven[0])
         gate = Gate(state=GateState.INFEASIBLE, message="the autopilot ends stuck", outcome=Outcome.STUCK)
         store.add_gate(test.test_id, "nowhere:B", gate)

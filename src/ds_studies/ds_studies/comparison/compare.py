@@ -21,6 +21,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate
+from ds_sim.scenario import Scenario
 
 Drives = Mapping[Key, Execution]
 SAME = ("siblings", "twin", "lane", "conditions", "gates", "maxitwo_compatible", "features", "migration", "search")
@@ -141,10 +142,7 @@ def random_tests(roads: Sequence[Road], seed: int, *, siblings: Sequence[str], t
         siblings: names of the simulators but the twin.
         twin: name of the twin, or None.
     """
-    tests = [
-        Test(test_id=f"random-0-{i:04d}", sibling=siblings[0], run=0, number=i, road=road, seed=seed + i)
-        for i, road in enumerate(roads)
-    ]
+    tests = [Test(f"random-0-{i:04d}", Scenario(road, seed=seed + i)) for i, road in enumerate(roads)]
     settings = DriveSettings(siblings=tuple(siblings), twin=twin, driver="")
     return GivenTests(
         name="tests",

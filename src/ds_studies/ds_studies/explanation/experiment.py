@@ -42,7 +42,8 @@ class Experiment:
         taken = {part for word in of_failing for part in self.parts[word]}
         name = hybrid_name({part: self.fails if part in taken else self.against for part in PARTS})
         if CONDITIONS in self.parts and CONDITIONS not in of_failing:
-            return name, replace(self.test, test_id=_PLAIN + self.test.test_id, conditions=DEFAULT)
+            plain = replace(self.test.scenario, conditions=DEFAULT)
+            return name, replace(self.test, test_id=_PLAIN + self.test.test_id, scenario=plain)
         return name, self.test
 
     def explained(self, found: GivenDrives) -> Explanation:

@@ -19,6 +19,7 @@ from ds_orchestrator.engines.drive_tests import Progress, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim.ros.conversions import conditions_from_messages, road_from_message
 from ds_sim.ros.requests import GoalServer
+from ds_sim.scenario import Scenario
 from ds_studies.ros.campaign_messages import outcome_message
 from ds_studies.ros.state_listener import StateListener
 from ds_studies.whole_campaign import check_trust, run_campaign
@@ -109,17 +110,10 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
     check_trust(config, trusted)
     settings = config.drive_settings(attach=attach)
     conditions = conditions_from_messages(request.conditions)
+    seeds = request.seeds or range(len(request.roads))
     tests = [
-        Test(
-            test_id=f"given-0-{number:04d}",
-            sibling=names[0],
-            run=0,
-            number=number,
-            road=road_from_message(road),
-            seed=request.seeds[number] if request.seeds else number,
-            conditions=conditions,
-        )
-        for number, road in enumerate(request.roads)
+        Test(f"given-0-{number:04d}", Scenario(road_from_message(road), conditions, seed=seed))
+        for number, (road, seed) in enumerate(zip(request.roads, seeds, strict=True))
     ]
     progress = Progress(listen=lambda: nullcontext(job.listener), say=job.listener.say, stop=job.stop)
     found = drive_tests(settings, dict.fromkeys(names, tests), job.folder, progress)

@@ -25,6 +25,7 @@ from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import spec_of
+from ds_sim.scenario import Scenario
 from ds_studies.sensitivity.factors import LEVELS, Factor
 from ds_studies.sensitivity.measurement import (
     GATE,
@@ -72,7 +73,7 @@ class Drives:
             ds_orchestrator.campaign.executor.Stopped: `stop` was called.
         """
         name = "-".join(filter(None, (road.road_id, str(seed), format_conditions(conditions))))
-        test = Test(test_id=name, sibling=simulator, run=0, number=0, road=road, seed=seed, conditions=conditions)
+        test = Test(name, Scenario(road, conditions, seed=seed))
         error = f"{simulator}, road {road.road_id}, seed {seed}: "
         if who == GATE:
             self._gates.add_test(test)

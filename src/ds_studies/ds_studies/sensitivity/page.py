@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ds_base.atomic_files import write_whole
-from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import CameraPicture, camera_pictures
 from ds_report.html_report import environment
 from ds_sim.conditions.words import in_words
+from ds_sim.scenario import Scenario
 from ds_studies.sensitivity.analysis import Sensitivity
 
 RELOAD = 3
@@ -50,10 +50,7 @@ class SensitivityPage:
         level, (road, seed) = worst.fails or 0, found.roads[worst.simulator][0]
         key = (position, f"{worst.simulator} {level}")
         if key not in self._pictures:
-            conditions = worst.factor.conditions(level)
-            test = Test(
-                test_id="", sibling=worst.simulator, run=0, number=0, road=road, seed=seed, conditions=conditions
-            )
-            (self._pictures[key],) = camera_pictures([worst.simulator], test)
+            scenario = Scenario(road, worst.factor.conditions(level), seed=seed)
+            (self._pictures[key],) = camera_pictures([worst.simulator], scenario)
         words = in_words(worst.factor.name, worst.factor.value(level))
         return f"{worst.simulator} {words}", self._pictures[key]

@@ -28,6 +28,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.registry import SimulatorName
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 FORMAT = "digital-siblings-suite"
@@ -338,16 +339,8 @@ def run_suite(
         The comparison, and every execution by test and simulator.
     """
     tests = {
-        suite_test.name: Test(
-            test_id=f"suite-0-{number:04d}",
-            sibling=suite.siblings[0],
-            run=0,
-            number=number,
-            road=suite.road_of(suite_test),
-            seed=suite_test.seed,
-            conditions=suite_test.conditions,
-        )
-        for number, suite_test in enumerate(suite.tests)
+        one.name: Test(f"suite-0-{number:04d}", Scenario(suite.road_of(one), one.conditions, seed=one.seed))
+        for number, one in enumerate(suite.tests)
     }
     work = {name: [tests[one.name] for one in suite.tests if name in one.outcomes] for name in suite.simulators}
     found = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, progress)

@@ -1,0 +1,50 @@
+"""What a driver is tested on, whatever the driver and the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """Road, operating conditions and seed, by which simulator and driver determine every frame of a drive.
+
+    Attributes:
+        road: road to drive.
+        conditions: operating conditions.
+        seed: seed of all that is random in the simulator.
+    """
+
+    road: Road
+    conditions: Conditions = DEFAULT
+    _: KW_ONLY
+    seed: int
+
+    @property
+    def unseeded(self) -> tuple[str, Conditions]:
+        """Road and conditions, which two scenarios that only repeat each other share."""
+        return self.road.road_id, self.conditions
+
+
+class OfScenario:
+    """Base class of what holds a scenario; the scenario's parts are its own."""
+
+    scenario: Scenario
+
+    @property
+    def road(self) -> Road:
+        """Road of the scenario."""
+        return self.scenario.road
+
+    @property
+    def conditions(self) -> Conditions:
+        """Operating conditions of the scenario."""
+        return self.scenario.conditions
+
+    @property
+    def seed(self) -> int:
+        """Seed of the scenario."""
+        return self.scenario.seed
