@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -67,23 +66,10 @@ def drive_road(
         >>> run.outcome.name, run.fitness > 1.0
         ('COMPLETED', True)
     """
-    session = Session(simulator)
-    observation = session.start(road, seed, conditions)
-    assert session.run is not None
-    probe = ContrastProbe(session.run, simulator) if probed else None
-    while observation is not None:
-        if probe is not None:
-            probe.see(observation)
-        if not session.driving:
-            break
-        try:
-            command = driver(observation)
-        except DriverError as error:
-            # As in the ROS graph, a driver without an answer counts as silent.
-            session.end(Outcome.DRIVER_SILENT, str(error))
-            break
-        observation = session.advance(command)
-    return session.run
+    drive = _Drive(simulator, driver, road, seed, conditions, probed=probed)
+    while drive.driving:
+        drive.take(drive.answer())
+    return drive.run
 
 
 class Phase(IntEnum):
@@ -121,7 +107,7 @@ class InterleavedDrives:
         self._network = None if driver == AUTOPILOT else _network(driver)
         self.largest_batch = 1 if self._network is None else self._network.largest_batch
         self._idle: dict[str, list[Simulator]] = {}
-        self._active: dict[int, _Drive] = {}
+        self._active: dict[int, tuple[str, _Drive]] = {}
 
     def __len__(self) -> int:
         return len(self._active)
@@ -139,7 +125,7 @@ class InterleavedDrives:
         idle = self._idle.setdefault(request.simulator, [])
         made = idle.pop() if idle else make_simulator(request.simulator)
         try:
-            self._active[key] = self._started(made, request)
+            self._active[key] = request.simulator, self._started(made, request)
         except NotApplicableError:
             idle.append(made)
             raise
@@ -151,39 +137,26 @@ class InterleavedDrives:
         if network is not None:
             rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
         _draw_seen_rows(made, rows, probed=request.probed)
-        session = Session(made)
         autopilot = make_driver(AUTOPILOT, spec) if network is None else None
-        seen = session.start(request.road, request.seed, request.conditions)
-        assert session.run is not None
-        probe = ContrastProbe(session.run, made) if request.probed else None
-        if probe is not None:
-            probe.see(seen)
-        return _Drive(request.simulator, session, autopilot, seen, probe)
+        return _Drive(made, autopilot, request.road, request.seed, request.conditions, probed=request.probed)
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame; return keys and records of those that have ended."""
-        waiting = [(key, drive) for key, drive in self._active.items() if drive.session.driving]
+        waiting = [(key, drive) for key, (_, drive) in self._active.items() if drive.driving]
         if waiting:
             self._note(Phase.DRIVING, ALL_DRIVES)
-        frames = [drive.frame() for _, drive in waiting if drive.autopilot is None]
+        frames = [drive.frame() for _, drive in waiting if drive.driver is None]
         of_network = iter([] if self._network is None else _answers(self._network, frames))
-        commands = [next(of_network) if drive.autopilot is None else drive.piloted() for _, drive in waiting]
+        commands = [next(of_network) if drive.driver is None else drive.answer() for _, drive in waiting]
         for (key, drive), command in zip(waiting, commands, strict=True):
-            if isinstance(command, DriverError):
-                # As in the ROS graph, a driver without an answer counts as silent.
-                drive.session.end(Outcome.DRIVER_SILENT, str(command))
-                continue
             self._note(Phase.SIMULATING, key)
-            drive.seen = drive.session.advance(command)
-            if drive.probe is not None:
-                drive.probe.see(drive.seen)
+            drive.take(command)
         records = []
-        for key, drive in list(self._active.items()):
-            if not drive.session.driving:
+        for key, (name, drive) in list(self._active.items()):
+            if not drive.driving:
                 del self._active[key]
-                self._keep(drive.simulator, drive.session.simulator)
-                assert drive.session.run is not None
-                records.append((key, drive.session.run))
+                self._keep(name, drive.simulator)
+                records.append((key, drive.run))
         return records
 
     def _keep(self, name: str, simulator: Simulator) -> None:
@@ -220,20 +193,61 @@ def _answers(network: NetworkDriver, frames: Sequence[Frame]) -> list[Command | 
         return [DriverError(str(error))] if len(frames) == 1 else [_answers(network, [f])[0] for f in frames]
 
 
-@dataclass
 class _Drive:
-    """One drive in progress."""
+    """One drive in progress; `driver` answers its frames, or something else does where it is None.
 
-    simulator: str
-    session: Session
-    autopilot: Driver | None
-    seen: Observation | None
-    probe: ContrastProbe | None
+    Raises:
+        ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
+    """
 
-    def piloted(self) -> Command:
-        assert self.autopilot is not None and self.seen is not None
-        return self.autopilot(self.seen)
+    def __init__(
+        self,
+        simulator: Simulator,
+        driver: Driver | None,
+        road: Road,
+        seed: int,
+        conditions: Conditions,
+        *,
+        probed: bool,
+    ) -> None:
+        self.simulator, self.driver = simulator, driver
+        self._session = Session(simulator)
+        self._seen = self._session.start(road, seed, conditions)
+        self._probe = ContrastProbe(self.run, simulator) if probed else None
+        self._look()
+
+    @property
+    def run(self) -> RunRecord:
+        """Record of the run so far."""
+        assert self._session.run is not None
+        return self._session.run
+
+    @property
+    def driving(self) -> bool:
+        """True until the run ends."""
+        return self._session.driving
 
     def frame(self) -> Frame:
-        assert self.seen is not None
-        return Frame.of(self.seen, self.session.simulator.spec)
+        """What a network gets of the frame that waits for an answer."""
+        assert self._seen is not None
+        return Frame.of(self._seen, self.simulator.spec)
+
+    def answer(self) -> Command | DriverError:
+        """Ask the drive's own driver for an answer to the frame that waits for it."""
+        assert self.driver is not None and self._seen is not None
+        try:
+            return self.driver(self._seen)
+        except DriverError as error:
+            return error
+
+    def take(self, answer: Command | DriverError) -> None:
+        """Drive one step with an answer; as in the ROS graph, a driver without one counts as silent."""
+        if isinstance(answer, DriverError):
+            self._session.end(Outcome.DRIVER_SILENT, str(answer))
+            return
+        self._seen = self._session.advance(answer)
+        self._look()
+
+    def _look(self) -> None:
+        if self._probe is not None:
+            self._probe.see(self._seen)
