@@ -72,10 +72,7 @@ class Pause:
         last = self._frames[-1]
         lane = replace(last.lane, lateral_position=worst, lateral_distance=2.0 - worst)
         frames = [*self._frames[:-1], replace(last, lane=lane, outcome=outcome)]
-        return RunRecord(
-            road=request.road, seed=request.seed, conditions=request.conditions, observations=frames,
-            commands=self._commands, outcome=outcome,
-        )  # fmt: skip
+        return RunRecord(scenario=request.scenario, observations=frames, commands=self._commands, outcome=outcome)
 
     def close(self) -> None:
         """End."""

@@ -49,8 +49,8 @@ class OfDriver(MadeUpEngine):
         self.offset = 0 if driver == "autopilot" else 1
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        run = super().drive(replace(request, seed=request.seed + self.offset))
-        return RunRecord(**{**vars(run), "seed": request.seed})
+        moved = replace(request.scenario, seed=request.seed + self.offset)
+        return replace(super().drive(replace(request, scenario=moved)), scenario=request.scenario)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -38,7 +39,7 @@ def test_a_bag_keeps_the_conditions_of_its_run(tmp_path: Path) -> None:
         found = read_run(bag)
     assert found.run.conditions == CONDITIONS
     assert len(list(resimulate("donkey", found.run))) == len(run.observations)
-    found.run.conditions = Conditions()
+    found.run.scenario = replace(found.run.scenario, conditions=Conditions())
     with pytest.raises(ResimulationError):
         list(resimulate("donkey", found.run))
 

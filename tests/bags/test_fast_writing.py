@@ -20,6 +20,7 @@ from ds_bags.rosbag2_writer import CHUNK_SIZE, MESSAGE_HEAD, Rosbag2Writer, Topi
 from ds_bags.run_writer import write_bag
 from ds_road import Road
 from ds_sim.registry import spec_of
+from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
 
@@ -42,7 +43,7 @@ def a_run(frames: int, seed: int = 1) -> RunRecord:
         for step in range(frames)
     ]
     commands = [Command(float(rng.uniform(-1, 1)), float(rng.uniform(0, 1))) for _ in seen[1:]]
-    return RunRecord(road=ROAD, seed=seed, observations=seen, commands=commands, outcome=Outcome.STUCK)
+    return RunRecord(scenario=Scenario(ROAD, seed=seed), observations=seen, commands=commands, outcome=Outcome.STUCK)
 
 
 class LibraryWriter:

@@ -59,7 +59,7 @@ class MadeUpEngine(EngineHere):
     """Drives nothing: generates an outcome from simulator, road and seed at once."""
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        simulator, road, seed, conditions = request.simulator, request.road, request.seed, request.conditions
+        simulator, road, seed = request.simulator, request.road, request.seed
         if self._left == 0:
             raise Stopped
         self._left -= 1
@@ -68,9 +68,8 @@ class MadeUpEngine(EngineHere):
         lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
         failed = bool(np.abs(lateral).max() > HALF_LANE)
         x, y = road.lane_centre[0].tolist()
-        run = RunRecord(
-            road=road, seed=seed, conditions=conditions, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
-        )
+        outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
+        run = RunRecord(scenario=request.scenario, outcome=outcome)
         run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
         run.observations = [
             Observation(

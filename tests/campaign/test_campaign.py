@@ -34,6 +34,7 @@ from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import label_of
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
@@ -347,9 +348,9 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
     pool = GraphEngine(workers, ["donkey"], lambda: probing)
     road = Road([(125.0, 25.0 * i) for i in range(9)])
     with ThreadPoolExecutor(2) as threads:
-        list(threads.map(lambda seed: pool.drive(DriveRequest("donkey", "dave2", road, seed)), range(6)))
+        list(threads.map(lambda seed: pool.drive(DriveRequest(Scenario(road, seed=seed), "dave2", "donkey")), range(6)))
     assert sum(w.runs for w in workers) == 6
-    pool.drive(DriveRequest("donkey", AUTOPILOT, road, 6, probed=True))
+    pool.drive(DriveRequest(Scenario(road, seed=6), AUTOPILOT, "donkey", probed=True))
     assert sum(w.runs for w in workers) == 6 and len(probing.roads) == 1
     pool.stop()
     assert all(w.stopped for w in workers)

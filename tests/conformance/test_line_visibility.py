@@ -18,6 +18,7 @@ from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import GateState, gate_of
 from ds_sim.gates.visible_contrast import ContrastProbe, VisibleContrast
 from ds_sim.registry import make_simulator, spec_of
+from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord, Session
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 
@@ -148,7 +149,7 @@ def test_a_still_is_what_a_camera_without_noise_shows() -> None:
 def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRecord:
     """A run of 1 m a frame, with one contrast in ten frames."""
     vehicle = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
-    run = RunRecord(road=STRAIGHT, seed=1, outcome=outcome, visible_contrasts=contrasts)
+    run = RunRecord(scenario=Scenario(STRAIGHT, seed=1), outcome=outcome, visible_contrasts=contrasts)
     run.observations = [
         Observation(
             image=NO_IMAGE, step=k, time=k / 20, vehicle=vehicle, outcome=Outcome.RUNNING,

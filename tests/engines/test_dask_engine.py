@@ -22,6 +22,7 @@ from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, TlsFil
 from ds_orchestrator.engines.dask_engine import DaskEngine, running_dask
 from ds_road import generate
 from ds_sim.run_codec import encode_run
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 
 QUICK, SLOW = (f"tests.engines.quick_simulator:{name}" for name in ("QuickSimulator", "SlowSimulator"))
@@ -58,7 +59,8 @@ def expected(folder: Path, count: int) -> list[bytes]:
     try:
         with ThreadPoolExecutor(8) as pool:
             runs = pool.map(
-                lambda seed: process.drive(DriveRequest(QUICK, "autopilot", ROADS[seed % 3], seed)), range(count)
+                lambda seed: process.drive(DriveRequest(Scenario(ROADS[seed % 3], seed=seed), "autopilot", QUICK)),
+                range(count),
             )
             return [encode_run(run) for run in runs]
     finally:
@@ -71,7 +73,7 @@ class Drives:
     def __init__(self, engine: DaskEngine, simulator: str, count: int) -> None:
         self._pool = ThreadPoolExecutor(16)
         self._futures: list[Future[RunRecord]] = [
-            self._pool.submit(engine.drive, DriveRequest(simulator, "autopilot", ROADS[seed % 3], seed))
+            self._pool.submit(engine.drive, DriveRequest(Scenario(ROADS[seed % 3], seed=seed), "autopilot", simulator))
             for seed in range(count)
         ]
 

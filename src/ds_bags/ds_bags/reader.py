@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
-from ds_bags.bounded_rosbags import check_ros1_types
+from ds_bags.bounded_rosbags import AnyReader, check_ros1_types
 from ds_bags.layout import (
     MAX_TIME,
     MAX_TOPICS,
@@ -33,6 +32,7 @@ from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import received_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
 
@@ -272,12 +272,9 @@ def read_run(
     stamps: list[int] = []
     commands: dict[int, Command] = {}
     try:
-        run = RunRecord(
-            road=_road(bag, facts),
-            seed=_seed(facts["seed"]),
-            conditions=parse_conditions(facts.get("conditions", "")),
-            message=facts.get("message", ""),
-        )
+        conditions = parse_conditions(facts.get("conditions", ""))
+        scenario = Scenario(_road(bag, facts), conditions, seed=_seed(facts["seed"]))
+        run = RunRecord(scenario=scenario, message=facts.get("message", ""))
         for is_command, stamp, message in states_and_commands(bag):
             if is_command:
                 commands.setdefault(stamp, Command(message.steering, message.throttle))

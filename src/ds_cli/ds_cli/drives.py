@@ -28,7 +28,8 @@ from ds_cli.options import (
     driver_named,
 )
 from ds_cli.output import Interrupted, Result, duration, end, say, warning
-from ds_sim.conditions.model import DEFAULT, Conditions, ConditionsError
+from ds_sim.conditions.model import Conditions, ConditionsError
+from ds_sim.scenario import OfScenario, Scenario
 
 if TYPE_CHECKING:
     from ds_bags.ros.image_recorder import ImageRecorder
@@ -49,15 +50,13 @@ app = typer.Typer()
 
 
 @dataclass(frozen=True, kw_only=True)
-class DriveRequest:
+class DriveOptions(OfScenario):
     """What `ds drive` was asked to do.
 
     Attributes:
         sim: simulator name.
         driver: driver name, with its backend.
-        road: to drive.
-        seed: of the run.
-        conditions: operating conditions of the run; the default leaves them to a running node.
+        scenario: to drive; default conditions leave them to a running node.
         bag: rosbag2 folder to write, or None.
         level: what the bag holds.
         video: .mp4 to write, or None.
@@ -68,15 +67,13 @@ class DriveRequest:
 
     sim: str
     driver: str
-    road: Road
-    seed: int
+    scenario: Scenario
     bag: Path | None
     level: Level
     video: Path | None
     attach: bool
     wait: float
     namespace: str
-    conditions: Conditions = DEFAULT
 
 
 def in_words(document: dict[str, Any], road: Road) -> list[str]:
@@ -101,7 +98,7 @@ def in_words(document: dict[str, Any], road: Road) -> list[str]:
     return lines
 
 
-def _check(request: DriveRequest) -> None:
+def _check(request: DriveOptions) -> None:
     """Refuse what cannot work before anything starts."""
     import ds_road
     from ds_bags.layout import BagError
@@ -125,7 +122,7 @@ def _check(request: DriveRequest) -> None:
         check_path(request.video)
 
 
-def _run(request: DriveRequest) -> tuple[RunRecord, bool]:
+def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
     """The run, and whether its images were recorded from the graph."""
     from ds_cli.progress import DriveProgress
     from ds_orchestrator.graph.session import running_graph
@@ -157,7 +154,7 @@ def _domain() -> str:
 
 
 @contextmanager
-def _recorder(executor: GraphClient, request: DriveRequest) -> Iterator[ImageRecorder | None]:
+def _recorder(executor: GraphClient, request: DriveOptions) -> Iterator[ImageRecorder | None]:
     """Record the images of a simulator that cannot be re-simulated here; None where none are needed.
 
     A node that runs elsewhere may be another version with another look, and a simulator of the user's own may not
@@ -178,7 +175,7 @@ def _recorder(executor: GraphClient, request: DriveRequest) -> Iterator[ImageRec
 
     folder = image_spool_path(bag)
     shutil.rmtree(folder.parent, ignore_errors=True)
-    facts = facts_of(sim, RunRecord(road=request.road, seed=request.seed, conditions=request.conditions), request.level)
+    facts = facts_of(sim, RunRecord(scenario=request.scenario), request.level)
     with ImageRecorder(folder, request.namespace, facts, executor.context) as recorder:
         if not recorder.wait_for_simulator():
             raise GraphError(
@@ -188,14 +185,14 @@ def _recorder(executor: GraphClient, request: DriveRequest) -> Iterator[ImageRec
         yield recorder
 
 
-def _translation(request: DriveRequest) -> Translation | None:
+def _translation(request: DriveOptions) -> Translation | None:
     """How the driver saw the images; None if as they are, or if an unknown driver drove."""
     from ds_driver.networks.network_driver import translation_of
 
     return None if request.attach else translation_of(request.driver, request.sim)
 
 
-def _keep_bag(request: DriveRequest, run: RunRecord, whose: str, *, seen: bool) -> None:
+def _keep_bag(request: DriveOptions, run: RunRecord, whose: str, *, seen: bool) -> None:
     """Write the bag, with the recorded images or those of a re-simulation."""
     from ds_bags.layout import image_spool_path
     from ds_bags.run_writer import write_bag
@@ -295,10 +292,10 @@ def drive_command(
 
     chosen = seed if seed is not None else seed_of(road)
     driver = driver_named(driver, backend, device)
-    request = DriveRequest(
-        sim=sim, driver=driver, road=one_road(road, chosen, max_angle, lane),
-        seed=chosen, bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
-        conditions=conditions_in(road) if conditions is None else parse_conditions(conditions),
+    under = conditions_in(road) if conditions is None else parse_conditions(conditions)
+    request = DriveOptions(
+        sim=sim, driver=driver, scenario=Scenario(one_road(road, chosen, max_angle, lane), under, seed=chosen),
+        bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
     )  # fmt: skip
     _check(request)
     check_ros()

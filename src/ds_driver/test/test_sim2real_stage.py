@@ -35,6 +35,7 @@ from ds_driver.training import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Outcome
 from ds_sim.video import compose, write_video
@@ -111,7 +112,7 @@ def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
     drives = InterleavedDrives(driver)
     runs: dict[int, RunRecord] = {}
     for key, name in enumerate(WINDOWS):
-        drives.begin(key, DriveRequest(name, driver, road, 1))
+        drives.begin(key, DriveRequest(Scenario(road, seed=1), driver, name))
     while len(drives):
         runs.update(drives.step())
     for key, name in enumerate(WINDOWS):
@@ -214,7 +215,9 @@ def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path
     seen = [simulator.load(road, seed=1)]
     seen.append(simulator.step(Command(0.0, 1.0)))
     simulator.close()
-    run = RunRecord(road=road, seed=1, outcome=Outcome.CANCELLED, observations=seen, commands=[Command(0.0, 1.0)])
+    run = RunRecord(
+        scenario=Scenario(road, seed=1), outcome=Outcome.CANCELLED, observations=seen, commands=[Command(0.0, 1.0)]
+    )
     translate = translation_of(driver, "bullet")
     assert translate is not None and translation_of("dave2", "bullet") is None
     for name, how in (("plain", None), ("real", translate)):

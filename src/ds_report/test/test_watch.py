@@ -237,7 +237,7 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -
         live.stage("search")
         live.finished(store.tests()[0], "bullet", None, fresh=True)
         observed = ObservedEngine(GraphEngine([slow], ["bullet"], SlowEngine), live)
-        thread = threading.Thread(target=observed.drive, args=(DriveRequest("bullet", "dave2", test.road, test.seed),))
+        thread = threading.Thread(target=observed.drive, args=(DriveRequest(test.scenario, "dave2", "bullet"),))
         thread.daemon = True
         thread.start()
         time.sleep(2.5 * EVERY)

@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.errors import InputError
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions
+from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 
@@ -60,7 +59,7 @@ def encode_run(run: RunRecord) -> bytes:
         >>> session = Session(make_simulator("softbody"))
         >>> _ = session.start(road, seed=1)
         >>> run = session.run
-        >>> decode_run(encode_run(run), road, seed=1) == run
+        >>> decode_run(encode_run(run), run.scenario) == run
         True
     """
     frames, commands = len(run.observations), len(run.commands)
@@ -86,17 +85,15 @@ def encode_run(run: RunRecord) -> bytes:
         raise
     except (ValueError, OverflowError, TypeError, struct.error) as error:
         raise RunCodecError(f"the run of road {run.road.road_id} cannot be sent: {error}") from None
-    return start + struct.pack("<I", _checksum(start, body, run.road, run.seed, run.conditions)) + body
+    return start + struct.pack("<I", _checksum(start, body, run.scenario)) + body
 
 
-def decode_run(data: bytes, road: Road, seed: int, conditions: Conditions = DEFAULT) -> RunRecord:
+def decode_run(data: bytes, scenario: Scenario) -> RunRecord:
     """Decode a run that `encode_run` encoded; memory is bounded by the size of the data.
 
     Args:
         data: the whole encoded run.
-        road: road that was driven.
-        seed: seed of the run.
-        conditions: operating conditions of the run.
+        scenario: what was driven.
 
     Raises:
         RunCodecError: the data is damaged, or of another version, road, seed or conditions.
@@ -120,12 +117,12 @@ def decode_run(data: bytes, road: Road, seed: int, conditions: Conditions = DEFA
     if len(data) != size:
         raise RunCodecError(f"a run of {len(data)} bytes, expected {size}: it was cut off, or something follows it")
     start, body = data[: _HEADER.size - _CHECKSUM_SIZE], data[_HEADER.size :]
-    if _checksum(start, body, road, seed, conditions) != checksum:
+    if _checksum(start, body, scenario) != checksum:
         raise RunCodecError(
             "a run has a wrong checksum: it is damaged, or of another road, seed or conditions, send it again"
         )
     try:
-        run = RunRecord(road=road, seed=seed, conditions=conditions, outcome=Outcome(outcome))
+        run = RunRecord(scenario=scenario, outcome=Outcome(outcome))
         return _record(body, frames, commands, run, reason, measured=version == MEASURED_VERSION)
     except RunCodecError:
         raise
@@ -198,6 +195,6 @@ def _check_finite(columns: NDArray[np.float64], names: tuple[str, ...]) -> None:
         raise RunCodecError(f"{names[name]} is {columns[name, index]} in frame {index}, expected a finite number")
 
 
-def _checksum(start: bytes, body: bytes, road: Road, seed: int, conditions: Conditions) -> int:
-    test = " ".join(filter(None, (road.road_id, str(seed), format_conditions(conditions))))
+def _checksum(start: bytes, body: bytes, scenario: Scenario) -> int:
+    test = " ".join(filter(None, (scenario.road.road_id, str(scenario.seed), format_conditions(scenario.conditions))))
     return zlib.crc32(body, zlib.crc32(start, zlib.crc32(test.encode())))

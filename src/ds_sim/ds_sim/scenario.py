@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING
 
-from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
+
+if TYPE_CHECKING:
+    from ds_road import Road  # NumPy would delay every help text
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.simulator import (
     FRAME_TIME,
     Command,
@@ -27,13 +28,11 @@ NO_IMAGE.setflags(write=False)
 
 
 @dataclass(kw_only=True)
-class RunRecord:
+class RunRecord(OfScenario):
     """Record of one run.
 
     Attributes:
-        road: road that was driven.
-        seed: seed of the run.
-        conditions: operating conditions of the run.
+        scenario: road that was driven, operating conditions, and seed of the run.
         observations: one per frame, the first at rest, without images.
         commands: command k led from frame k to frame k + 1.
         outcome: how the run ended; RUNNING until then.
@@ -42,9 +41,7 @@ class RunRecord:
         visible_contrasts: contrast of the lines in every tenth frame, if it was measured; see `ds_sim.gates`.
     """
 
-    road: Road
-    seed: int
-    conditions: Conditions = DEFAULT
+    scenario: Scenario
     observations: list[Observation] = field(default_factory=list)
     commands: list[Command] = field(default_factory=list)
     outcome: Outcome = Outcome.RUNNING
@@ -112,7 +109,7 @@ class Session:
             ds_sim.NotApplicableError: the simulator cannot realise a condition; no run is made of that.
         """
         self.simulator.spec.check(conditions)
-        self.run = RunRecord(road=road, seed=seed, conditions=conditions)
+        self.run = RunRecord(scenario=Scenario(road, conditions, seed=seed))
         return self._record(lambda: self.simulator.load(road, seed=seed, conditions=conditions))
 
     def advance(self, command: Command) -> Observation | None:

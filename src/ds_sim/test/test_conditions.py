@@ -15,6 +15,7 @@ from ds_sim.conditions.text import format_conditions, from_json, parse_condition
 from ds_sim.conditions.words import PHRASES, Side, in_words
 from ds_sim.registry import make_simulator, simulator_of_process, spec_of
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, DrawsRows, Observation, Outcome, SimulatorSpec
 
@@ -167,9 +168,9 @@ def test_a_sent_run_is_that_of_its_conditions() -> None:
     session.advance(Command(0.1, 0.5))
     assert session.run is not None
     data = encode_run(session.run)
-    assert decode_run(data, STRAIGHT, 1, conditions).conditions == conditions
+    assert decode_run(data, Scenario(STRAIGHT, conditions, seed=1)).conditions == conditions
     with pytest.raises(RunCodecError, match="another road, seed or conditions"):
-        decode_run(data, STRAIGHT, 1)
+        decode_run(data, Scenario(STRAIGHT, seed=1))
 
 
 def test_a_kept_simulator_draws_all_rows_again() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from ds_road import Road
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
+from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 
@@ -38,8 +39,7 @@ def runs(draw: st.DrawFn) -> RunRecord:
     seen = draw(st.lists(observations, max_size=4))
     driven = max(0, len(seen) - 1)
     return RunRecord(
-        road=ROAD,
-        seed=draw(st.integers(0, 2**64)),
+        scenario=Scenario(ROAD, seed=draw(st.integers(0, 2**64))),
         observations=seen,
         commands=draw(st.lists(commands, min_size=driven, max_size=driven)),
         outcome=draw(st.sampled_from(Outcome)),
@@ -62,20 +62,24 @@ def a_run(**fields_of_last_frame: float) -> RunRecord:
         for step in range(2)
     ]
     return RunRecord(
-        road=ROAD, seed=7, observations=frames, commands=[Command(-0.5, 0.25)], outcome=Outcome.COMPLETED, message="é"
+        scenario=Scenario(ROAD, seed=7),
+        observations=frames,
+        commands=[Command(-0.5, 0.25)],
+        outcome=Outcome.COMPLETED,
+        message="é",
     )
 
 
 @settings(deadline=None)  # a busy machine is slow
 @given(runs())
 def test_a_run_arrives_with_every_bit(run: RunRecord) -> None:
-    arrived = decode_run(encode_run(run), ROAD, run.seed)
+    arrived = decode_run(encode_run(run), Scenario(ROAD, seed=run.seed))
     assert repr(arrived) == repr(run)  # repr tells -0.0 from 0.0, and a numpy number from a Python one
 
 
 def test_numbers_of_numpy_arrive_as_python_numbers() -> None:
     run = a_run(x=np.float64(0.1), y=np.float32(0.1))  # type: ignore[arg-type]
-    vehicle = decode_run(encode_run(run), ROAD, 7).observations[0].vehicle
+    vehicle = decode_run(encode_run(run), Scenario(ROAD, seed=7)).observations[0].vehicle
     assert (repr(vehicle.x), repr(vehicle.y)) == ("0.1", repr(float(np.float32(0.1))))
 
 
@@ -94,14 +98,14 @@ def test_damage_is_refused_in_one_line(data: st.DataObject) -> None:
     else:
         damaged = data.draw(st.binary(max_size=200))
     with pytest.raises(RunCodecError) as refused:
-        decode_run(damaged, ROAD, 7)
+        decode_run(damaged, Scenario(ROAD, seed=7))
     assert len(str(refused.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize(("road", "seed"), [(OTHER_ROAD, 7), (ROAD, 8)])
 def test_the_answer_to_another_request_is_refused(road: Road, seed: int) -> None:
     with pytest.raises(RunCodecError, match="another road, seed or conditions"):
-        decode_run(encode_run(a_run()), road, seed)
+        decode_run(encode_run(a_run()), Scenario(road, seed=seed))
 
 
 def forged(at: int, value: bytes) -> bytes:
@@ -131,19 +135,19 @@ def forged(at: int, value: bytes) -> bytes:
 )
 def test_content_that_makes_no_sense_is_refused_by_name(at: int, value: bytes, line: str) -> None:
     with pytest.raises(RunCodecError, match=line):
-        decode_run(forged(at, value), ROAD, 7)
+        decode_run(forged(at, value), Scenario(ROAD, seed=7))
 
 
 def test_contrasts_of_lines_arrive_and_cost_nothing_where_there_are_none() -> None:
     plain, measured = a_run(), a_run()
     measured.visible_contrasts = [0.5, 0.0, 1 / 3]
-    found = decode_run(encode_run(measured), ROAD, 7)
+    found = decode_run(encode_run(measured), Scenario(ROAD, seed=7))
     assert found.visible_contrasts == measured.visible_contrasts and found.message == measured.message
-    assert encode_run(plain) == encode_run(decode_run(encode_run(plain), ROAD, 7))
+    assert encode_run(plain) == encode_run(decode_run(encode_run(plain), Scenario(ROAD, seed=7)))
     assert len(encode_run(measured)) == len(encode_run(plain)) + 4 + 3 * 8
     for damaged in (encode_run(measured)[:-5], encode_run(measured)[:24]):
         with pytest.raises(RunCodecError, match="cut off"):
-            decode_run(damaged, ROAD, 7)
+            decode_run(damaged, Scenario(ROAD, seed=7))
     measured.visible_contrasts = [math.nan]
     with pytest.raises(RunCodecError, match="visible_contrast is nan"):
         encode_run(measured)
@@ -153,6 +157,6 @@ def test_what_nobody_could_read_is_not_sent() -> None:
     with pytest.raises(RunCodecError, match=r"vehicle\.roll is nan in frame 0"):
         encode_run(a_run(roll=math.nan))
     with pytest.raises(RunCodecError, match="expected one command between two"):
-        encode_run(RunRecord(road=ROAD, seed=1, commands=[Command(0.0, 0.0)]))
+        encode_run(RunRecord(scenario=Scenario(ROAD, seed=1), commands=[Command(0.0, 0.0)]))
     with pytest.raises(RunCodecError, match="expected at most"):
-        encode_run(RunRecord(road=ROAD, seed=1, message="x" * 70_000))
+        encode_run(RunRecord(scenario=Scenario(ROAD, seed=1), message="x" * 70_000))

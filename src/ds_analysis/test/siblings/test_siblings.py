@@ -29,6 +29,7 @@ from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
 from ds_sim.oracle import LaneTracker
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
 
@@ -271,7 +272,7 @@ def test_nesting_of_a_single_family_counts_as_one_observation() -> None:
 
 def record(road: Road, outcome: Outcome, *, seed: int = 0, offset: float = 0.25) -> RunRecord:
     """Create a run that drives 30 m with a constant lateral position."""
-    run = RunRecord(road=road, seed=seed, outcome=outcome)
+    run = RunRecord(scenario=Scenario(road, seed=seed), outcome=outcome)
     for step, arc in enumerate(np.linspace(0.0, 30.0, 31)):
         vehicle = VehicleState(x=0.0, y=float(arc), yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
         lane = LaneState(lateral_position=offset, lateral_distance=2.0 - abs(offset),

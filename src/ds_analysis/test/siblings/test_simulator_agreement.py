@@ -9,6 +9,7 @@ from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import table_of_runs
 from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
 from ds_road import Road
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
 
@@ -19,7 +20,7 @@ def run(
     outcome: Outcome = Outcome.COMPLETED, lateral: tuple[float, float] = (0.0, 0.0), length: float = 50.0
 ) -> DrivenRoad:
     """Create a run whose lateral position changes linearly between two values; its speed varies."""
-    record = RunRecord(road=ROAD, seed=0, outcome=outcome)
+    record = RunRecord(scenario=Scenario(ROAD, seed=0), outcome=outcome)
     for step, share in enumerate(np.linspace(0.0, 1.0, 21) ** 2):
         at = lateral[0] + share * (lateral[1] - lateral[0])
         record.observations.append(

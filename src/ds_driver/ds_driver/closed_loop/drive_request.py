@@ -6,39 +6,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ds_road import Road
 from ds_road.files import road_from_json, road_to_json
-from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import from_json, to_json
+from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
 
 
 @dataclass(frozen=True)
-class DriveRequest:
-    """One road to drive.
+class DriveRequest(OfScenario):
+    """One scenario to drive.
 
     Attributes:
-        simulator: name known to `ds_sim.registry`.
+        scenario: road to drive, operating conditions, and seed of the run.
         driver: `autopilot`, or any name accepted by `ds_driver.networks.network_driver.NetworkDriver`.
-        road: road to drive.
-        seed: seed of the run.
-        conditions: operating conditions of the run.
+        simulator: name known to `ds_sim.registry`.
         probed: measure the contrast of the lines; see `ds_sim.gates`.
     """
 
-    simulator: str
+    scenario: Scenario
     driver: str
-    road: Road
-    seed: int
-    conditions: Conditions = DEFAULT
+    simulator: str
     probed: bool = False
 
     def ended(self, outcome: Outcome, message: str, reason: Reason = Reason.NONE) -> RunRecord:
         """Make the record of a drive that ended without a frame."""
-        return RunRecord(
-            road=self.road, seed=self.seed, conditions=self.conditions, outcome=outcome, message=message, reason=reason
-        )
+        return RunRecord(scenario=self.scenario, outcome=outcome, message=message, reason=reason)
 
 
 def request_to_json(request: DriveRequest) -> dict[str, Any]:
@@ -59,11 +52,5 @@ def request_from_json(value: Mapping[str, Any]) -> DriveRequest:
     Raises:
         ValueError: the road or the conditions cannot be.
     """
-    return DriveRequest(
-        simulator=value["simulator"],
-        driver=value["driver"],
-        road=road_from_json(value["road"]),
-        seed=value["seed"],
-        conditions=from_json(value["conditions"]),
-        probed=value["probed"],
-    )
+    scenario = Scenario(road_from_json(value["road"]), from_json(value["conditions"]), seed=value["seed"])
+    return DriveRequest(scenario, value["driver"], value["simulator"], probed=value["probed"])

@@ -98,9 +98,7 @@ def _answer(connection: Connection, key: int, run: RunRecord) -> None:
     try:
         encoded = encode_run(run)
     except RunCodecError as error:  # a simulator whose numbers are not finite
-        failed = RunRecord(
-            road=run.road, seed=run.seed, conditions=run.conditions, outcome=Outcome.SIM_ERROR, message=str(error)
-        )
+        failed = RunRecord(scenario=run.scenario, outcome=Outcome.SIM_ERROR, message=str(error))
         encoded = encode_run(failed)
     connection.send_bytes(key.to_bytes(KEY_BYTES, "little") + encoded)
 

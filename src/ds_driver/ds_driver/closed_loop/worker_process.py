@@ -222,7 +222,7 @@ class _Process:
     def _receive(self, message: bytes) -> None:
         key = int.from_bytes(message[:KEY_BYTES], "little")
         asked, answer = self._take(key)
-        answer.set_result(decode_run(message[KEY_BYTES:], asked.road, asked.seed, asked.conditions))
+        answer.set_result(decode_run(message[KEY_BYTES:], asked.scenario))
 
     def _take(self, key: int) -> tuple[DriveRequest, Future[RunRecord]]:
         with self._lock:

@@ -228,9 +228,7 @@ class Executor:
         """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
         for attempt in range(self._settings.retries + 1):
             self._check_stop()
-            run = self._engine.drive(
-                DriveRequest(simulator, driver, test.road, test.seed, test.conditions, probed=probed)
-            )
+            run = self._engine.drive(DriveRequest(test.scenario, driver, simulator, probed=probed))
             if run.outcome.is_verdict or left_out(run) is not None:
                 return run
             self._check_stop()

@@ -20,6 +20,7 @@ from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.rows import pack_numbers
 from ds_road import generate
 from ds_sim.registry import label_of
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 
 
@@ -101,7 +102,8 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
         name, k = unit
         road = generate(np.random.default_rng([config.seed, k]), max_angle=config.search.max_angle, lane=config.lane)
         since = time.monotonic()
-        run = engine.drive(DriveRequest(name, config.driver, road, config.seed % 2**32, config.conditions))
+        scenario = Scenario(road, config.conditions, seed=config.seed % 2**32)
+        run = engine.drive(DriveRequest(scenario, config.driver, name))
         return name, run, time.monotonic() - since
 
     with ThreadPoolExecutor(len(work)) as pool:

@@ -238,10 +238,7 @@ class DaskEngine:
         try:
             if answers is None:
                 raise RunCodecError("the worker was restarted under its address")
-            runs = [
-                decode_run(answer, job.request.road, job.request.seed, job.request.conditions)
-                for answer, job in zip(answers, batch.jobs, strict=True)
-            ]
+            runs = [decode_run(answer, job.request.scenario) for answer, job in zip(answers, batch.jobs, strict=True)]
         except ValueError as error:
             self._queue_again(seat, batch, str(error))
             self._membership.forget(seat.worker.address)  # it prepares itself again

@@ -8,6 +8,7 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, cast
 
 import rclpy
@@ -35,6 +36,7 @@ from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.runtime import init_ros
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
 
@@ -170,7 +172,7 @@ class GraphClient:
         """
         self._simulators[simulator].watch = watch
         while True:
-            record = RunRecord(road=road, seed=seed, conditions=conditions or DEFAULT)
+            record = RunRecord(scenario=Scenario(road, conditions or DEFAULT, seed=seed))
             goal = self._goal(record, explicit=conditions is not None)
             self._revive()
             began = time.monotonic()
@@ -411,4 +413,5 @@ def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
     record.observations = messages.observations_of(result.trajectory)
     record.commands = messages.commands_of(result.trajectory)
     if record.observations:
-        record.conditions = messages.conditions_from_messages(result.conditions)
+        conditions = messages.conditions_from_messages(result.conditions)
+        record.scenario = replace(record.scenario, conditions=conditions)
