@@ -17,6 +17,7 @@ import pytest
 import yaml
 from backports import zstd
 from rosbags.convert.converter import convert
+from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -192,6 +193,16 @@ def test_definitions_become_code_only_within_limits() -> None:
             check_types(get_types_from_msg(text, "a/msg/B"))
     with pytest.raises(ValueError, match="is called"):
         check_types({"a/msg/B": ([], [("x\nimport os", (1, ("int32", 0)))])})
+
+
+def test_limits_are_not_those_of_everybody_who_imports_rosbags(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg("string[6000] names", "a/msg/B"))
+    with Ros2Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        writer.add_connection("/names", "a/msg/B", typestore=store)
+    refused(lambda: describe(tmp_path / "bag"), "the limit is 5000", TooLargeError)
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.connections[0].msgtype == "a/msg/B"
 
 
 @pytest.mark.parametrize(

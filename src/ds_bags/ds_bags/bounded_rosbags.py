@@ -1,9 +1,9 @@
-"""Makes `rosbags` keep to this project's limits; importing this module is enough.
+"""The reader of `rosbags` for any bag, kept to this project's limits.
 
 `rosbags` decompresses a chunk of any size, loads YAML with a slow parser without limits, and turns every message
-definition into Python code that it runs. Its tables of functions and names are replaced here by ones that count first:
-nothing is decompressed beyond the budget of `ds_bags.layout`, and a definition becomes code only if every name in it is
-a plain identifier and its size is bounded.
+definition into Python code that it runs. Its reading modules are loaded here once more, for this project alone, with
+functions that count first: nothing is decompressed beyond the budget of `ds_bags.layout`, and a definition becomes code
+only if every name in it is a plain identifier and its size is bounded. Whoever else imports `rosbags` gets it as it is.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ import bz2
 import re
 from collections.abc import Callable
 from functools import lru_cache, partial
+from importlib.util import find_spec, module_from_spec
 from typing import IO, Any, ClassVar
 
 import lz4.frame
 from backports import zstd
-from rosbags.highlevel import anyreader
+from rosbags import highlevel, rosbag2
 from rosbags.interfaces import Nodetype
-from rosbags.rosbag1 import reader as rosbag1
-from rosbags.rosbag2 import metadata, reader, storage_mcap, storage_sqlite3
+from rosbags.rosbag2 import metadata
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -217,25 +217,42 @@ def _described(fields: Any) -> list[Any]:
     return found + [desc[1][0] for desc in found if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)]
 
 
-def _install() -> None:
-    for codec in ("", "lz4", "zstd"):
-        storage_mcap.DECOMPRESSORS[codec] = partial(_opened_chunk, codec)
-    for codec, name in (("", "none"), ("bz2", "bz2"), ("lz4", "lz4")):
-        rosbag1.decompressors[name] = partial(opened, codec=codec)
-    replaced: dict[Any, dict[str, Any]] = {
-        reader: {"zstd": _BoundedZstd, "YAML": _BoundedYaml, "parse_qos": _bounded_qos},
-        storage_mcap: {"parse_qos": _bounded_qos},
-        storage_sqlite3: {"parse_qos": _bounded_qos},
-        anyreader: {
-            "get_types_from_msg": partial(_types, get_types_from_msg),
-            "get_types_from_idl": partial(_types, get_types_from_idl),
-            "get_typestore": _typestore,
-        },
-    }
-    for module, names in replaced.items():
-        for name, bounded in names.items():
-            assert hasattr(module, name), f"{module.__name__} has no {name} any more: see how it reads now"
-            setattr(module, name, bounded)
+def _loaded(name: str, **bounded: Any) -> Any:
+    """Load a module of `rosbags` once more, with other values of some of its names."""
+    spec = find_spec(name)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for key, value in bounded.items():
+        assert hasattr(module, key), f"{name} has no {key} any more: see how it reads now"
+        setattr(module, key, value)
+    return module
 
 
-_install()
+_mcap = _loaded(
+    "rosbags.rosbag2.storage_mcap",
+    parse_qos=_bounded_qos,
+    DECOMPRESSORS={codec: partial(_opened_chunk, codec) for codec in ("", "lz4", "zstd")},
+)
+_sqlite3 = _loaded("rosbags.rosbag2.storage_sqlite3", parse_qos=_bounded_qos)
+_folders = _loaded("rosbags.rosbag2.reader", zstd=_BoundedZstd, YAML=_BoundedYaml, parse_qos=_bounded_qos)
+_folders.DirectoryReader.STORAGE_PLUGINS = {"mcap": _mcap.McapReader, "sqlite3": _sqlite3.Sqlite3Reader}
+_folders.Reader.STORAGE_PLUGINS = {
+    "dir": _folders.DirectoryReader,
+    ".mcap": _mcap.McapReader,
+    ".db3": _sqlite3.Sqlite3Reader,
+}
+_ros1 = _loaded(
+    "rosbags.rosbag1.reader",
+    decompressors={name: partial(opened, codec=name.removeprefix("none")) for name in ("none", "bz2", "lz4")},
+)
+AnyReader: type[highlevel.AnyReader] = _loaded(
+    "rosbags.highlevel.anyreader",
+    Reader1=_ros1.Reader,
+    Reader2=_folders.Reader,
+    ReaderErrors=(_ros1.ReaderError, rosbag2.ReaderError),
+    get_types_from_msg=partial(_types, get_types_from_msg),
+    get_types_from_idl=partial(_types, get_types_from_idl),
+    get_typestore=_typestore,
+).AnyReader
+"""`rosbags.highlevel.AnyReader` within the limits."""
