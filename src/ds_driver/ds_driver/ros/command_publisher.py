@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 
 from ds_driver.control.bicycle import Geometry
 from ds_driver.control.other_stacks import KINDS, MessageKind, Motion, set_part
+from ds_sim.ros.conversions import MESSAGES
 from ds_sim.simulator import Command
 
 DRIVE_COMMAND = "drive_command"
@@ -62,8 +63,7 @@ class CommandOutput:
     def send(self, command: Command, header: Header) -> None:
         """Publish a command in answer to the image with this header."""
         if self._kind is None:
-            message = DriveCommand(header=header, steering=command.steering, throttle=command.throttle)
-            self._publisher.publish(message)
+            self._publisher.publish(MESSAGES.command(command, header))
             return
         if self._kind.needs_throttle:
             motion = Motion(command.steering, throttle=command.throttle)

@@ -17,6 +17,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 
 from ds_driver.networks.pilot import DriverError
+from ds_sim.ros.conversions import MESSAGES
 from ds_sim.ros.runtime import end_with
 from ds_sim.simulator import Command
 
@@ -98,8 +99,7 @@ class SimulatorClient:
             if isinstance(error, DriverError):
                 self._drive.publish(DriveCommand(header=message.header, steering=math.nan, throttle=0.0))
             return
-        answer = DriveCommand(header=message.header, steering=command.steering, throttle=command.throttle)
-        self._drive.publish(answer)
+        self._drive.publish(MESSAGES.command(command, message.header))
 
 
 class SimulatorInfo:
