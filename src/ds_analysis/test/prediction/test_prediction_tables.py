@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ CONFIG = CampaignConfig(search=SearchConfig(population=10, iterations=0, runs=1)
 
 
 def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8) -> CampaignData:
-    store = make_campaign(folder, config, per_sibling)
+    store = make_campaign(folder, config, per_sibling, roads=64)
     store.add_error("bullet-0-0001", "bullet", 0, Outcome.SIM_ERROR, "made up")
     data = read_campaign(store)
     store.close()
@@ -131,3 +132,9 @@ def test_another_simulator_can_play_the_twin(tmp_path: Path) -> None:
         table.with_twin("panda")
     with pytest.raises(OutcomeTableError, match="no test has a verdict yet"):
         table_of_campaign(CampaignData(config=CONFIG))
+
+
+def test_a_road_that_a_campaign_drove_twice_is_one_test(tmp_path: Path) -> None:
+    with closing(make_campaign(tmp_path, CONFIG, 8, roads=5)) as store:
+        table = table_of_campaign(read_campaign(store))
+    assert len(table) == 5 == len({road.road_id for road in table.roads})

@@ -20,7 +20,7 @@ CONFIG = CampaignConfig(siblings=["a:One", "b:Two"], twin="c:Three", seed=7)
 
 
 def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8) -> CampaignData:
-    with closing(make_campaign(folder, config, per_sibling)) as store:
+    with closing(make_campaign(folder, config, per_sibling, roads=64)) as store:
         return read_campaign(store)
 
 
