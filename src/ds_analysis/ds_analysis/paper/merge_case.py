@@ -32,10 +32,7 @@ _CAUTION = (
 
 
 class FailureRate(NamedTuple):
-    """How often a simulator fails; a sibling also against the truth on the same tests, with the p-value of equal rates.
-
-    `against` is -1 if it fails less often, 1 if more often, 0 if not decided.
-    """
+    """How often a simulator fails; a sibling less often than the truth (-1), more often (1) or not decided (0)."""
 
     simulator: str
     failures: int
@@ -91,10 +88,7 @@ def merge_case(failed: Mapping[str, Bools], truth: str, families: Indices) -> Me
 
 
 def _p_of_equal_rates(one: Bools, other: Bools, families: Indices) -> float:
-    """p-value of equal failure rates: flips the sign of whole families' differences, both directions together.
-
-    One more family of average size is taken to say the opposite, as failures of whole families may have been missed.
-    """
+    """p-value of equal rates, from flipped signs of whole families; one more is taken to say the opposite."""
     differences = np.bincount(families, one.astype(np.float64) - other)
     differences = np.append(differences, -np.sign(differences.sum()) * round(len(families) / len(np.unique(families))))
     sizes, counts = np.unique(np.abs(differences[differences != 0]), return_counts=True)
@@ -125,7 +119,7 @@ def merge_cases(data: CampaignData, driven: Mapping[str, bool]) -> list[MergeCas
 
 def merge_case_table(cases: Sequence[MergeCase]) -> Table:
     """Tabulate cases, with a sentence for each below."""
-    words = {-1: "less often", 0: "not decided", 1: "more often"}
+    words = ("not decided", "more often", "less often")
     return Table(
         name="merge_case",
         title=f"Which operator: {'; '.join(f'{case.advice} ({case.truth.simulator})' for case in cases)}",
@@ -137,13 +131,7 @@ def merge_case_table(cases: Sequence[MergeCase]) -> Table:
             Column("p", "p"),
         ],
         rows=[
-            [
-                case.truth.simulator,
-                *one[:3],
-                jeffreys_interval(*one[1:3]),
-                "" if one.p is None else words[one[3]],
-                one.p,
-            ]
+            [case.truth.simulator, *one[:3], jeffreys_interval(*one[1:3]), words[one.against] if one.p else "", one.p]
             for case in cases
             for one in (*case.siblings, case.truth)
         ],
