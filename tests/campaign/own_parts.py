@@ -3,9 +3,10 @@
 import numpy as np
 
 from ds_orchestrator.maps.algebra import MergeOperator
-from ds_orchestrator.search.algorithms import Candidate, Search
+from ds_orchestrator.search.algorithms import Search
 from ds_orchestrator.search.features import Feature
 from ds_road import Road, generate
+from ds_sim.conditions.model import Conditions
 
 MEDIAN = MergeOperator(combine=lambda values, weights: np.asarray(np.median(values, axis=0)), seed=100)
 EASTING = Feature(name="easting", title="easting of the end, m", of_road=lambda road: int(road.control_points[-1][0]))
@@ -15,8 +16,8 @@ NOTHING = "no part at all"
 class StraightSearch(Search):
     """Draws roads that hardly bend, whatever the outcomes."""
 
-    def _next(self) -> Candidate:
-        return Candidate(self._random_road(), self._settings.conditions.draw(self._rng))
+    def _next(self) -> tuple[Road, Conditions]:
+        return self._random_road(), self._settings.conditions.draw(self._rng)
 
     def _random_road(self) -> Road:
         return generate(self._rng, max_angle=20)

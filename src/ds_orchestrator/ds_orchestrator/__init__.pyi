@@ -11,7 +11,6 @@ from .maps.feature_map import FeatureMap, MapCell, MapId, map_ids, maps_frame
 from .search.algorithms import (
     SEARCHES,
     Archive,
-    Candidate,
     ConditionSpace,
     DeepHyperion,
     DeepHyperionCS,
@@ -31,7 +30,6 @@ __all__ = [
     "CampaignConfig",
     "CampaignData",
     "CampaignError",
-    "Candidate",
     "Cell",
     "ConditionSpace",
     "ConfigError",

@@ -14,7 +14,6 @@ from ds_orchestrator.search import algorithms, features
 from ds_orchestrator.search.algorithms import (
     SEARCHES,
     Archive,
-    Candidate,
     ConditionSpace,
     DeepHyperion,
     DeepHyperionCS,
@@ -26,6 +25,7 @@ from ds_orchestrator.search.algorithms import (
 from ds_orchestrator.search.features import Cell
 from ds_road import Road, generate
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
+from ds_sim.scenario import Scenario
 
 SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
 
@@ -171,8 +171,8 @@ def test_a_search_as_in_maxitwo_repeats_roads_as_maxitwo_does() -> None:
 
 def test_a_search_whose_mutants_are_all_known_draws_random_roads() -> None:
     class Stuck(DeepHyperion):
-        def _next(self) -> Candidate:
-            return Candidate(next(iter(self.archive.values())).road)
+        def _next(self) -> tuple[Road, Conditions]:
+            return next(iter(self.archive.values())).road, Conditions()
 
     _, roads = replayed(Stuck, dataclasses.replace(CROWDED, iterations=5), 0)
     assert len({road.road_id for road in roads}) == 6
@@ -267,7 +267,7 @@ def test_the_archive_keeps_the_elites_that_pyribs_keeps() -> None:
         cell = (int(rng.integers(6)), int(rng.integers(4, 12)))
         fitness = float(rng.uniform(-0.3, 2.0))
         stuck = bool(rng.random() < 0.05)
-        placed = archive.place(cell, road, fitness, failed=stuck)
+        placed = archive.place(cell, Scenario(road, seed=1), fitness, failed=stuck)
         # Every failure counts the same, as the paper's constant of -0.1 does (maxitwo).
         objective = 0.1 if stuck or fitness < 0 else -fitness
         status = theirs.add_single([index], objective, np.array(cell) + 0.5)["status"]
@@ -295,7 +295,7 @@ SPACE = ConditionSpace((
 ), Conditions(payload=0.2))  # fmt: skip
 
 
-def fogged(kind: type[Search], seed: int) -> tuple[Search, list[Candidate]]:
+def fogged(kind: type[Search], seed: int) -> tuple[Search, list[Scenario]]:
     settings = SearchSettings(population=8, iterations=60, min_angle=60, max_angle=120, conditions=SPACE)
     search, tests = kind(settings, np.random.default_rng(seed)), []
     while not search.done:

@@ -25,7 +25,6 @@ from ds_orchestrator.search.features import cell_of
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import label_of
-from ds_sim.scenario import Scenario
 
 
 class Campaign:
@@ -116,8 +115,7 @@ class Campaign:
         search = search_of(config.search.method)(config.settings, np.random.default_rng(seed))
         for number in range(search.budget):
             test_id = f"{label_of(sibling)}-{run}-{number:04d}"
-            candidate = search.ask_test()
-            scenario = Scenario(candidate.road, candidate.conditions, seed=_seed(config.seed, "test", test_id))
+            scenario = search.ask_test(_seed(config.seed, "test", test_id))
             test = Test(test_id, scenario, Origin(sibling, run, number))
             self._store.add_test(test)
             execution = self._executor.execute(test, sibling)

@@ -106,7 +106,7 @@ def elites_of(
             continue
         run, cell = (test.sibling, test.run), cells[test.test_id]
         archive = archives.setdefault(run, Archive())
-        if archive.place(cell, test.road, execution.fitness, failed=execution.outcome.is_failure):
+        if archive.place(cell, test.scenario, execution.fitness, failed=execution.outcome.is_failure):
             elites.setdefault(run, {})[cell] = test.test_id
     return {test_id for of_run in elites.values() for test_id in of_run.values()}
 

@@ -16,6 +16,7 @@ from ds_road import MutationError, Road, Side, generate, mutate
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.conditions.scales import between, share_of
 from ds_sim.conditions.text import check_known
+from ds_sim.scenario import OfScenario, Scenario
 
 STEP = 0.2
 """Largest mutation of a condition, as a share of its range; chosen: about what 6 m, the largest move of a
@@ -109,20 +110,18 @@ class ConditionSpace:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Elite:
-    """Test of a cell on which the driver failed first, or else the one with the lowest fitness.
+class Elite(OfScenario):
+    """Scenario of a cell on which the driver failed first, or else the one with the lowest fitness.
 
     Attributes:
-        road: road of the test.
+        scenario: the scenario.
         fitness: smallest lateral distance on it, m.
         failed: whether the driver failed on it.
-        conditions: operating conditions of the test.
     """
 
-    road: Road
+    scenario: Scenario
     fitness: float
     failed: bool
-    conditions: Conditions = DEFAULT
 
 
 class Archive(dict[Cell, Elite]):
@@ -132,24 +131,24 @@ class Archive(dict[Cell, Elite]):
 
         >>> from ds_orchestrator.search.algorithms import Archive
         >>> from ds_road import Road
-        >>> road = Road([[0, 0], [0, 25], [0, 50], [0, 75]])
+        >>> from ds_sim import Scenario
+        >>> one = Scenario(Road([[0, 0], [0, 25], [0, 50], [0, 75]]), seed=1)
         >>> archive = Archive()
-        >>> archive.place((1, 10), road, 1.5, failed=False), archive.place((1, 10), road, 1.9, failed=False)
+        >>> archive.place((1, 10), one, 1.5, failed=False), archive.place((1, 10), one, 1.9, failed=False)
         (True, False)
         >>> archive[1, 10].fitness
         1.5
     """
 
-    def place(self, cell: Cell, road: Road, fitness: float, *, failed: bool, conditions: Conditions = DEFAULT) -> bool:
+    def place(self, cell: Cell, scenario: Scenario, fitness: float, *, failed: bool) -> bool:
         """Compete for a cell (paper 3.3): the lower fitness wins, and an elite on which the driver failed stays.
 
         Args:
             cell: cell of the feature map.
-            road: road of the candidate.
+            scenario: the candidate.
             fitness: smallest lateral distance on the candidate, m.
             failed: whether the driver failed; a fitness below 0 always counts as a failure, and a car that stopped in
                 its lane failed as well.
-            conditions: operating conditions of the candidate.
 
         Returns:
             Whether the candidate is now the elite of the cell.
@@ -158,7 +157,7 @@ class Archive(dict[Cell, Elite]):
         elite = self.get(cell)
         placed = elite is None or (not elite.failed and (failed or fitness < elite.fitness))
         if placed:
-            self[cell] = Elite(road=road, fitness=fitness, failed=failed, conditions=conditions)
+            self[cell] = Elite(scenario=scenario, fitness=fitness, failed=failed)
         return placed
 
 
@@ -196,26 +195,13 @@ class SearchSettings:
         return self.population + self.iterations + self.maxitwo_compatible
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """Test that a search asks for.
-
-    Attributes:
-        road: road to drive.
-        conditions: operating conditions to drive it under.
-    """
-
-    road: Road
-    conditions: Conditions = DEFAULT
-
-
 class Search(ABC):
     """Base class of searches with an ask/tell interface, as in pyribs and Optuna.
 
-    `ask` returns the next road (`ask_test` the next road with its conditions), the caller drives it in any way, and
-    `tell` reports its fitness. No test is asked for twice. The search owns no simulator: what it asks for depends on
-    its settings, the generator's seed and the reported outcomes alone. `archive` maps each cell of the feature map to
-    its elite.
+    `ask` returns the next road (`ask_test` the next scenario), the caller drives it in any way, and `tell` reports its
+    fitness. No road is asked for twice under the same conditions. The search owns no simulator: what it asks for
+    depends on its settings, the generator's seed and the reported outcomes alone. `archive` maps each cell of the
+    feature map to its elite.
 
     A search with a synthetic fitness:
 
@@ -247,7 +233,7 @@ class Search(ABC):
         self._angle_weights = np.ones(len(self._angles))
         self._asked = 0
         self._known: set[tuple[str, Conditions]] = set()
-        self._pending: Candidate | None = None
+        self._pending: Scenario | None = None
         self._parent: Cell | None = None
         self.archive = Archive()
 
@@ -271,8 +257,11 @@ class Search(ABC):
             raise RuntimeError("this search has conditions, too: ask for a test, not for a road")
         return self.ask_test().road
 
-    def ask_test(self) -> Candidate:
-        """Return the next test to drive: a road, and operating conditions.
+    def ask_test(self, seed: int = 0) -> Scenario:
+        """Return the next scenario to drive.
+
+        Args:
+            seed: seed of the drive, on which no search depends.
 
         Raises:
             RuntimeError: the outcome of the last test is missing, or the budget is spent.
@@ -281,21 +270,21 @@ class Search(ABC):
             raise RuntimeError("tell the fitness of the last road before asking for another one")
         if self._asked == self.budget:
             raise RuntimeError("the search is done: its budget is spent")
-        self._pending = self._new_test()
-        self._known.add((self._pending.road.road_id, self._pending.conditions))
+        self._pending = self._new_test(seed)
+        self._known.add(self._pending.unseeded)
         self._asked += 1
         return self._pending
 
-    def _new_test(self) -> Candidate:
+    def _new_test(self, seed: int) -> Scenario:
         """Return a test that is not known yet: a random one where `TRIES` give none. As in maxitwo, any will do."""
         starting = self._asked < self._settings.population or not self.archive
         for _ in range(TRIES):
             self._parent = None
-            found = self._random() if starting else self._next()
-            if self._settings.maxitwo_compatible or (found.road.road_id, found.conditions) not in self._known:
-                return found
+            scenario = Scenario(*(self._random() if starting else self._next()), seed=seed)
+            if self._settings.maxitwo_compatible or scenario.unseeded not in self._known:
+                return scenario
         self._parent = None
-        return self._random()
+        return Scenario(*self._random(), seed=seed)
 
     def tell(self, fitness: float | None, *, failed: bool = False, cell: Cell | None = None) -> None:
         """Report the outcome of the last test.
@@ -316,20 +305,20 @@ class Search(ABC):
             return
         place = cell if cell is not None else cell_of(test.road, maxitwo_compatible=self._settings.maxitwo_compatible)
         assert place is not None
-        placed = self.archive.place(place, test.road, fitness, failed=failed, conditions=test.conditions)
+        placed = self.archive.place(place, test, fitness, failed=failed)
         self._learn(place, placed)
 
     @abstractmethod
-    def _next(self) -> Candidate:
-        """Return the next test after the initial population; the archive is not empty."""
+    def _next(self) -> tuple[Road, Conditions]:
+        """Return road and conditions of the next test after the initial population; the archive is not empty."""
 
     def _learn(self, cell: Cell, placed: bool) -> None:
         """Update state that a search keeps in addition to the archive; none by default."""
         return
 
-    def _random(self) -> Candidate:
+    def _random(self) -> tuple[Road, Conditions]:
         """Draw a random test."""
-        return Candidate(self._random_road(), self._settings.conditions.draw(self._rng))
+        return self._random_road(), self._settings.conditions.draw(self._rng)
 
     def _random_road(self) -> Road:
         """Draw a random road; a drawn angle becomes less likely, so that the range is covered (maxitwo)."""
@@ -347,14 +336,14 @@ RANK_BIAS = 1.5
 class RandomSearch(Search):
     """Random search, the baseline: draws every test as the other searches draw their initial population."""
 
-    def _next(self) -> Candidate:
+    def _next(self) -> tuple[Road, Conditions]:
         return self._random()
 
 
 class DeepHyperion(Search):
     """DeepHyperion: mutates the elite of a cell that is drawn uniformly (paper 3.3, maxitwo)."""
 
-    def _next(self) -> Candidate:
+    def _next(self) -> tuple[Road, Conditions]:
         """Return a mutant; a cell whose elite has no valid mutant is skipped."""
         for cell in self._choices():
             try:
@@ -365,18 +354,18 @@ class DeepHyperion(Search):
             return mutant
         return self._random()
 
-    def _mutant(self, elite: Elite) -> Candidate:
+    def _mutant(self, elite: Elite) -> tuple[Road, Conditions]:
         """Mutate a condition of an elite, or else its road."""
         space = self._settings.conditions
         if space and self._rng.random() < self._settings.mutate_conditions:
-            return Candidate(elite.road, space.mutated(elite.conditions, self._rng))
+            return elite.road, space.mutated(elite.conditions, self._rng)
         road = mutate(
             elite.road,
             self._rng,
             extent=self._settings.extent,
             maxitwo_compatible=self._settings.maxitwo_compatible,
         )
-        return Candidate(road, elite.conditions)
+        return road, elite.conditions
 
     def _choices(self) -> Iterator[Cell]:
         """Yield the cells of the archive in the order in which to try them."""
