@@ -33,7 +33,6 @@ from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, Sear
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_report.findings import RoadOutcomes, Split, best_split, kind_of, side_shown
 from ds_sim.conditions.model import FIELDS
-from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 SIBLINGS, TWIN = ("bullet", "softbody"), "donkey"
@@ -114,9 +113,9 @@ def _searched(size: int, axes: int, number: int) -> Searched:
         rng = np.random.default_rng([size, axes, number, k])
         search = DeepHyperion(settings, rng)
         while not search.done:
-            asked = search.ask_test()
+            scenario = search.ask_test(seed=1)
             test_id = f"{sibling}-0-{len(tests):04d}"
-            tests.append(Test(test_id, Scenario(asked.road, asked.conditions, seed=1), Origin(sibling, 0, len(tests))))
+            tests.append(Test(test_id, scenario, Origin(sibling, 0, len(tests))))
             search.tell(float(rng.uniform(0.0, 2.0)))
     values = [[value_on(test, axis) for test in tests] for axis in ("curvature", "turns", *names)]
     return Searched(tests=tuple(tests), axes=np.array(values), families=families_of([test.road for test in tests]))
@@ -265,16 +264,15 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
             reference = drawn(np.full(size, NOISE), searched.families, SPREAD, rng)
             candidate = drawn(np.full(size, NOISE + worse), searched.families, SPREAD, rng)
             for test, one, other in zip(searched.tests, reference, candidate, strict=True):
-                compared = ComparedTest(
-                    name=test.test_id, road=test.road, seed=1, cell=(test.road.turns_count, test.road.curvature_bin)
-                )
+                cell = test.road.turns_count, test.road.curvature_bin
+                compared = ComparedTest(name=test.test_id, scenario=test.scenario, cell=cell)
                 drives.append(
                     PairedDrive(test=compared, simulator=name, reference=_outcome(one), candidate=_outcome(other))
                 )
         result = compare_networks(
             drives, reference=old, candidate=new, origin="both", source="", simulators=(*SIBLINGS, TWIN)
         )
-        alone = [replace(one, test=replace(one.test, road=None)) for one in drives]
+        alone = [replace(one, test=replace(one.test, scenario=None)) for one in drives]
         former = compare_networks(
             alone, reference=old, candidate=new, origin="both", source="", simulators=(*SIBLINGS, TWIN)
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_road import Road, generate
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 
@@ -40,8 +41,8 @@ def pairs(
     return [
         PairedDrive(
             test=ComparedTest(
-                name=f"test-0-{first + number:04d}", road=road(number), seed=number, cell=(number % 2, 10),
-                unsearched=number in unsearched,
+                name=f"test-0-{first + number:04d}", scenario=Scenario(road(number), seed=number),
+                cell=(number % 2, 10), unsearched=number in unsearched,
             ),
             simulator=simulator,
             reference=outcome(before),

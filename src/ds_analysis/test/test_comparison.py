@@ -43,6 +43,7 @@ from ds_analysis.comparison.tables import (
 from ds_orchestrator.campaign.config import ConfigError
 from ds_report.comparison_page import grids_of, style_of_difference, write_comparison_page
 from ds_road import generate
+from ds_sim.scenario import Scenario
 
 
 def compared(drives: list[PairedDrive], **more: Any) -> Comparison:
@@ -141,7 +142,8 @@ def test_mutants_of_one_road_count_together() -> None:
     """Twelve tests that newly fail are evidence; twelve variants of three roads are none."""
     alone = pairs("bullet", (12, 0, 0, 12))
     root = [generate(np.random.default_rng(50 + k // 4)) for k in range(24)]
-    mutants = [replace(one, test=replace(one.test, road=road)) for one, road in zip(alone, root, strict=True)]
+    scenarios = [Scenario(road, seed=1) for road in root]
+    mutants = [replace(one, test=replace(one.test, scenario=s)) for one, s in zip(alone, scenarios, strict=True)]
     assert PairedCounts.of(alone).p < 0.001 and PairedCounts.of(mutants).p > 0.2
     assert compared(alone, origin="both").simulators[0].verdict == "worse"
     assert compared(mutants, origin="both").simulators[0].verdict == "not significant"
@@ -187,7 +189,7 @@ def test_missing_drives_are_never_a_reason_to_merge() -> None:
 def test_identical_drives_are_said_to_be_identical() -> None:
     same = [
         PairedDrive(
-            test=ComparedTest(name="a-0-0000", road=drive.test.road, seed=0), simulator="bullet",
+            test=ComparedTest(name="a-0-0000", scenario=drive.test.scenario), simulator="bullet",
             reference=outcome(True, key="same"), candidate=outcome(True, key="same"),
         )
         for drive in pairs("bullet", (0, 0, 1, 0))

@@ -79,9 +79,9 @@ def write_comparison_page(
         drives=drive_table(comparison),
         pictures=[
             (one, _picture(one), _command(one, comparison, road_files, path.parent))
-            for one in worse[:PICTURED] if one.test.road is not None
+            for one in worse[:PICTURED] if one.test.scenario is not None
         ],
-        more=len(worse) - PICTURED if worse and worse[0].test.road else len(worse),
+        more=len(worse) - PICTURED if worse and worse[0].test.scenario else len(worse),
     )  # fmt: skip
     write_whole(path, text)
 
@@ -132,11 +132,11 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
 
 def _picture(drive: PairedDrive) -> str:
     """Address of a picture of the road with both paths; "" if a path is not known."""
-    if drive.test.road is None:
+    if drive.test.scenario is None:
         return ""
     paths = {"reference": drive.reference.path, "candidate": drive.candidate.path}
     known = {name: path for name, path in paths.items() if len(path)}
-    return data_address(draw(drive.test.road, trajectories=known, size=_SIZE, caption=False))
+    return data_address(draw(drive.test.scenario.road, trajectories=known, size=_SIZE, caption=False))
 
 
 def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str], folder: Path) -> str:

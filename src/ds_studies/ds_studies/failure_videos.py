@@ -3,38 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from ds_base.folder_files import make_folder
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.network_driver import translation_of
-from ds_road import Road
-from ds_sim.conditions.model import Conditions
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.resimulation import resimulate
+from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.video import write_video
 
 MOST_VIDEOS = 10
 """Videos that are written; chosen: half a minute of computing, 30 MB."""
 
 
-class FailedDrive(NamedTuple):
+@dataclass(frozen=True)
+class FailedDrive(OfScenario):
     """Drive on which a driver failed.
 
     Attributes:
         test: name of the test.
         simulator: name of the simulator.
-        road: that was driven.
-        seed: of the run.
-        conditions: of the run.
+        scenario: that was driven.
     """
 
     test: str
     simulator: str
-    road: Road
-    seed: int
-    conditions: Conditions
+    scenario: Scenario
 
 
 def write_failure_videos(

@@ -18,8 +18,7 @@ from ds_base.errors import InputError
 from ds_orchestrator.maps.algebra import DRAWS
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 Change = Literal["newly fails", "fixed", "fails in both", "passes in both"]
@@ -60,17 +59,13 @@ class ComparedTest:
 
     Attributes:
         name: unique in the comparison, and safe within a file name.
-        road: road to drive; None if it is not known.
-        seed: seed of the run.
-        conditions: operating conditions of the run.
+        scenario: what is driven; None if it is not known.
         cell: cell of the feature map, or None if it has none.
         unsearched: chosen without looking at any network's outcome, such as a random road.
     """
 
     name: str
-    road: Road | None
-    seed: int
-    conditions: Conditions = DEFAULT
+    scenario: Scenario | None
     cell: Cell | None = None
     unsearched: bool = False
 
@@ -176,7 +171,7 @@ class PairedCounts:
         drives = list(drives)
         changes = [drive.change for drive in drives]
         found, signs = Counter(changes), tuple((one == "newly fails") - (one == "fixed") for one in changes)
-        families = families_of([drive.test.road for drive in drives if drive.test.road is not None])
+        families = families_of([drive.test.scenario.road for drive in drives if drive.test.scenario is not None])
         related = len(families) == len(drives) and not are_alone(families)
         return cls(
             newly_fail=found["newly fails"],

@@ -205,13 +205,14 @@ def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[s
 
 
 def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> dict[str, Any]:
+    scenario = drive.test.scenario
     found: dict[str, Any] = {
         "test": drive.test.name,
         "simulator": drive.simulator,
         "change": drive.change,
-        "road_id": drive.test.road.road_id if drive.test.road else "",
-        "seed": drive.test.seed,
-        "conditions": format_conditions(drive.test.conditions),
+        "road_id": scenario.road.road_id if scenario else "",
+        "seed": scenario.seed if scenario else 0,
+        "conditions": format_conditions(scenario.conditions) if scenario else "",
         "cell": None if drive.test.cell is None else list(drive.test.cell),
         "unsearched": drive.test.unsearched,
         "reference": {"outcome": drive.reference.outcome.name, "fitness": drive.reference.fitness},

@@ -31,7 +31,7 @@ def compare_studies(reference: Path, candidate: Path) -> Comparison:
     there = {test: row for row, test in enumerate(second.test_ids)}
     pairs = []
     for row, test in enumerate(first.test_ids):
-        compared = ComparedTest(name=test, road=None, seed=0, cell=first.cells[row])
+        compared = ComparedTest(name=test, scenario=None, cell=first.cells[row])
         for name in names:
             one = _outcome(first, row, name)
             other = _outcome(second, there[test], name) if test in there else None

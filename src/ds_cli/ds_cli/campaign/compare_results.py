@@ -165,16 +165,16 @@ def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
 
     files = {}
     for drive in found.newly_failing:
-        test = drive.test
-        if test.road is None:
+        scenario = drive.test.scenario
+        if scenario is None:
             continue
         folder.mkdir(exist_ok=True)
-        path = folder / f"{test.name}.json"
-        road = road_to_json(test.road)
-        entry = {**(road if isinstance(road, dict) else {"control_points": road}), "seed": test.seed}
-        entry |= {} if test.conditions.is_default else {"conditions": format_conditions(test.conditions)}
+        path = folder / f"{drive.test.name}.json"
+        road, conditions = road_to_json(scenario.road), format_conditions(scenario.conditions)
+        entry = {**(road if isinstance(road, dict) else {"control_points": road}), "seed": scenario.seed}
+        entry |= {"conditions": conditions} if conditions else {}
         path.write_text(json.dumps([entry], allow_nan=False) + "\n", "utf-8")
-        files[test.name] = str(path)
+        files[drive.test.name] = str(path)
     return files
 
 

@@ -167,10 +167,6 @@ def suite_run_command(
         say(f"{update} expects the outcomes of {driver}")
     if videos is not None:
         lost = [one for one in found.drives if one.candidate.outcome.is_failure]
-        failed = [
-            FailedDrive(d.test.name, d.simulator, d.test.road, d.test.seed, d.test.conditions)
-            for d in lost
-            if d.test.road is not None
-        ]
+        failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
         write_failure_videos(driver, failed, videos, say)
     end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)

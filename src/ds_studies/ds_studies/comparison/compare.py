@@ -338,9 +338,7 @@ def _paired(
             key: Key = (test.test_id, name)
             compared = ComparedTest(
                 name=tests.prefix + test.test_id,
-                road=test.road,
-                seed=test.seed,
-                conditions=test.conditions,
+                scenario=test.scenario,
                 cell=tests.cells.get(test.test_id),
                 unsearched=test.test_id in tests.unsearched,
             )

@@ -349,9 +349,7 @@ def run_suite(
         test = tests[one.name]
         compared = ComparedTest(
             name=one.name,
-            road=test.road,
-            seed=test.seed,
-            conditions=test.conditions,
+            scenario=test.scenario,
             cell=None if one.cell is None else tuple(one.cell),
         )
         for name, expected in one.outcomes.items():
