@@ -30,7 +30,7 @@ def start() -> Iterator[Start]:
 
     def begin(executable: str, domain: int, *arguments: str) -> subprocess.Popen[str]:
         package, name = executable.split("/")
-        code = f"from {package}.executables import {name}; {name}()"
+        code = f"from importlib.metadata import distribution as d; d('{package}').entry_points['{name}'].load()()"
         process = subprocess.Popen(
             [sys.executable, "-c", code, "--ros-args", *arguments],
             env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
