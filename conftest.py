@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of all tests: threads per process, the order of files for parallel workers, and the browser."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cost of recording: bytes and time per frame at each level, and size of a campaign's bags.
 
 `python benchmarks/bags.py [--sim donkey] [--roads 5]`. A bag is written after its run, from the record that the graph

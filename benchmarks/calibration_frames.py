@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes the camera images with which `@openvino-int8` is calibrated (`ds_driver.networks.calibration`).
 
     python -m benchmarks.calibration_frames --out src/ds_driver/ds_driver/models/calibration

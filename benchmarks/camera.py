@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Times the rendering of images, compares the twin's images with photographs, and measures the camera of `panda`.
 
 `python -m benchmarks.camera painted` times the painting camera of each simulator that has one at 320 x 160 and

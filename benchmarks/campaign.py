@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of a campaign with each engine, from its first drive to its last.
 
 `python benchmarks/campaign.py [--drives 200] [--case ENGINE:DRIVER ...] [--workers 2]` drives the same small campaign

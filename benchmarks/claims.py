@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often is a sentence of the product wrong under noise, and how often is it said under an effect?
 
 `python -m benchmarks.claims --out docs/data` writes `claims.csv`, in some minutes on one core. Campaigns are searches

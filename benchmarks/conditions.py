@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`, and their cost.
 
     python -m benchmarks.conditions --out docs/images [--sim bullet ...] [--only visibility ...]

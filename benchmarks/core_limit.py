@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What one core can do, and how near each part of a frame comes to it.
 
 `python -m benchmarks.core_limit` measures multiplications per second in each precision, by products of large matrices

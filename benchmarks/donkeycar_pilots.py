@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes one network of every kind of pilot of Donkey Car 5.3.0, with its own package, and its answers to frames.
 
 Runs in an environment of its own, as TensorFlow is for making files only:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often `ds explain` names the cause, on made cars whose one planted difference is known.
 
     python -m benchmarks.explanation --out explanation        # about 20 minutes of processor time

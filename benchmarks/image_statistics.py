@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of camera images: brightness, contrast, sharpness, noise and its spectrum.
 
 All are computed from the luma (ITU-R BT.601) of 8-bit RGB images and serve to compare cameras across scenes.

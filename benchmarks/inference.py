@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares inference backends on one thread: speed and steering.
 
 `python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a

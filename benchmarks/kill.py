@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kills processes of a campaign at seeded moments, resumes it, and checks that no result is lost or changed.
 
 `python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]` prints one row per moment, as Markdown,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Processor time and memory of the verbs that read a campaign, over its size.
 
 `python benchmarks/large_store.py [--sizes 1200,10000,100000] [--verbs status,maps] [--keep FOLDER]` writes campaigns

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Speed of the closed loop through ROS, and where the time is spent.
 
 `python -m benchmarks.loop [--driver dave2] [--sims bullet] [--roads 3]` prints, per simulator, frames per second of

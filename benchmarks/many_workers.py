@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The engine `dask` with as many workers as this machine could never carry, whose drives are waited for, not driven.
 
 `python benchmarks/many_workers.py [--workers 100] [--drives 100000] [--seconds 2.2]` runs a campaign through a real

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Do simulators agree less about drivers with memory? One network of each kind, the same tests, every simulator.
 
 `python -m benchmarks.memory_study --out study --networks recurrent,stacked` drives what is missing and keeps it;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Vehicles with the autopilot, but without camera and ROS, so that only the physics count.
 
 `python -m benchmarks.physics convergence [--roads 20] [--finer 2]` drives every road with the nominal substep and with

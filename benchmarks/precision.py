@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares drives in bfloat16 or 8 bits with drives in single precision: the same network, roads and seeds.
 
 `python -m benchmarks.precision --out precision` drives 200 random roads, in turn on bullet, softbody and donkey,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scores predictors of a car that was driven a few times, on tables of outcomes of ours and of others.
 
     python -m benchmarks.predictors --foreign FOLDER --out scores         # FOLDER with studies of `ds outcomes import`

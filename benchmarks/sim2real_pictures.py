@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One road place on each simulator, plain and pseudo-real, beside real photographs, for `docs/sim2real.md`.
 
     python -m benchmarks.sim2real_pictures --set SET --real TUB --out docs/images/sim2real.jpg

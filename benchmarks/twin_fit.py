@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Accuracy of fitted parameters of the twin for noisy drives with known parameters and a start 30 % off.
 
 Prints a row per seed and parameter, then per parameter how many seeds are within 5 % and inside the 95 % interval.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws how the four vehicles differ, for docs/simulators.md: `python -m benchmarks.vehicles [--out docs/images]`.
 
 The charts show the same commands on one road, a steering step beside the linear single-track model, and steady circles

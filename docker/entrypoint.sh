@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Sources the workspace, then becomes the command: `ds ...`, `ros2 run ...`, or anything else.
 set -e
 root=$(dirname "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")")

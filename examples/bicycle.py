@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Example of a fourth simulator: a kinematic bicycle, which never slides. `docs/add_a_simulator.md` explains it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trains a network of today on data of `ds collect`, and exports it with its description, as you would your own.
 
     python examples/networks_of_today.py recurrent --data data --out trained      # trained/recurrent.onnx and .yaml

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A ROS 2 simulator that knows only messages of this project: a bicycle with a speed lag, and a plain camera.
 
 `python examples/ros_simulator.py` waits for steps; `--realtime` lets its time pass by itself. `ros_simulator.yaml`

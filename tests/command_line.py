@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the command line in the test's process, where a test may have replaced parts of it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The code of docs/python_api.md, with shorter searches and a faster driver, for tests that run it."""
 
 from __future__ import annotations

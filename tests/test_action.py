@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The action at the root: its step that tests a network runs here, as a script in an empty folder, on real drives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameter and launch files of ds_bringup."""
 
 from __future__ import annotations

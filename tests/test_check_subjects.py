@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Subjects of commits are checked in a hook, in a clone, and not where there is no history."""
 
 from __future__ import annotations

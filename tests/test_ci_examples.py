@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example workflows for CI: their steps run as a script, with a `ds` that answers without driving."""
 
 from __future__ import annotations

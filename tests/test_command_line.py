@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds` as a command: one JSON document on standard output, one line per error, and the exit status."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
 
 from __future__ import annotations

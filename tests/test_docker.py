@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Container files, checked without a container engine: commands, names and paths exist in the workspace."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The documentation matches the code: every block of the Python API runs, every key and error line exists."""
 
 from __future__ import annotations

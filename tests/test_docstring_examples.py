@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Examples in docstrings give what they say, each module's in an empty folder."""
 
 from __future__ import annotations

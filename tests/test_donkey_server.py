@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Donkey protocol: framing, one telemetry per control, runs equal to the simulator's own, misbehaving clients.
 
 With gym-donkeycar 1.3.1 or later installed (its copy on PyPI is older and speaks another protocol; its sources:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds explain`: shares against their definition, and causes that are known because they were planted."""
 
 from __future__ import annotations

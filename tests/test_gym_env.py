@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The Gymnasium environment: Gymnasium's checker, episodes that equal the simulator's runs, reproducible bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares image statistics with closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Architecture of the packages: only folders named here import ROS, folders stay small, and nodes thin."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which operator suits a campaign: how often a stated case is wrong, and what the report and `ds evaluate` say."""
 
 from __future__ import annotations

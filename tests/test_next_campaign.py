@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign proposes at its end: the sentence fits what happened, and its command works when it is pasted."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The code of examples/first_look.ipynb runs in an empty folder, with a driver that is quicker than a network."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All packages have the same version and install their type information."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands that `ds` prints can be typed as they are: they name verbs that exist, and run where they were printed."""
 
 from __future__ import annotations

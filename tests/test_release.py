@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A release from one command, in a repository of the files that name the version."""
 
 from __future__ import annotations

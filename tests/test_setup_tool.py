@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Logic of the set-up: system requirements, when a step is repeated, and the lock between two set-ups."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The study of when to merge: its analysis computes the paper's numbers, and its plan is whole."""
 
 from pathlib import Path

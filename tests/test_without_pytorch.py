@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driving without PyTorch leaves it unimported: it takes 2 s and 200 MB in every process."""
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Check subjects of commits: at most 72 characters, no full stop, no absolute paths.
 
 Usage: python3 tools/check_subjects.py [FILE | RANGE]

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Draw docs/images/four_drives.webp: `dave2` drives one road on four simulators, in clear air and in fog.
 
 Usage: . .venv/env.sh && python tools/draw_four_drives.py [FOLDER]      default: build/four_drives

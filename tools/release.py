@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Make a release: write its version everywhere, date its section of the changelog, commit and tag.
 
 Usage: python tools/release.py 0.3.0

@@ -1,4 +1,5 @@
 #!/usr/bin/env python3
+# SPDX-License-Identifier: Apache-2.0
 """Set the project up: once, from a bare machine to a built workspace. A second call finds nothing to do.
 
 Usage: python3 tools/setup.py [--dev] [--docs]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ships a trained network with ds_driver, with a card on its training data and performance.
 
 `python tools/ship_network.py --data DATA --offline DATA2 --training DIR [--network dave2] [--name NAME] [--roads 25]

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # The tests in parallel, one worker per core and one more, as many tests wait for processes; at most four. The linters run
 # beside them. Arguments go to pytest (`-n 0`: one process).
 # Tests marked `long` run only when asked for: `make test-long`, or ARGS="-m long".

@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Build the host of the simulator `torcs` into build/torcs, against the installed TORCS and the headers of its source,
 # which no package has: they are taken from Debian's source package, 394 MB that are read once and not kept.
 set -euo pipefail

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well a fitted twin says, from commands alone, where a located car is half a second later.
 
 `python -m benchmarks.recording.ahead LOCATED [REST]` fits the twin to a recording that `ds recording locate` has

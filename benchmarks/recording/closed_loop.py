@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Is a recording's sibling the simulator that was recorded? Verdicts of networks on both, on the same roads.
 
 `python -m benchmarks.recording.closed_loop --out closed` records `ROADS` roads on `donkey`, each once, by a pilot with

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated recordings with known truth: cars of this project, jerky steering, a tub of 160 x 120 JPEGs.
 
 The tub holds images, commands and times alone; `truth.csv` lies beside it, and is never read by `ds recording locate`.

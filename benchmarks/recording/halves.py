@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well two located recordings of one closed track agree: their centre lines, after the best rigid motion.
 
 `python -m benchmarks.recording.halves LOCATED_A LOCATED_B`; a folder of `benchmarks.recording.drives` may stand for

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cars with known parameters, recorded, located and fitted: what is recovered, and what it predicts.
 
 `python -m benchmarks.recording.made --out FOLDER` takes some three minutes a car on a core. Cars are the `wide` ones of

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cars that no simulator here is: the 1:16 car with other parameters and another camera pose, from a seeded generator.
 
 Each range and its source were fixed before the first drive. Two kinds: `near` cars are of one kind as a hand builds it,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well `ds recording locate` finds cars in simulated recordings whose truth is known, as a table.
 
 `python -m benchmarks.recording.table --out FOLDER` takes some five minutes on a core. Offsets count in lane widths.

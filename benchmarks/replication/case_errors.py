@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How often `ds evaluate` states a wrong merge case, and how often the right one, on simulated campaigns.
 
 `python -m benchmarks.replication.case_errors`. Two siblings and a twin drive the same tests. Tests of a family resemble

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives the paper's campaign: six networks, five runs on each sibling, every test on the other and on the twin.
 
 `nice -n 19 python -m benchmarks.replication.drive FOLDER` from the root of the repository, at any time and as often as

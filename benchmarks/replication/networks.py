@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chooses the networks of the paper's campaign: as good as the paper's, not better.
 
 `python -m benchmarks.replication.networks TRAINING --name dave2` drives every checkpoint of a training over the 50

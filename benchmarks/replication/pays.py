@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where a product of failure probabilities beats the better sibling: 54 cases of the stored campaigns, without driving.
 
 `python -m benchmarks.replication.pays` writes `docs/data/when_product_pays.csv` and prints the page's table. A case

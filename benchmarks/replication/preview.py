@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the autopilot's preview point changes: it drives on it, and on the lateral position as in equation 1 (3.2.1).
 
 `python -m benchmarks.replication.preview` prints, for each simulator of the campaign, how many roads are completed and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Computes every number on the page of the paper's campaign from the stored tables of outcomes, without driving.
 
 `python -m benchmarks.replication.tables [--out docs/data/replication.csv]`: the paper's claims, case by case, with an

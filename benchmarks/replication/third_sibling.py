@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives the tests of each campaign's first run on `panda`, too, and keeps all outcomes as a campaign of three.
 
 `nice -n 19 python -m benchmarks.replication.third_sibling FOLDER` from the root of the repository; it resumes from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Computes every number of the study of when two siblings are better than one; see `PLAN.md`.
 
 `python -m benchmarks.when_to_merge.analysis`: a part of the study is shown once all of its drives are there. `--final`

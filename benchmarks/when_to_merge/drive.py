@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives the study of when two siblings are better than one, part by part, in the order of the plan.
 
 `nice -n 19 python -m benchmarks.when_to_merge.drive FOLDER` from the root of the repository, as often as needed: parts

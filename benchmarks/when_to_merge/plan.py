@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Constants of the study of when two siblings are better than one, fixed before its first drive; see `PLAN.md`."""
 
 from __future__ import annotations

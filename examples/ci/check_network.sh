@@ -1,4 +1,5 @@
 #!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
 # Holds a network against tests, as a CI job does; both workflows in this folder and the action at the root call it.
 #   check_network.sh NETWORK TESTS RESULTS [OPTION...]
 # NETWORK: as `ds drive --driver` takes it. TESTS: a suite, .json, or the configuration of a campaign, .yaml, whose

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A short drive, recorded at every level."""
 
 from __future__ import annotations

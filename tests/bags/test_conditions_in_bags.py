@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A bag keeps the conditions of its run: it re-simulates under them, bit for bit."""
 
 from __future__ import annotations

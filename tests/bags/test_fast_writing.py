@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags are written many messages at once; the bytes are those of libraries that take one message at a time."""
 
 from __future__ import annotations

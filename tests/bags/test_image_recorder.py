@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images recorded from the graph of a user-defined simulator equal those that its driver received."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Recorded drives become a data set for training and RQ1."""
 
 from __future__ import annotations

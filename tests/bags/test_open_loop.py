@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Open-loop evaluation on recordings of any origin: no image is lost, and the errors are correct."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Playback: order, pace and keys on a simulated clock; the same bytes for a real subscriber."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outcomes of real drives from recordings: bags of simulated drives stand in for those of a car."""
 
 from __future__ import annotations

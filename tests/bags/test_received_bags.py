@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Received bags: no code that they name runs, nothing is written outside, memory and time are bounded."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A killed writer loses nothing that it flushed, and a campaign recognises its unfinished bag."""
 
 from __future__ import annotations

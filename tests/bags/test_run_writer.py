@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Content of a bag, read by independent readers; needs the installed message definitions."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Re-simulation of recorded runs: the same bits, or the step and size of the first difference."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parts of the method that a user could bring: a search, a feature, a merge operator."""
 
 import numpy as np

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole method without ROS: the twin takes every role, driven by its autopilot in this process."""
 
 from __future__ import annotations

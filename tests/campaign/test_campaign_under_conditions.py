@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign under conditions with real worker processes: its drives, gates and bags are the library's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gates of a campaign: a test that nobody can pass, or whose lines nobody can see, says nothing about the network."""
 
 from __future__ import annotations

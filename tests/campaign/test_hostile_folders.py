@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Folders of an attacker: no verb leaves the folder, waits for a FIFO, or takes more than bounded time and memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verbs on campaigns of thousands of executions: what they hold in memory does not grow with the campaign."""
 
 from __future__ import annotations

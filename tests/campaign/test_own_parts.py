@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A user's own search, features and merge operators, as `module:NAME`; no received file decides that they run."""
 
 from __future__ import annotations

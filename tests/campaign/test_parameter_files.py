@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns whose twin is a fitted car: its file must not change between sessions, and its path may be long."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Received campaign folders: they run no code, and content that no campaign writes is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Paths within a file are relative to that file, wherever `ds` is started; and what is written can be read there."""
 
 from __future__ import annotations

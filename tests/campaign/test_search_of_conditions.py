@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaigns whose search varies conditions; made-up drives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unusable folders: one clear line, a non-zero exit status, and no byte changed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulators under test: all registered ones, the example of the documentation, and those named by option.
 
 `pytest tests/conformance --simulator module:Class` tests only your simulator.

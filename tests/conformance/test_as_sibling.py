@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example of docs/add_a_simulator.md as a third sibling, with the line that the document shows."""
 
 from __future__ import annotations

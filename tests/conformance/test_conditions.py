@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions on every simulator, against oracles that know nothing of how they are realised.
 
 What the world of `panda` looks like under them is tested with it, in `test_panda_world_conditions.py`.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hybrids of simulators: one of a simulator's own parts is that simulator, and each exchanged part is the other's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contrast of the lines in rendered images, against laws that know nothing of how it is measured; and the gates."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contract of every simulator's node: the same bits as without ROS, signs of REP-103, correct information."""
 
 from __future__ import annotations

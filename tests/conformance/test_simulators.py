@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contract of every simulator: `ds_sim.testing` on each of them, and on simulators that violate it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts schedulers and workers of Dask as users do, in processes of their own."""
 
 from __future__ import annotations

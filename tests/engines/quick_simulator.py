@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulators of a few milliseconds, so that tests exercise the engine; some misbehave."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The engine `dask`, with real schedulers and workers: same bytes whoever dies, joins late, or computes otherwise."""
 
 from __future__ import annotations

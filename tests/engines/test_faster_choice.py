@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The advice that a campaign prints where it could be faster."""
 
 from __future__ import annotations

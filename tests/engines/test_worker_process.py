@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Worker processes drive as this process does, whatever dies or hangs."""
 
 from __future__ import annotations

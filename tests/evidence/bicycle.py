@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Linear single-track model integrated by SciPy: an oracle that shares no code with the vehicles.
 
 Pacejka, Tire and Vehicle Dynamics, ch. 1.3 (two axles, small angles, constant speed) with the tyres of ch. 7 (slip

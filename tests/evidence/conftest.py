@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records every comparison with an oracle; `pytest -v tests/evidence` prints them as Markdown tables."""
 
 from __future__ import annotations

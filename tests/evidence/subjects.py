@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The four vehicles under test: a car to drive, and the textbook model with its constants.
 
 Mechanisms outside the textbook model (Ackermann toe, play and delay of the servo) are switched off; the tests of each

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests that results do not depend on the substep: halving it changes the autopilot's fitness by less than 2 cm.
 
 `python -m benchmarks.physics convergence` drives more roads; its numbers are in docs/simulators.md.

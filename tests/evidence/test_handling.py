@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the handling of every vehicle with textbook equations for its own constants."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is true of every car that moves on a plane: signs, units, no memory, no preferred place or direction."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares combined slip of tyres and the grip limit of whole cars with oracles worked out by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Seeded damage: to bytes, and to the values of JSON and YAML documents."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Feeds seeded damage to the readers of received files, and reports defects in their answers.
 
 A damaged input must be accepted, or refused with one of the errors that its reader documents, in one line. Any other

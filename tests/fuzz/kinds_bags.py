@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinds of received files: bags, bags of killed writers, Donkey Car tubs, and plain YAML."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinds of received files: configurations, stores, roads, networks, data sets and parameter files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kinds of received files: located recordings and descriptions of ROS 2 simulators, as the siblings read them."""
 
 from __future__ import annotations

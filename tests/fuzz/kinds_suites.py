@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Kind of received file: a regression suite."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every reader of received files accepts a damaged input, or refuses it in one line.
 
 DS_FUZZ=N tries N inputs of each kind (200 if unset), DS_FUZZ_FIRST=SEED starts at SEED, not 0. Repeat one input:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives give the same bytes with every kernel of BLAS: they call none.
 
 OpenBLAS chooses its kernels by the type of processor, and each rounds the products of matrices in its own way.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images are those of a camera without short cuts: the whole world painted at once, and every row drawn on its own.
 
 Simulators paint only what is looked at, draw rows in bands, reuse memory and leave out rows; none of it may change a

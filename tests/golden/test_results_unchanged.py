@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Today's code gives the results that version 0.1.0 gave: its demo campaign, byte for byte.
 
 `demo_0_1_0.json` holds that campaign: roads, outcomes, digests of its map files; and the first 100 frames of a run on

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fixtures for graphs of real nodes in real processes, each in a separate ROS domain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driver node that drives straight on and fails as a parameter or a file requests.
 
 Parameters: `fault`, or `orders`, a file that is read at the start of each run; `at`, the frame at which it fails;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulator of `examples/ros_simulator.py`, which misbehaves after a second in the way that FAULT names.
 
 Its service `reload` reads a road from the file that ROAD names.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulator that hangs during a run, for the tests of node shutdown."""
 
 from __future__ import annotations

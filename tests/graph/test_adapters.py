@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drivers with standard messages drive a simulator through the adapter, in lock-step and in real time."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The camera driver in another ROS stack: remapped topics, any camera, a chosen message type, reported latency."""
 
 from __future__ import annotations

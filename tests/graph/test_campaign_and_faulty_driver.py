@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign whose driver crashes or hangs: it continues with a restarted one, and reports the error."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulator and its driver in one process: what happens to the run, and to the next one, when the driver fails."""
 
 from __future__ import annotations

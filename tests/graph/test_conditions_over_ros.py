@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions cross ROS: each run has those of its goal, or its node's; what a simulator cannot realise is refused."""
 
 from __future__ import annotations

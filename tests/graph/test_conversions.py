@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages against the plain values that they carry."""
 
 from __future__ import annotations

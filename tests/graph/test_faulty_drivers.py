@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drivers that crash, hang, or answer twice, late or wrongly: the run ends in time, with the right outcome."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/interfaces.md against the running graph: every topic, service, action and parameter, and nothing else."""
 
 from __future__ import annotations

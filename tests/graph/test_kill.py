@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nothing is lost: processes are killed at seeded moments, and the resumed campaign equals an undisturbed one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A killed graph leaves nothing in shared memory, and nothing but the document reaches standard output."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes end within a second of SIGINT or SIGTERM, whatever they are doing."""
 
 from __future__ import annotations

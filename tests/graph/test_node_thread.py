@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A node spun in a thread of its own survives what rclpy's events executor dies of, and leaves nothing behind."""
 
 from __future__ import annotations

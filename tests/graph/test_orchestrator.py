@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The orchestrator's node, asked by action clients: real simulators and drivers in the same domain."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Another ROS 2 simulator as a sibling: drives, same bytes, and one line whatever it does wrong."""
 
 from __future__ import annotations

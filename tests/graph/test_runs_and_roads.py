@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One simulator and its drivers as separate processes: roads, runs, and their possible errors."""
 
 from __future__ import annotations

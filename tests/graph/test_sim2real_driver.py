@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A driver node that translates the images of its simulator: the bits of a drive in this process."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Foxglove's layout and RViz's configuration: every topic, type, field and frame is one that our nodes publish.
 
 The two programs themselves are not here; what they read of a type is from their documentation.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole method with every engine: the same bytes each time; `test_kill.py` stops and resumes it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Manifests of the ROS packages: they declare every import, and nothing else, under keys that rosdep knows."""
 
 from __future__ import annotations

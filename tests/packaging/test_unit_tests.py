@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Unit tests run by `colcon test` after a plain `make setup`, without the libraries that only `make test` installs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The wheel: everything that needs no ROS is in it, and it runs without a checkout."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Output of the set-up and execution of programs: one line per step on screen, the rest in the log."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requirements on the machine: a supported Python, its headers, venv, a compiler, and a renderer for one simulator."""
 
 from __future__ import annotations

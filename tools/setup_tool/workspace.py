@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Colcon workspace: packages that must be rebuilt, and their environment as a flat file."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .common.driven_road import DrivenRoad
 from .common.heatmap import draw_map, write_maps
 from .common.outcome_table import (

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Made-up drives of two networks, which tests of comparisons share."""
 
 from __future__ import annotations

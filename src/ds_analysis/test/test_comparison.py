@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Two networks on the same tests: statistics against other computations, verdicts, summaries, criteria, JUnit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reasons of failures, on drives whose cause is known because they were made with it."""
 
 from __future__ import annotations

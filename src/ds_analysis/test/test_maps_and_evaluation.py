@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Union, merge and correlation of a campaign of twelve tests on three siblings, against values computed by hand."""
 
 from __future__ import annotations

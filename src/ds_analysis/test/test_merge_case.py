@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which operator suits a campaign: cases by hand, and p-values against SciPy's exact permutation test."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """RQ1 against independent formulas: densities, distance, test, effect, power."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables as CSV that reads back, as LaTeX that compiles, and with the paper's numbers in the right rows."""
 
 from __future__ import annotations

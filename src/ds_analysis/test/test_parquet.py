@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exported tables against the campaign's SQLite file, read by SQL and NumPy, and against the documentation."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A choice is stated only if chance hardly makes it, and measured on tests that did not choose it."""
 
 from __future__ import annotations

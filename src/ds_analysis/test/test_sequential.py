@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence that holds at any time: coverage under stopping rules that try to break it, and drives that it saves."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """rosbag2 folders: written, read, verified, recovered and packed, with and without ROS.
 
 Public names are imported when they are first used; `__init__.pyi` lists them.

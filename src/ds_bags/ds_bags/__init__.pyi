@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .copying import recover
 from .donkey_tub import Tub, TubError, read_tub
 from .info import describe

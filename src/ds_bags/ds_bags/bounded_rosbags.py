@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The reader of `rosbags` for any bag, kept to this project's limits.
 
 `rosbags` decompresses a chunk of any size, loads YAML with a slow parser without limits, and turns every message

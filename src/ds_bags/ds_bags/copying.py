@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Copies the records of MCAP files: whole files, files with changed messages, and files that were never finished."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads Donkey Car tubs of version 2: images, commands and times that a car recorded."""
 
 from __future__ import annotations

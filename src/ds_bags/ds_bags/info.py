@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Describes a bag as JSON values and as lines of text."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Names, places and limits of bags on disk (docs/bags.md), and the errors that readers and writers of bags raise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Message types of bags without ROS, and the messages of all frames of a run at once."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plays a bag in recorded order at any rate, with pause and step; independent of ROS and of a terminal."""
 
 from __future__ import annotations

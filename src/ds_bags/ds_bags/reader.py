@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads bags from any source: rosbag2 folders with MCAP or SQLite files, and ROS 1 `.bag` files."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 folders as ROS 2 Jazzy does: one MCAP file and `metadata.yaml`, version 9.
 
 MCAP profile `ros2`, messages as `cdr`, schemas as `ros2msg` text. Each channel carries its QoS and the hash of its

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes one rosbag2 folder per run, as ROS 2 Jazzy does (metadata version 9, MCAP), without a ROS install."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Re-simulates a recorded run and compares it bit by bit: states, and images if the bag has them.
 
 `ds bag redrive` on the command line: applies the recorded commands to the recorded simulator, on the same road and with

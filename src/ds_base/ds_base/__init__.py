@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Foundation without a word of the domain: errors, safe files, bounded YAML, trust, processes."""
 
 from ds_base.errors import DsError, InputError, RunError

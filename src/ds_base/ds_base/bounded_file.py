@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads files that a stranger may have sent: regular ones of bounded size, never a FIFO, a device or a folder."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parses XML that a stranger may have sent: of bounded size, and without a document type."""
 
 from __future__ import annotations

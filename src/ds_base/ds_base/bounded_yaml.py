@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """YAML of files that somebody else may have written: bounded in size, depth and what its aliases expand to.
 
 PyYAML's safe loader runs no code, but a file of a few hundred bytes whose aliases refer to each other ("billion

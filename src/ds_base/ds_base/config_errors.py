@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Error messages for invalid configurations: key, value, and what is allowed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Errors that a user can cause, and can mend: one line says what is wrong, what was expected, and what to do.
 
 `ds` prints that line. Whatever else is raised is a bug of this project: `ds` says so, and keeps the traceback.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts a node such that a signal ends it at once, silently and with status 0, even while its libraries load."""
 
 from __future__ import annotations

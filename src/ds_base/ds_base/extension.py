@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads a user's own part of the method, `module:NAME`, once the user has named it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The one way into a folder of results, which may be a stranger's: regular files inside of it, of bounded size.
 
 Who reads takes `read_file`, which follows no link; who writes holds `locked`, which refuses every link, FIFO and device

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where shared files are, how extras are added, and which library versions are installed."""
 
 from __future__ import annotations

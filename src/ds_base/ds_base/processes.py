@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Child processes that never outlive this one, and pools of processes for independent jobs."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Received YAML is built only within its limits, and refused in one line beyond them."""
 
 from __future__ import annotations

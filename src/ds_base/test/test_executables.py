@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signals while a node is still being imported."""
 
 from __future__ import annotations

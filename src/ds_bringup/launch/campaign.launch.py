@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launches a campaign with the simulators and the driver of its file; ends with the campaign.
 
 ros2 launch ds_bringup campaign.launch.py out:=DIR [config:=FILE]

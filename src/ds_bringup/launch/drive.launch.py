@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launches one simulator and one driver.
 
 ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|panda|donkey|torcs] [namespace:=ds1]

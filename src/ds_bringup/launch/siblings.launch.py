@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Launches both digital siblings and the twin, each in its own namespace with its own driver.
 
 ros2 launch ds_bringup siblings.launch.py [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watches the simulators of this ROS domain in Foxglove or RViz, and a campaign in the browser.
 
 ros2 launch ds_bringup watch.launch.py [tool:=foxglove|rviz|none] [port:=8765] [campaign:=DIR]

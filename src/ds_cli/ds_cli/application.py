@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The typer application behind `ds`: imports each verb when it is typed, and turns every error into one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks the installation, and prints the command that fixes each problem. It changes nothing.
 
 Standard library only, so that it runs before anything is installed: `python3 -m ds_cli.doctor`. By default

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds drive`: runs one drive through the graph, and writes its bag and video."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds evaluate`: how well the siblings predict the twin, in the paper's tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Entry point of the command `ds`.
 
 Results go to standard output, with `--json` as one JSON document and nothing else; everything else goes to standard

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds maps`: a campaign's feature maps as coloured grids in the terminal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds collect`, `ds import`, `ds train`, `ds models`: driving networks, from data to success rates."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds outcomes`: outcomes that came from elsewhere, in and out."""
 
 from __future__ import annotations

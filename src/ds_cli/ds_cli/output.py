@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a verb of `ds` returns, how it is printed, and progress on standard error."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress on standard error: of a campaign, and of one drive."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds recording`: where the car was in a recording, its camera, and roads to test on its track."""
 
 from __future__ import annotations

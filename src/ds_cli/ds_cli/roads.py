@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds road`: generate, mirror, check, draw, export and import roads."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds serve donkey`: a simulator for clients of the Donkey simulator's protocol."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds siblings compare`: how much the simulators agree, and what each adds."""
 
 from __future__ import annotations

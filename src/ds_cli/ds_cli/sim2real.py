@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds sim2real train`, `show`, `translate`: simulated images that look like photographs of a real track."""
 
 from __future__ import annotations

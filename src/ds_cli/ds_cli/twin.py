@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds twin fit`: the twin's parameters from recorded drives."""
 
 from __future__ import annotations

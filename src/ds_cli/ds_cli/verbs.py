@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The verbs of `ds`: the overview that `ds --help` prints, and tab completion.
 
 Standard library only: both have to work before anything is installed, and at once. The completion scripts ask `ds`

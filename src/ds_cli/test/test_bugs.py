@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a user can cause is one line; what only we can have caused says so, and keeps its traceback."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drivers that see translated images, in campaigns and elsewhere: checked at the start, and sent to other machines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds sim2real`: bad input ends with status 2 and one line that says what is wrong."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driving networks, their training, and the nodes that drive.
 
 Public names are imported when they are first used; `__init__.pyi` lists them.

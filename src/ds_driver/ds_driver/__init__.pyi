@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .closed_loop.simulation import drive_road, make_driver
 from .control.autopilot import AUTOPILOT, Autopilot, throttle
 from .control.other_stacks import SpeedController, StampMatcher

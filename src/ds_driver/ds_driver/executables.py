@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Entry points of this package's nodes; a signal ends them at once, also during their imports."""
 
 from functools import partial

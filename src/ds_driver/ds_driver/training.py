@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hybrid training: one network for all simulators, all equally represented (paper 3.2.2, 4.2.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's two control laws, worked by hand."""
 
 from __future__ import annotations

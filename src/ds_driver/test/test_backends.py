@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The backends agree, and names of backends and devices are checked."""
 
 from __future__ import annotations

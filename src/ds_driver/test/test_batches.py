@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames in a batch get the commands that each gets alone, and an error stays with its frame."""
 
 from __future__ import annotations

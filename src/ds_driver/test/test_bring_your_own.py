@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """User-provided networks: described files and classes, valid and invalid."""
 
 from __future__ import annotations

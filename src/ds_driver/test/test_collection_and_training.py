@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Data collection and training on a small scale: the twin drives, Dave-2 trains, and both resume when stopped."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signs, units and geometry of other stacks' messages in both directions, also for packages not installed here."""
 
 from __future__ import annotations

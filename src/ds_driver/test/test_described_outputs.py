@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steering in angles, curvatures and paths, against closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Networks with several inputs, stacks of frames and states, against PyTorch itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sizes and preprocessing of the built-in networks, and weights files that are refused."""
 
 from __future__ import annotations

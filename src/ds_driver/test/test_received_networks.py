@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Received network files: memory is bounded, and no other file is read."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pseudo-real images: networks as published, training that resumes, lines that are found, crops, translations."""
 
 from __future__ import annotations

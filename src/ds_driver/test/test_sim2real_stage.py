@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drivers that see pseudo-real images: which generator, which bits, and what identifies them."""
 
 from __future__ import annotations

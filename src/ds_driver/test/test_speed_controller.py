@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Throttle of the speed controller, on the simulators themselves."""
 
 from __future__ import annotations

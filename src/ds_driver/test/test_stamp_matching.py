@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Assignment of other stacks' commands to frames."""
 
 from __future__ import annotations

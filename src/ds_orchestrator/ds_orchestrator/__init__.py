@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Search, campaign, store, bags, feature maps, evaluation, report and command line.
 
 Public names are imported when they are first used; `__init__.pyi` lists them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .campaign.config import CampaignConfig, ConfigError, OperatorsConfig, SearchConfig, parse_config, read_config
 from .campaign.engine import DriveSettings, Engine
 from .campaign.executor import CampaignError, Executor, Listener, Stopped

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A campaign counts a road under the same conditions once."""
 
 from __future__ import annotations

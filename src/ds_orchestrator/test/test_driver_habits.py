@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a campaign says about its driver's commands, from a bounded sample of its drives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Estimates of the time left, for a campaign on a simulated clock: parallel simulators, consecutive stages."""
 
 from __future__ import annotations

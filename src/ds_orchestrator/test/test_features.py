@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Features against values computed by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What machines must have in common to drive for one campaign."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identities of maps: stable names in files and JSON documents, whatever the simulators are called."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Searches through ask and tell, with a synthetic fitness and without simulators."""
 
 from __future__ import annotations

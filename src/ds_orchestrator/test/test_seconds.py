@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Time per stage over several sessions."""
 
 from __future__ import annotations

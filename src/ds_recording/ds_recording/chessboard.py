@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calibrates a camera with photographs of a chessboard (OpenCV)."""
 
 from __future__ import annotations

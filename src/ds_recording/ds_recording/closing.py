@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds that a road closes to a lap, and joins its ends; lengths are in lane widths."""
 
 from __future__ import annotations

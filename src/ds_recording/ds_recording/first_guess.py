@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """First guess of the road: lines of neighbouring frames, joined by the motion between them, vote for the road's shape.
 
 About the car the road is an arc (offset, heading, curvature). All shapes of a grid are tried at once, and the most

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Camera of a recording above a flat floor: pixels to points of the floor and back, and its YAML file."""
 
 from __future__ import annotations

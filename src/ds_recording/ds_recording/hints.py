@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What whole parts of two images say about the motion between them, before single corners of the floor are followed.
 
 The floor of many a room is bare where the car is, and a hard turn blurs it. Whatever is far away moves sideways by the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Points of the lane's lines in one image, on the floor, each with its colour and its uncertainty."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Locates the car in a recording: lines and motion of every image, a first guess of the road, and the smoother."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Result of locating a recording, and its four files.
 
 Frame of reference: x and y in the plane of the floor, yaw counter-clockwise (REP-103), with the first image near the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motion of the car between two images, from corners of the floor that are seen in both.
 
 Each corner counts along the directions in which its surroundings vary (its structure tensor): a point on a painted line

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Height and pitch of a camera above the floor, from the lines of some images: parallel, one lane width apart."""
 
 from __future__ import annotations

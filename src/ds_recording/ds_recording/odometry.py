@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What wheels, gyroscopes and given poses say about the motion between images, checked against the images themselves.
 
 Only relative motion counts: speeds are ways ahead over a time, yaw rates are turns, and poses give both, so neither a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One HTML file that shows a located recording: the track from above, what is left over, pictures with fitted lines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads the outcome of one real drive from a recording: a bag, a located recording, or a tub with a verdict."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Images, times and commands of the longest stretch of a recording that has no gaps, and whether they make sense."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses of the whole run and the road's centre line together, by robust least squares (a smoother).
 
 Unknown are x, y and yaw of the car in every frame, and how far the centre line lies beside its last guess at every

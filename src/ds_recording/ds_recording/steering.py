@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How the car follows its steering: gain, trim, delay and lag of the curvature it drives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Centre line of a road as a polyline of even steps, open or closed, and its file in RoboRacer's form."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Turn and way between two images, against a hall and a floor that are drawn here."""
 
 from __future__ import annotations

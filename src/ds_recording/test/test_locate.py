@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Against a circular road that is drawn here, pixel by pixel, from closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Odometry, gyroscopes and poses of a drive whose speed and yaw rate are known in closed form."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recording as a simulator: what it shows elsewhere, what it does not know, and one line for what is wrong with it.
 
 The recording is made here: a floor whose colour is a closed form of the place, seen by a pinhole on a bent road.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .build import write_all
 from .findings import Findings, summarise
 from .html_report import write_report

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes a campaign's results: maps as JSON and PNG, the comparison with the twin as tables, and the report."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Camera pictures of a report: one place on every simulator, strips of informative drives, replays of failed ones.
 
 Drives are rendered again from the recorded path by the library's camera, without bag or physics. Roll, pitch and heave

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes proposed drives for a person: roads to tape out, what to set, and a table to fill in."""
 
 from __future__ import annotations

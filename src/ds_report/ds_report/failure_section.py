@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Section of the report on why tests failed: groups of failures in words, each with a test to replay."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Findings of a campaign in plain sentences, derived from its numbers by fixed rules.
 
 Where a driver fails is one threshold on bend radius, number of turns, or an operating condition (a decision stump). The

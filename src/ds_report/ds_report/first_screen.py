@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """First screen of a campaign's report: where the driver fails, which sibling to believe, what to do next.
 
 Rules, fixed before they were applied to any campaign:

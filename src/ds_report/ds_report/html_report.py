@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Report of a campaign: one HTML file that opens offline, with findings, maps, tests and provenance."""
 
 from __future__ import annotations

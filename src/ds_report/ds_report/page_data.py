@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell.
 
 Roads and drives are smooth, so that the second differences of their coordinates in whole centimetres are almost all 0

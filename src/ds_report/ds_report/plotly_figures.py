@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plotly layouts that the report's script fills, and charts of the comparison with the twin."""
 
 from __future__ import annotations

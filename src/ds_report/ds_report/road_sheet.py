@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A road at the size of a model car: points to tape out, and a drawing with a grid of metres."""
 
 from __future__ import annotations

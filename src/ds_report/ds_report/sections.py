@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sections of the report: where a car fails, what each sibling adds, and maps over further features."""
 
 from __future__ import annotations

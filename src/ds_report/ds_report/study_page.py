@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page of a study of imported outcomes: one HTML file that opens offline."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws which cells of a feature map fail, are safe, disputed or untested, and which of them the car drove."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Synthetic campaigns, without simulators, for the tests of the report."""
 
 from __future__ import annotations

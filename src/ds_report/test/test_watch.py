@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of a running campaign: by HTTP, in headless Chromium, and never a change of the campaign's folder."""
 
 from __future__ import annotations

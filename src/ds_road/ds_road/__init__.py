@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Roads: spline, lanes, validity, generation, mutation, features, JSON."""
 
 from ds_road.files import (

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes and reads roads as CommonRoad scenarios, XML format 2020a (Althoff, Koschi and Manzinger 2017).
 
 A road is two lanelets: 1 is the driven lane, 2 the oncoming one. A CommonRoad scenario needs a planning problem: from

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exports roads: ASAM OpenDRIVE for simulators and scenario editors, CommonRoad for planners, SBFT's JSON.
 
 OpenDRIVE 1.7 (ASAM, 2021): one road with its centre line as the reference line, a left and a right lane. Vehicles drive

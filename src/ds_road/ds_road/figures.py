@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures drawn by Matplotlib: the same values give the same bytes, whatever a user's settings are."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads and writes roads as JSON.
 
 A file holds one road or a list of roads. A road is a list of [x, y] control points in metres, in driving order, or an

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Generates and mutates random roads (paper 3.3; maxitwo, corrected where its code differs from its intent)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Geometry of a road: its spline (paper 3.1.1), features of its lines (3.3), and whether it can be driven (3.1.3)."""
 
 from __future__ import annotations

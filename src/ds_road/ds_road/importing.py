@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads roads of other tools: ASAM OpenDRIVE, CommonRoad scenarios, and tests of the SBFT tool competition.
 
 All become roads of road points, in metres. A road that fits into the box of 250 m but lies outside of it is moved into

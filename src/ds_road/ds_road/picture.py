@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws a road seen from above, as in figure 2 of the paper."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Road: an immutable value defined by its control points, with everything derived from them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exported roads against independent readers: ASAM's schema, an OpenDRIVE library, and this project's own reader."""
 
 from __future__ import annotations

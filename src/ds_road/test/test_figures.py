@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Figures for screens and for papers: the same values give the same bytes in every format."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Road files of a stranger: whatever they hold, one line comes back within seconds, and without much memory."""
 
 from __future__ import annotations

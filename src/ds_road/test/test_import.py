@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Imported and exported roads against CommonRoad's schema and reader, an OpenDRIVE library and closed forms."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driven lanes, and the curvature of lanes against circles and clothoids."""
 
 from __future__ import annotations

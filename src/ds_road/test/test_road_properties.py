@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of every road, and inputs that are refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares 200 roads with the values that the authors' package (maxitwo) computes for them."""
 
 from __future__ import annotations

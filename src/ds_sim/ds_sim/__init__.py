@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulator interface, the parts that all simulators share, and the ROS node that hosts any of them.
 
 Public names are imported on first use; `__init__.pyi` lists them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .camera.ground import Ground, paint_ground
 from .camera.lens import project
 from .camera.look import Look

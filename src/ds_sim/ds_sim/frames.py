@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Coordinate frames of one simulator and the poses between them, as ROS names and orients them (REP-103, REP-105)."""
 
 from __future__ import annotations

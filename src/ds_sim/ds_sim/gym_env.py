@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gymnasium environment: drive a road from camera images, on any simulator of the project.
 
 Importing this module registers `DigitalSiblings-v0`; `docs/python_api.md` shows how it is used.

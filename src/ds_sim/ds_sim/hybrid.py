@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulator whose parts come from several simulators: the vehicle of one, the camera of another, and so on."""
 
 from __future__ import annotations

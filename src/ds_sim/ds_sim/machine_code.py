@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps functions that Numba compiled as object files, and loads them without Numba.
 
 Numba takes seconds to compile, and even for what it has compiled before most of a second and 50 MB in every process;

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builds the messages of one simulator from plain types, with the message classes of ROS or of any library."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Test oracle: where the vehicle is in its lane, and when and how a run ends (paper 3.1.3, 3.3)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interfaces of the two parts of a simulator: a vehicle's physics, and the scene that its camera sees."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes simulators by name: one of `SIMULATORS`, or any class given as `module:Class`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Re-simulates a recorded run: the same road, seed and commands must give the same frames, bit for bit."""
 
 from __future__ import annotations

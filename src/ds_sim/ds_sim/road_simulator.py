@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Base class of simulators: combines a vehicle model and a scene, which is all a new simulator provides."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Encodes a run as bytes, to send it from one process or machine to another; every number keeps its bits.
 
 Layout, little-endian: a header (magic, version, outcome, reason, number of frames, of commands and of bytes of the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a driver is tested on, whatever the driver and the simulator."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives one run after the other on a simulator and records them, without ROS."""
 
 from __future__ import annotations

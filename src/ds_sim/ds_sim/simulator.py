@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interface between a simulator and everything else: commands, observations, outcomes.
 
 Coordinates and units: metres, seconds, radians; the road frame has x and y in the plane, z up, and yaw

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conformance checks for simulators: what every simulator promises, as a function to call on your own.
 
     from ds_sim.testing import check_simulator

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Renders a run as a video: camera image, map of the road, speed, commands and lateral position."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reference images by brute force, with OpenCV's and SciPy's geometry, to compare the camera with."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the camera with an independent projection of points; tests horizon and sensor."""
 
 from __future__ import annotations

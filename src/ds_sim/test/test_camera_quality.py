@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Image quality of the simulators' cameras: distant lines, flicker, horizon, intrinsics, motion blur."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands that spoil a run, by the stamps and sequence numbers that they would have."""
 
 from __future__ import annotations

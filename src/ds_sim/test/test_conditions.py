@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions as a value and as text, and what becomes of commands under them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the jitter statistics of real-time frames with values worked out by hand."""
 
 from __future__ import annotations

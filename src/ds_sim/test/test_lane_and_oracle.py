@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares lane positions and verdicts with geometry worked out by hand."""
 
 from __future__ import annotations

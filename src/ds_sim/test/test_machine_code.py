@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compiled functions are kept, loaded without Numba, and compiled again when their source changes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulator names that come from a file of somebody else never import code that is not shipped."""
 
 from __future__ import annotations

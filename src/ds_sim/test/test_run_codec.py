@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sends runs as bytes: every bit arrives, and damaged bytes are refused in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A drive again and as a video, read by another library's reader."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """First digital sibling: a rigid-body car in PyBullet."""

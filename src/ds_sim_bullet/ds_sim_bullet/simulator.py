@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid-body simulator: the car, a camera behind the windscreen, the look of a sunny day."""
 
 from __future__ import annotations

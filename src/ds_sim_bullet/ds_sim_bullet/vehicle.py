@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rigid-body car as a `ds_sim.parts.Vehicle`: applies the driver's command to the joints, substep by substep."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rigid-body car as a URDF, and the world in which PyBullet places it."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Third digital sibling: a multi-body car in a world rendered by Panda3D."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Panda simulator: the multi-body car in a world rendered by Panda3D."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The straight road seen from straight above, without anything beside it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Poses, and an independent projection of points into the image of the panda camera."""
 
 from __future__ import annotations

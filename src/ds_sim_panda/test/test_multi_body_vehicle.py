@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the multi-body car with the package that publishes the model, values worked out by hand, and itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the pictures with an independent projection; tests reproducibility, rows and refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions of camera, sensor and car on the simulator `panda`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks what stands in the world: clear of the road, shadows away from the sun, haze by Koschmieder's law."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions of the world of `panda`, measured in pictures from straight above or by an independent projection."""
 
 from __future__ import annotations

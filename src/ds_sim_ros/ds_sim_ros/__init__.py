@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sibling `ros`: any ROS 2 simulator that a YAML file describes, driven through topics and services."""

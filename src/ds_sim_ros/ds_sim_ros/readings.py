@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads images and odometry of another simulator, and refuses what makes no sense. Messages are read by attribute."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Roads for a simulator that reads them from a file, and the road of one whose track is fixed."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file that describes another ROS 2 simulator: its keys, and errors in one line."""
 
 from __future__ import annotations

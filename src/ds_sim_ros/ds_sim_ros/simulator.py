@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Any ROS 2 simulator as a sibling: what it shows and where its vehicle is come through topics."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law by which a throttle becomes the speed that a message asks for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A good description of a simulator, which tests change."""
 
 from __future__ import annotations

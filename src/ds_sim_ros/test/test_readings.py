@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is read from messages, what is written as a road, and the speed that a throttle asks for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The file that describes a simulator: what it may hold, and one line for each mistake."""
 
 from __future__ import annotations

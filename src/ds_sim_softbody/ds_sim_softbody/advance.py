@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Advances the soft car by a step; compiled by `ds_sim.machine_code`, which imports it only where it has to compile."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frame of the car: mass nodes joined by damped beams, seen from above, in a pymunk space without gravity.
 
 The coordinates are those of the car at the start of a run: x forward, y left, origin midway between the axles.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All constants of the soft car and of the engine that integrates it, in SI units.
 
 Sources cited repeatedly below:

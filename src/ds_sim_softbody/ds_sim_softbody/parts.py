@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rack, motor, and the body's roll and pitch, and the record of the whole car that compiled code advances.
 
 The functions are compiled by `advance`, where their arguments are records with the fields of these classes.

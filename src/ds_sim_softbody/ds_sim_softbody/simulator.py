@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Soft-body simulator: the car, a camera at the front bumper, the look of an overcast day."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Soft-body car as a `ds_sim.parts.Vehicle`: frame, wheels, actuators and body together."""
 
 from __future__ import annotations

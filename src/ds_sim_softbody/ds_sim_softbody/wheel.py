@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Models a wheel at its node: heading, slip of the tyre, spin.
 
 The functions are compiled by `advance`, where `p` and `wheel` are records with the fields of their classes.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the soft car with textbook formulas, values worked out by hand, and itself."""
 
 from __future__ import annotations

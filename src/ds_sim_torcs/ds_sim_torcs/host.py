@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Process that runs TORCS, and the requests to it; `host/torcs_host.cpp` describes the bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All constants of the car and of the world of TORCS, in SI units.
 
 Sources cited repeatedly below: *file*: `cars/155-DTM/155-DTM.xml` of TORCS 1.3.7; *simuv2*: its physics.

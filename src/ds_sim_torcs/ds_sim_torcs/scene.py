@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """World of a road as TORCS's renderer, ssggraph, draws it."""
 
 from __future__ import annotations

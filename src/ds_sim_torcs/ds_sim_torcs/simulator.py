@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TORCS simulator: a car of TORCS in a world that TORCS renders."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Car of TORCS as a `ds_sim.parts.Vehicle`: on an endless plane, from whose middle every run starts."""
 
 from __future__ import annotations

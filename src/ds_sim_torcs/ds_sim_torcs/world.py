@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that TORCS's renderer reads for a road: a mesh of road, grass and sky, and its textures."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests that need TORCS are skipped where it is not built."""
 
 from __future__ import annotations

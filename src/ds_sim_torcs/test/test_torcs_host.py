@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A host that ends, hangs or answers nonsense is an error of one drive; the next one has another host."""
 
 from __future__ import annotations

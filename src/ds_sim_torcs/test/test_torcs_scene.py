@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where the lines of a road are in the pictures, what conditions make of them, and that pictures are repeatable."""
 
 from __future__ import annotations

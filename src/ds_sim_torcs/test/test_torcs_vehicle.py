@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The car against closed forms: steering, radius, drive, braking, grip; and that it drives alike everywhere."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from .comparison.compare import GivenTests, compare, random_tests, tests_of_campaign, tests_of_campaigns
 from .same_roads import drive_same_roads
 from .sensitivity.analysis import Sensitivity, analyse_sensitivity

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The demo: one road in fog, what else breaks the network, and a campaign under the conditions that do.
 
 Every constant but `MOST_SEARCHED` was chosen before a result was seen. A stopped demo goes on where it was.

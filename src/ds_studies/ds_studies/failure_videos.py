@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Videos of failed drives, for somebody who was not there, such as the job of a continuous integration."""
 
 from __future__ import annotations

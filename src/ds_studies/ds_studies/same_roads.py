@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives the same roads with one driver on several simulators, for what a sibling adds."""
 
 from __future__ import annotations

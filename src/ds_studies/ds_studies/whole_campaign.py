@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a campaign from its configuration to its report, and opens one that was run before."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Donkey Car's own pilots, made by its own package, against their descriptions as `ds check` writes them.
 
 `benchmarks/donkeycar_pilots.py` makes the files, and the answers of Donkey Car's interpreter to the same frames.

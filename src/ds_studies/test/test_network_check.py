@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds check` against planted faults: what it says, and whether the line that it names repairs the description."""
 
 from __future__ import annotations

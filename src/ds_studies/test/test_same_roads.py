@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Roads driven on several simulators: what is kept of a stopped comparison, and what it refuses to mix."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The strength at which a driver first fails, against made-up drivers whose thresholds are known."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Vectorised version of `dynamics`: the same equations for many lanes at once, for least squares.
 
 A lane is one window of a recorded drive with one set of parameters. A Jacobian over a one-minute drive takes about a

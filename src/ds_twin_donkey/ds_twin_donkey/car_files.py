@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Start values of a fit from files that a car has already: Donkey Car's `myconfig.py`, and RoboRacer's YAML and URDF.
 
 No file is executed. What a file does not say keeps its nominal value.

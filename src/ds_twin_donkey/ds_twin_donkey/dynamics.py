@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Dynamics of the 1:16 car: actuators, four tyres, a body that rolls and pitches.
 
 A planar four-wheel model (Pacejka, Tire and Vehicle Dynamics, ch. 1) describes longitudinal, lateral and yaw motion,

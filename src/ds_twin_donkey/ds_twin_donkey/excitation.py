@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Command sequences that excite all parameters of the car, and simulated recordings of them with tracker noise."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Fits the car's parameters to recorded drives: least squares over short simulations (multiple shooting).
 
 Every drive is cut into windows. The model starts each window from its own initial state, which is fitted along with the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws a fit: some windows as measured and as fitted, and the residuals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Before a fit to a recording that `ds recording locate` has located: where its camera sits, and what start is near.
 
 Such poses are smoothed over some images, so servo, play and tyres cannot be separated from a delay, nor parts of the

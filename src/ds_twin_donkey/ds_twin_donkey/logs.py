@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads recorded drives for the fit: bags of this project, Donkey Car tubs (version 2), tables; 20 Hz, model metres."""
 
 from __future__ import annotations

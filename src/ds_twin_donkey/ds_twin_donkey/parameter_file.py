@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads and writes the YAML parameter file of a fitted car, which the simulator `donkey@FILE` loads."""
 
 from __future__ import annotations

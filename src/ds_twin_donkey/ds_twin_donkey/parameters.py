@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """All constants of the 1:16 car, in SI units of the model car; many can be fitted to recorded drives.
 
 Sources cited repeatedly below:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Residuals of the model in windows of recorded drives, and least squares over them (variable projection)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Digital twin as a simulator: the 1:16 car, its wide-angle camera, the look of a taped floor."""
 
 from __future__ import annotations

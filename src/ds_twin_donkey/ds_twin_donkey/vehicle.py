@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """1:16 car as a `ds_sim.parts.Vehicle`: converts between model metres and road metres."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Cuts recorded drives into windows and simulates the car through each of them from its own initial state.
 
 Servo, play and motor lag depend on the commands alone: they are simulated over the seconds before the window. The

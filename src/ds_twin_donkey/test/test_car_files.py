@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts fits from files of cars, with values worked out by hand, and from what strangers may send."""
 
 from __future__ import annotations

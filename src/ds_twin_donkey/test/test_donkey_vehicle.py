@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares the 1:16 car with textbook formulas, values worked out by hand, and itself."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares fits with known parameters, lanes with the scalar model, and logs and files with their contents."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Text on pictures drawn with OpenCV, such as maps of cells and drawings of roads."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predicts failures on roads from other roads: logistic models, chosen and fitted within a cross-validation.
 
 Everything that looks at outcomes (which feature, how much regularisation) is done on the roads of the training part

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What became of a road on a simulator, and the lateral positions of its vehicle along the lane."""
 
 from __future__ import annotations

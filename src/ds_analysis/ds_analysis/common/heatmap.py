@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws feature maps in the style of the paper's figures: green without failures, red where every test fails."""
 
 from __future__ import annotations

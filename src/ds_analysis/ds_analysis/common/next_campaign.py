@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proposes what to run after a campaign in which everything passes, or everything fails.
 
 Neither says where the limits of a network are. Rules, fixed before they were applied to any campaign:

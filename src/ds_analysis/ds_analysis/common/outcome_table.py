@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests and how they ended on several simulators, as one table: undriven features, families, outcomes, profiles."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes a campaign's executions, and their frames, as Parquet files, for pandas, Polars, DuckDB, Spark and others.
 
 The same campaign gives the same bytes. Columns have units and descriptions, which the files carry too.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Makes a campaign's folder again from its exported executions, to read it anywhere or to go on with it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """For whoever chooses among many things, and then reports on the same data: is the choice chance, and how good is it?
 
 The unit is the family of tests (`ds_analysis.common.statistics.families_of`): mutants of a road have nearly its shape,

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of maps over the cells that both fill, and of families of tests, with their bootstrap intervals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of results: on a terminal, as CSV with every digit, and as LaTeX for a paper."""
 
 from __future__ import annotations

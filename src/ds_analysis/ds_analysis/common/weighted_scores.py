@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scores of predicted probabilities, for many weightings of the same rows at once.
 
 A bootstrap over families is a weighting: every row counts as often as its family was drawn. All scores below take

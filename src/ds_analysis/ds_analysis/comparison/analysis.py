@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares two networks by their drives on the same tests, and says whether the candidate should replace the other."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pass criteria of a CI job, and outcomes as JUnit XML, which GitHub, GitLab, Jenkins and others show as tests."""
 
 from __future__ import annotations

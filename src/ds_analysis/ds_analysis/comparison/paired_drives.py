@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests that two networks drove on the same simulators: outcomes, counts, exact test, interval, multiplicity."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evidence of a difference between two networks that holds however one stops: bets on one test after the other.
 
 For each difference of the failure probabilities a gambler bets on either side of it, with stakes of equal weights; a

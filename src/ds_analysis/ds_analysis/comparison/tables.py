@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A comparison as tables, as JSON values, and as Markdown for a pull request or the summary of a CI job."""
 
 from __future__ import annotations

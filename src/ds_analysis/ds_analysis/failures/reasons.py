@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How a failed drive left its lane or did not finish, and what led there, from its own record."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the columns of a table of outcomes are: the YAML file beside it."""
 
 from __future__ import annotations

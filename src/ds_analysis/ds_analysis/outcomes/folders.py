@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads the outcomes of any folder: of a campaign, of a comparison of siblings, or of a study."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Feature maps of imported outcomes: each simulator's, the siblings' merged by every operator, and the twin's."""
 
 from __future__ import annotations

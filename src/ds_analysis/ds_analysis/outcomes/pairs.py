@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares two drivers by two studies of the same tests, on somebody's simulators."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads the test files of SBFT's tool competition for cyber-physical systems, one folder for each simulator.
 
 A file is one executed road: `road_points` or `interpolated_points` [[x, y], ...] in metres, `test_outcome` PASS, FAIL

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A study: imported outcomes in one Parquet file, which every verb that only reads takes like a campaign."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps of a campaign, and tests by which no network can be judged; imports no statistics, which take half a second."""
 
 from __future__ import annotations

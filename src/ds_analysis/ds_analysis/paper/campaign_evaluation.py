@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Evaluates a campaign: comparison of its maps with the twin's, and tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of the siblings' maps with the twin's failures (paper 3.6, 4.3.2: RQ2 and RQ3).
 
 The main numbers are the paper's: Pearson's r and AUC-PRC over the cells that both maps fill. Where the authors' package

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Says which merge operator suits a campaign, from how often siblings and twin (or car) fail on the same tests.
 
 A product of failure probabilities (paper 3.5) only removes alarms, so it can pay only where every sibling fails more

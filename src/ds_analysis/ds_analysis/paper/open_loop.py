@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Open-loop evaluation: a driver predicts the steering for recorded images, without driving (paper 4.3.1, RQ1)."""
 
 from __future__ import annotations

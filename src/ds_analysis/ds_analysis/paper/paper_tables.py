@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tables of the paper's evaluation (4.4) with the numbers of a campaign, next to the paper's (4.2.2, 4.4)."""
 
 from __future__ import annotations

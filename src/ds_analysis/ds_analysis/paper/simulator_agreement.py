@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures how differently simulators behave with the same driver on the same roads (complementarity, paper 3.2)."""
 
 from __future__ import annotations

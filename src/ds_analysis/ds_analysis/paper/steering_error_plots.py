@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws steering errors: density per group, steering over time, and the images with the largest errors."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Statistics of steering errors in open loop: sizes, densities, and similarity of two groups (paper 4.3.1, RQ1).
 
 `summarise`, `density` and `distances` describe any recordings. `compare_errors` computes the paper's RQ1 as the

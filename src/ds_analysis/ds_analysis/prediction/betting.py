@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Whether the siblings have helped to predict the car: a bet on every drive, with them against without them.
 
 Each drive is predicted from those before it, by the experts that use the siblings' outcomes and by those that see

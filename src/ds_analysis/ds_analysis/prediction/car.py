@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What is predicted of a car: from every simulator that was driven, and from the car's own drives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Experts that predict which tests a car fails: logistic regressions with a normal prior, and a plain failure rate.
 
 A prior's mean is what the siblings' outcomes say, each sibling predicted from the others; its spread says how far a car

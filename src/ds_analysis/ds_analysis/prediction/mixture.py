@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predicts which tests a car fails: a mixture of experts, weighed by what the siblings and the car's drives say."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scores predictors of a twin that was driven, none of which saw its outcomes.
 
 The baseline that every one has to beat are the *features alone*: a logistic model of road features and conditions,

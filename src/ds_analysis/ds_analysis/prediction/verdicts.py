@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Three answers instead of a number: each test and each cell fails, is safe, or is disputed; a cell may be untested."""
 
 from __future__ import annotations

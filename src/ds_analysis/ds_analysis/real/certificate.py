@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bounds on how many of a campaign's tests fail on a car that hold however one stops: a confidence sequence by betting.
 
 Drawn drives are a uniform sample without replacement, whatever was driven before them. For each number of failing tests

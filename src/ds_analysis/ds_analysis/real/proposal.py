@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Proposes drives on a real car, drawn at random, and remembers what was proposed in which order."""
 
 from __future__ import annotations

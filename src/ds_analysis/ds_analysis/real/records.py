@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outcomes of drives on a real car: read from CSV, checked, and kept apart from simulated drives."""
 
 from __future__ import annotations

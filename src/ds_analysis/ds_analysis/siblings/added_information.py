@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well road features and conditions predict failures, and what each sibling adds to them."""
 
 from __future__ import annotations

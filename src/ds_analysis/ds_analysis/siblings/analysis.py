@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Everything that outcomes on the same roads say about what a sibling adds, as a document and as tables."""
 
 from __future__ import annotations

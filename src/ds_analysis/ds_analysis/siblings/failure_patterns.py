@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How failures on several simulators lie inside each other, and how vehicles leave their lane."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws failures over a road feature, one panel per simulator, and which simulator fails on which road."""
 
 from __future__ import annotations

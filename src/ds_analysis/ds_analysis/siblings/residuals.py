@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Correlation of two simulators' lateral positions after what road features explain is taken out.
 
 Both parts that are taken out are fitted on other roads than those on which they are used (cross-fitting), by isotonic

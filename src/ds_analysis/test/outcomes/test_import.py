@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Outcomes from elsewhere: tables in, one line where they are wrong, the same table out again."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Test files of SBFT's competition become a study; two studies of the same tests are compared."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Populations of simulators with known boundaries, simulated by hand, for the tests of predictions."""
 
 from __future__ import annotations

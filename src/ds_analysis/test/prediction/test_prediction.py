@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Predictions of a car: against independent arithmetic, on known populations, and on real tables."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests as a table: families by pedigree, and what excluded tests and errors may never do."""
 
 from __future__ import annotations

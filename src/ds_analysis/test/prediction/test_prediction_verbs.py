@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verbs that predict a car: what they print and write, and one line for bad input."""
 
 from __future__ import annotations

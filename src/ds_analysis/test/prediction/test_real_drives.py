@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A few drives on a real car: which are chosen, what they change, and what is refused."""
 
 from __future__ import annotations

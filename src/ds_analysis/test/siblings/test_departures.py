@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How failures leave the lane: real drives that are steered out of it, and their mirror images."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a sibling adds, on synthetic outcomes whose nesting and information are known."""
 
 from __future__ import annotations

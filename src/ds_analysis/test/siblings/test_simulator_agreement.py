@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Comparison of simulators against counts and distances computed by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records the images of a run from the ROS graph, for simulators that this process cannot re-simulate."""
 
 from __future__ import annotations

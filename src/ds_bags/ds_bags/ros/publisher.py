@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publishes the messages of a bag with their recorded bytes, topics and QoS, and its time on /clock."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds bag`: inspect, replay, re-simulate and repair rosbag2 recordings."""
 
 from __future__ import annotations

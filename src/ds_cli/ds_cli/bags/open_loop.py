@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds bag drive`: a network's steering on recorded images, open loop."""
 
 from __future__ import annotations

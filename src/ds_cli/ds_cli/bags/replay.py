@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds bag replay`: publishes a bag to the graph, controlled by single keys."""
 
 from __future__ import annotations

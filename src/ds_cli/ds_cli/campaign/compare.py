@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds compare`, also as `ds campaign compare`: what a network does better or worse than another, and where."""
 
 from __future__ import annotations

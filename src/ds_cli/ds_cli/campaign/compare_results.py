@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Options for continuous integration, pass criteria, and the files and tables of a comparison."""
 
 from __future__ import annotations

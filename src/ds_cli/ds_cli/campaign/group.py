@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds campaign`, `test`, `compare`, `suite`, `runs`, `watch` and `report`: collected from this folder."""
 
 from __future__ import annotations

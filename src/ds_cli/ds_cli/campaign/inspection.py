@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds campaign status, roads, export`, `ds report`, `ds runs`, `ds watch`: what a campaign has done so far."""
 
 from __future__ import annotations

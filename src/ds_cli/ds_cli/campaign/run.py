@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds test`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
 
 from __future__ import annotations

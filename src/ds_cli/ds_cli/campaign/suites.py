@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds suite`: freezes the tests of a campaign that tell most, and drives them with another network in minutes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds predict`: where the car fails, is safe, or is disputed, and how well such predictions do on a driven twin."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds real`: a small budget of drives on a real car."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Verbs of `ds` as ROS executables, for graphs started by launch files: `ros2 run ds_orchestrator campaign ...`.
 
 They take the arguments of the verb and ignore ROS arguments; all but `watch` attach to the running nodes.

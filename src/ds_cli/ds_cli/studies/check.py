@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds check`: what a network sees, and whether it is connected correctly, before anything is driven."""
 
 from __future__ import annotations

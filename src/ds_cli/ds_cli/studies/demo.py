@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds demo`: what this project does, with a shipped network, in five minutes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds explain`: why tests fail, from their records, and by exchanging parts between simulators."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`ds sensitivity`: the strength at which operating conditions make a driver fail."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives networks in simulation, in this process and without ROS."""

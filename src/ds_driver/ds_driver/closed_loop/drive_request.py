@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One drive as it is asked for, of this process, of others on this machine, or of other machines."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Process that drives roads for `ds_driver.closed_loop.worker_process.WorkerProcess`, without ROS.
 
 Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (the key and

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives roads without ROS: one by one, or several at once with one question to the network per frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Supervises one process that drives roads: hands out drives, notices its death or a hang, and starts it again."""
 
 from __future__ import annotations

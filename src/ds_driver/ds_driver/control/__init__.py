@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Controllers without ROS: autopilot, speed control, conversions of driving commands."""

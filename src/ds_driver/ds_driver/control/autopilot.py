@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Control laws of the paper (section 3.2.1): steering of the autopilot, and throttle of all drivers."""
 
 from __future__ import annotations

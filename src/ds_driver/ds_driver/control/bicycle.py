@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bicycle model of a vehicle: wheel angles for yaw rates, curvatures and points ahead.
 
 Sources: Rajamani, Vehicle Dynamics and Control, 2012, section 2.2; pure pursuit: Coulter, Implementation of the Pure

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Commands of other driving stacks: conversion, matching to frames by their stamps, and speed control. No ROS.
 
 The table of signs and units is in docs/drivers.md. Messages are accessed by attribute, so that nothing here depends on

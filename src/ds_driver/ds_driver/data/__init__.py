@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driving data: data sets, their collection in simulation, and recordings of real cars."""

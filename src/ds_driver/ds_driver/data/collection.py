@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Collects driving data labelled by the autopilot (paper 3.2.1, 4.2.2): each road in both directions.
 
 The roads are random, or given, as the failed tests of a campaign, with the conditions of their tests.

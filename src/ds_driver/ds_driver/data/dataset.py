@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Data sets: one Parquet file with JPEG images per drive; the crops and generators of their simulators."""
 
 from __future__ import annotations

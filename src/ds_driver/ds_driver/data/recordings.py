@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads and imports images and steering from recordings: bags of this project, other bags, Donkey Car tubs."""
 
 from __future__ import annotations

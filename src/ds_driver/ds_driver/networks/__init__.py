@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Driving networks: architectures, weights, inference backends, and user-provided networks."""

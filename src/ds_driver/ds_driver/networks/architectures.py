@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Describes the driving networks (paper 4.1.1), which predict steering from an image, as tables of layers.
 
 Both the ONNX graph (`onnx_export`) and the PyTorch module (`torch_networks`) are made from these tables, so that

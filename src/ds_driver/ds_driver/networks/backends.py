@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs networks on one thread, with ONNX Runtime, OpenVINO or PyTorch (`torch_networks`), and names these backends.
 
 A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, `@openvino-int8`, or `@cuda` (PyTorch on a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Camera images by which networks are quantised, shipped (`benchmarks/calibration_frames.py` makes them)."""
 
 from __future__ import annotations

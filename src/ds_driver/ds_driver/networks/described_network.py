@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives with a network file that a YAML file describes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The YAML file that describes a network file: its inputs, its outputs, and what they mean."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The name of a driver, `NETWORK+GENERATORS@BACKEND`, as a value, and which names a received file may give."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decodes camera images, fits them to the networks' size, and prepares them for networks (paper 3.2.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a described network is given beside one image, and what it remembers of its run: images, commands and states."""
 
 from __future__ import annotations

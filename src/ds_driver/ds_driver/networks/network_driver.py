@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives with a network, built in or user-provided, and controls speed by the paper's equation 2."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loads network files of known formats, within a limit on memory."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Exports the built-in networks to ONNX node by node, from their tables of layers, without PyTorch."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Common interface of driving networks: a frame in, steering and optionally throttle out."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Quantises the convolutions of an ONNX graph to 8 bits after training (Jacob et al. 2018)."""
 
 from __future__ import annotations

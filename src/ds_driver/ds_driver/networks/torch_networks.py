@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driving networks in PyTorch: modules for training, their weights, and runners on one thread or on a GPU."""
 
 from __future__ import annotations

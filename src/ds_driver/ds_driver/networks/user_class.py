@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives with a Python class of the user's."""
 
 from __future__ import annotations

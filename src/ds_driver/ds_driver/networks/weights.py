@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads network weights from safetensors, without pickle; the architecture is in the metadata.
 
 Large layers may be stored as 8-bit integers with a scale per row, which halves the file.

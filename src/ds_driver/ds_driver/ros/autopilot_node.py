@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the reference driver as a node, which steers by the lane state instead of images (paper, equation 1)."""
 
 from __future__ import annotations

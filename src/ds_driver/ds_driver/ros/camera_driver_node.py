@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a network on another ROS stack: any camera's images in, the vehicle's command messages out."""
 
 from __future__ import annotations

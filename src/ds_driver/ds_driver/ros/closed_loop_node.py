@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a simulator's node and its driver's node in one process, each with its topics, services and parameters.
 
 Messages between the two stay in the process. Each node has a thread of its own, so that the simulator answers a cancel

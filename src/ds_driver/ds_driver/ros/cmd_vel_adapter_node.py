@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Converts standard command messages of another stack's driver to `DriveCommand`s for a simulator."""
 
 from __future__ import annotations

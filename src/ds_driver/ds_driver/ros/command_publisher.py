@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publishes a driver's commands as `DriveCommand` or as another stack's messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Queries a driver node in place of a simulator: publishes recorded images one by one and waits for each answer."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs a network as a driver node for one or more simulators."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connects a driver to simulators: asks for their descriptions, and answers each frame with a command of its stamp."""
 
 from __future__ import annotations

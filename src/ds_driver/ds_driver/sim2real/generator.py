@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stored generators: their size, what they see of an image, and their files; known without PyTorch."""
 
 from __future__ import annotations

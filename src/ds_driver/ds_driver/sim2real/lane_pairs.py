@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pairs simulated images with photographs that show the lane alike, so that a generator gains nothing by moving lines.
 
 CycleGAN makes the distribution of translated images that of the photographs, including that of where the lines are. A

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds the lane's lines in images by colour and width alone, and crops two domains so that both show the lane alike.
 
 Nothing here is trained, so it cannot learn the mistakes of a generator; `docs/sim2real.md` shows it on photographs.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Generators and discriminators of CycleGAN, and their pool of earlier translations (Zhu et al. 2017, 4 and 7.1)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads photographs and camera images: a Donkey Car tub, a bag, a data set or a folder; makes sheets of pictures."""
 
 from __future__ import annotations

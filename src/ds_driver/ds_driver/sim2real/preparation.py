@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Prepares both domains of a training: frames, photographs, and the crops that show the lane alike."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings of a sim2real training, and its presets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Simulated images for generators: the autopilot drives random roads that are used nowhere else (paper 4.1.2)."""
 
 from __future__ import annotations

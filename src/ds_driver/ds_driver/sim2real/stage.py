@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shows a network pseudo-real images (paper 3.2.2): finds a driver's generators, and translates each frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trains CycleGAN between a simulator's images and photographs (Zhu et al. 2017; paper 3.2.2, 4.1.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Translates data sets, bags and tubs: the same format out, resumable, byte-deterministic."""
 
 from __future__ import annotations

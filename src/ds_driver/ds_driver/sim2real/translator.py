@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Translates camera images with a generator's ONNX graph, in training and in driving alike: the same bits in both."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Configuration of a campaign: a YAML file, validated before anything starts."""
 
 from __future__ import annotations

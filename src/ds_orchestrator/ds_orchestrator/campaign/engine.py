@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How tests are driven, and the protocol of what drives them."""
 
 from __future__ import annotations

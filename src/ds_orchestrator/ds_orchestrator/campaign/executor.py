@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Executes tests on simulators: takes known outcomes from the store, and drives what is missing with an engine."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Campaign folder: its files, what its results depend on besides the configuration, and its content read once."""
 
 from __future__ import annotations

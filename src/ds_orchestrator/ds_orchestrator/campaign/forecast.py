@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Forecasts a campaign from measured drives: how many there are, how long they take, how much they write."""
 
 from __future__ import annotations

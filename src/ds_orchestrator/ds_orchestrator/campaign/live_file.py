@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Estimate of the time that a campaign still takes, and the file that says what it does at this moment.
 
 The campaign replaces the file once a second and removes it at its end. No result depends on it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs the method: search on every sibling, migration to the others, all tests on the twin (paper 3, figure 1).
 
 Finished executions are in the store, and a search is replayed from them: its random choices depend only on the seed

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Selects roads of a campaign, and finds its missing bags."""
 
 from __future__ import annotations

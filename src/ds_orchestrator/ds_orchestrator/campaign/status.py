@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Progress of a campaign, stage by stage, and a list of the campaigns below a folder."""
 
 from __future__ import annotations

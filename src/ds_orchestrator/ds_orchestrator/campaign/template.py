@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A commented configuration for somebody's network, to be edited."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connects to a Dask cluster, or starts one on this machine; encrypted unless it cannot be reached from elsewhere."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Engine `dask`: the same worker processes on any number of machines, behind a Dask scheduler.
 
 A task is a batch of drives, pinned to one worker. Which worker takes which batch, and how often a batch is handed out

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What runs on a Dask worker: prepares itself for a campaign, and drives in child processes, without ROS."""
 
 from __future__ import annotations

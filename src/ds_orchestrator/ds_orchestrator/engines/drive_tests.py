@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives given tests with one driver, on any engine; what was driven is kept, so that a stopped run goes on."""
 
 from __future__ import annotations

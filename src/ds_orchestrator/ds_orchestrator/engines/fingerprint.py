@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Compares what the bits of a result depend on, between this machine and one that is to drive for it.
 
 BLAS and LAPACK, whose kernels depend on the model of the processor, are not compared: no drive calls them.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Engine `local`: worker processes on this machine, each with several simulators and one network."""
 
 from __future__ import annotations

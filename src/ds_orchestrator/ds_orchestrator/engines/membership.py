@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Keeps track of a cluster's scheduler and workers: who may drive, who is lost, who is refused."""
 
 from __future__ import annotations

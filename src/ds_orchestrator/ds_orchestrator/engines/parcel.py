@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packs what a worker elsewhere needs to load a driver and simulators: their files, or digests of what it must have."""
 
 from __future__ import annotations

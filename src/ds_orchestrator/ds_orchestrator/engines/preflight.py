@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks that tests can be driven as they are to be, before anything starts."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts the engine that drives."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives roads through a graph of ROS nodes; every wait has a limit."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts graphs of ROS nodes, each in a ROS domain of its own, drives on them, and always stops them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Signal handling of commands: Ctrl-C, SIGTERM and a closed terminal all raise KeyboardInterrupt."""
 
 from __future__ import annotations

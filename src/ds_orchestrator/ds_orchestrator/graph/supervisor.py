@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Starts the processes of a graph, watches them, restarts dead ones, and leaves none behind."""
 
 from __future__ import annotations

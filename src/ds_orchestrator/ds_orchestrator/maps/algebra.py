@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pools, unites and merges feature maps (paper 3.3 to 3.5); the merge operators, and intervals of the result."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Builds every map of a campaign from its tests and executions (paper 3.3 to 3.5)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Identity and content of a feature map, and its forms as JSON and as a pandas frame."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Searches for tests on which a driver fails (paper 3.3, algorithm 1): settings, archive, and choice of tests."""
 
 from __future__ import annotations

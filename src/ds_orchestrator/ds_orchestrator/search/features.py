@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Features that span a feature map, by name, and the cell of a test (paper 3.3).
 
 Some features depend on the road or the conditions alone, others on a run, which differs between simulators. The union

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tests and their outcomes, and how a campaign's store reads them from rows that may hold anything."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Checks rows of a campaign's store: SQLite enforces no column types, and a received file may hold anything."""
 
 from __future__ import annotations

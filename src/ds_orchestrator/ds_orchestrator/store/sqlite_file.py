@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """SQLite file of a campaign: never changes a file of another kind, and reports every failure in one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Stores every test and every outcome of a campaign as soon as it is known, in one SQLite file."""
 
 from __future__ import annotations

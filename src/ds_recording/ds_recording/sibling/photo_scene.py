@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a camera would see on a recorded track: the nearest photograph, moved to the car by the plane of the floor.
 
 Every ray of the camera meets the floor, or goes to infinity above the horizon; from the place of a photograph it is the

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A located recording in road metres: photographs with their poses, the camera, the lane that was driven."""
 
 from __future__ import annotations

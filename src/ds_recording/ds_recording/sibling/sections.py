@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Roads to test on a recorded track: sections of the lane that was driven."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recorded track as a simulator: `recording@FOLDER`, with the folder that `ds recording locate` wrote."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+{# SPDX-License-Identifier: Apache-2.0 #}
 const plural = (n, thing) => `${n} ${thing}${n === 1 ? "" : "s"}`;
 
 function fill(node, attributes, children) {

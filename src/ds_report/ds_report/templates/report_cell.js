@@ -1,3 +1,4 @@
+{# SPDX-License-Identifier: Apache-2.0 #}
 // ---- the chosen cell and its tests --------------------------------------------------------------------------------
 const FIRST_TESTS = 24;
 const panel = document.getElementById("cell");

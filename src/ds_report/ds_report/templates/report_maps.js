@@ -1,3 +1,4 @@
+{# SPDX-License-Identifier: Apache-2.0 #}
 // ---- the feature maps ---------------------------------------------------------------------------------------------
 const CONFIG = { displayModeBar: false, responsive: true };
 /** On a phone a label would cover the cell under the finger: its text is shown below the map instead. */

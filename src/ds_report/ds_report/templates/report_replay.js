@@ -1,3 +1,4 @@
+{# SPDX-License-Identifier: Apache-2.0 #}
 // ---- replay of one test: every simulator's drive at one moment ----------------------------------------------------
 const REPLAY_STEP = 0.1; // s: drives are kept at 10 frames a second
 const GAUGE = 200; // width of a gauge in its own units

@@ -1,3 +1,4 @@
+{# SPDX-License-Identifier: Apache-2.0 #}
 // ---- lines of tests, unpacked when a cell is opened ---------------------------------------------------------------
 // Format of `ds_report.page_encoding.pack`: deflate over the bytes of uint32 numbers, all lowest bytes
 // first, which encode the second differences of one column after the other: 0, -1, 1, -2, 2 as 0, 1, 2, 3, 4.

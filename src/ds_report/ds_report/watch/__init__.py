@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page that shows a campaign while it runs, or after it."""

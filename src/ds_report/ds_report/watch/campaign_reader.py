@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads a campaign again and again while another process writes it; only what is new is read."""
 
 from __future__ import annotations

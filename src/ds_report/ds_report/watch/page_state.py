@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State of a watched campaign as JSON values, from which the page draws, and pictures of its finished drives."""
 
 from __future__ import annotations

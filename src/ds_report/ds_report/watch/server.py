@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Web server of the page: on this machine only, read only, one page."""
 
 from __future__ import annotations

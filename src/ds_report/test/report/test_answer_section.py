@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report's section on the car: what it predicts, which cells it marks, and what it says where nothing can be."""
 
 from __future__ import annotations

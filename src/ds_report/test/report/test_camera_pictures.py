@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of drives in a report: equal to the simulator's images, of the most informative tests."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps, evaluation and report of campaigns with almost no data."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report's section on why tests failed: counts against the executions, and links that lead to a test."""
 
 from __future__ import annotations

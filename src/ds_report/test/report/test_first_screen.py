@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """First screen: what it says about campaigns whose outcomes are known."""
 
 from __future__ import annotations

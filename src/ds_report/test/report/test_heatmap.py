@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pictures of feature maps: colours, hatching of empty cells, common bounds, reproducible bytes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report, parsed without a browser: nothing is fetched, everything is inside, all text is escaped."""
 
 from __future__ import annotations

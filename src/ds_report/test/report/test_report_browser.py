@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The report in headless Chromium: hovering, clicks, keys, on a wide screen and on a narrow one."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of imported outcomes: what it says, what it escapes, the same bytes again."""
 
 from __future__ import annotations

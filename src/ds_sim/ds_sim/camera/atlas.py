@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Pyramid of rasters of the ground, painted where it is looked at."""
 
 from __future__ import annotations

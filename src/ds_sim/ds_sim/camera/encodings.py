@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Encodings of pictures: PNG of charts and maps, JPEG of camera images in data sets and bags."""
 
 from __future__ import annotations

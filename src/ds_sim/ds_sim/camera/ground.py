@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Paints the world as seen from above: road, lines and grass in a pyramid of top-down rasters."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps pixels of a camera to rays, and points of the ground to pixels."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Appearance of a simulator's world, within the paper's harmonised scene (section 3.1.2)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Settings with which EGL draws without a display, by Mesa's software renderer, the same bits on every machine."""
 
 from __future__ import annotations

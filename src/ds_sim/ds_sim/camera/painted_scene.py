@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scene of a painted ground plane under a panorama, seen by a modelled sensor."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws the background above the horizon, all around: sky, the sun's glow and a distant skyline."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scene that another renderer draws: mounts the camera, and puts before and behind its lens what conditions ask for."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Renders the image of a camera over a painted ground plane from the pose of the vehicle.
 
 The ray of every pixel is intersected with the ground plane, at several heights within the pixel where its footprint is

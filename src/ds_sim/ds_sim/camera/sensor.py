@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Models the image sensor: point spread, response curve, noise and latency."""
 
 from __future__ import annotations

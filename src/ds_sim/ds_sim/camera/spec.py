@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties of a camera and its mounting on the vehicle."""
 
 from __future__ import annotations

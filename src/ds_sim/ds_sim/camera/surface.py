@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes a painted road by its conditions: pavement, repair patches, worn lines, shadows across it.
 
 Everything is drawn in linear light, from random numbers that do not depend on the strength of a condition: what a weak

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Seamless textures of the ground: grass and asphalt."""
 
 from __future__ import annotations

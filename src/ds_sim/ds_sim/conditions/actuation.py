@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Changes commands on their way from driver to vehicle: dead time, lag, pull to one side, speed limit."""
 
 from __future__ import annotations

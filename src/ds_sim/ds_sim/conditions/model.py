@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The value `Conditions`: what a test fixes beside its road.
 
 Names follow the taxonomy of the operational design domain in ISO 34503:2023 and BSI PAS 1883:2020: scenery (road

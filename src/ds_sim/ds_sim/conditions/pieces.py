@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chooses pieces of a road that cover a share of it: bare pieces of line, patches, shadows."""
 
 from __future__ import annotations

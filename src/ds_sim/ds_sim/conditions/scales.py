@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scales of conditions: how far a value lies between two others, as shares of what a driver notices."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Reads and writes conditions as `line_contrast=0.4,visibility=40` and as JSON objects of the changed values."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions in the words of a driver: `in fog or haze with a visibility of 80 m or less (visibility)`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Server of the Donkey simulator's protocol, so that its clients drive on any simulator of the registry.
 
 JSON objects over TCP, as in `sdsandbox`, the source of the Donkey simulator, and in its client gym-donkeycar 1.3.1. The

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the server answers to each message of one client, without sockets."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of the Donkey simulator's protocol: framing, parsing, and telemetry."""
 
 from __future__ import annotations

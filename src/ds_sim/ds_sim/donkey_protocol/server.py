@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """TCP server: one simulator for each client, all in one process.
 
 Simulators take turns at each frame, so several clients share one core; for more, start several servers. Whatever a

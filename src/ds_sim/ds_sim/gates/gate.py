@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Says of a test on one simulator whether a network can be judged by it.
 
 *Validity gate*: the autopilot, which knows the road, must complete the test; else nobody could.

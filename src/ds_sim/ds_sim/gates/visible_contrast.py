@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Contrast of the lines of the driven lane in the rendered image itself, at the distance that a driver looks ahead."""
 
 from __future__ import annotations

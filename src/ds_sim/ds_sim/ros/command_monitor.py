@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Watches the commands of a run's driver: how long they take by the wall clock, and what is wrong with them."""
 
 from __future__ import annotations

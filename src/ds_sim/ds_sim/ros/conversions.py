@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Converts between the plain types of this project and ROS messages."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Publishes a simulator's frames: image, vehicle state, both in one, camera info, odometry, transforms, the road."""
 
 from __future__ import annotations

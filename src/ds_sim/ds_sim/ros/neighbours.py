@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Detects nodes that would disturb a simulator's run: a second simulator, a second driver, other clients."""
 
 from __future__ import annotations

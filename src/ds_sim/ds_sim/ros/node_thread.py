@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Spins a node in a thread of its own and calls services through it; every wait has a limit."""
 
 from __future__ import annotations

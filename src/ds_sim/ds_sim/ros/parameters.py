@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """ROS parameters of nodes with descriptions and ranges; a bad value gives an error of one line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives frames at an even rate, 20 a second, and measures how late they come."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Requests to a node: goals of its actions, the road that is driven next, and why a request is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs one node or two in a process until a signal stops them, within a second whatever the nodes are doing."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Hosts any simulator as a ROS node: services to load a road, an action to drive it, lock-step by image stamp."""
 
 from __future__ import annotations

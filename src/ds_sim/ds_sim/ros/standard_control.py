@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Services of the standard simulation_interfaces, by which others step a simulator's node instead of driving a goal."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What conditions cover of a road: textures along it with bare pieces of line, repair patches and shadows."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Panda3D's engine, headless on Mesa's software renderer: one for each process, shared by all scenes."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Triangles as NumPy arrays, and their way into Panda3D: the strip of a road, the rings of the ground around it."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scene of the simulator `panda`: a world and a camera drawn by Panda3D."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Constants of the world that Panda3D draws, each with its source; lengths in m, angles in rad, colours linear RGB.
 
 Colours are reflectances: the light that a surface returns under full daylight, as a share of what falls on it.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Decides what stands where beside a road: trees, bushes, houses and posts, never on the road or its verge."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Light and air of a world: sun and sky, and what conditions make of them."""
 
 from __future__ import annotations

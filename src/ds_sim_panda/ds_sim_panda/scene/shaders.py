@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shaders of the scene, in GLSL. Light is linear; images and textures hold its square root (a gamma of 2)."""
 
 from __future__ import annotations

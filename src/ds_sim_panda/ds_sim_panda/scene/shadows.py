@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shadows of the sun on the ground: everything flattened along the sun's rays, drawn once for each road."""
 
 from __future__ import annotations

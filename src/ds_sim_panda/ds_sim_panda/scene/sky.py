@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sky with clouds and a far skyline, as a dome that follows the camera."""
 
 from __future__ import annotations

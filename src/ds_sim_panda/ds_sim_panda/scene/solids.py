@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shapes of what stands beside the road, and their meshes where the scenery wants them, lit by sun and sky."""
 
 from __future__ import annotations

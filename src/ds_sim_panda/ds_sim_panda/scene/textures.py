@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Textures of all surfaces, made by code: noise on a torus, so that they tile. Made once for each process.
 
 Values are square roots of reflectances (see `shaders`).

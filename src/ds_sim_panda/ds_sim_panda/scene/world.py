@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scene graph of one road: ground, road, sky, and what stands beside the road."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Motion of the third sibling: a published multi-body model."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Integrates the published multi-body model, in machine code.
 
 The package's own functions are compiled as they are: only the names by which they call each other are bound to compiled

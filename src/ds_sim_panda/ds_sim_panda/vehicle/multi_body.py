@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Published multi-body model as a `ds_sim.parts.Vehicle`."""
 
 from __future__ import annotations

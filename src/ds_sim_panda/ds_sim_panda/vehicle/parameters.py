@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Constants of the multi-body car that are not in its published parameter set, in SI units."""
 
 from __future__ import annotations

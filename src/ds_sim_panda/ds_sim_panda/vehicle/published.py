@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The multi-body model as its authors publish it: parameter sets and right-hand side of `commonroad-vehicle-models`.
 
 Equations and parameters are explained in Althoff, Wuersching: CommonRoad: Vehicle Models, 2020.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How one frame of 1/20 s passes in another simulator: in lock-step, or in real time.
 
 Both go by the stamps of the messages. Arrival would not do: an image may arrive before the answer of the step that it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages of one topic, in the order of their arrival, for another thread that waits for one of them."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connection to another simulator: a node of its own, the command, the road, the reset, and the frames."""
 
 from __future__ import annotations

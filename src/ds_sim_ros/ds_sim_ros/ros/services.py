@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Calls the services of another simulator: waits for them with a limit, checks their types, and reads refusals."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives what two networks lack on the same tests, and compares them."""
 
 from __future__ import annotations

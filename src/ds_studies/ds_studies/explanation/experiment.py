@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Drives failed tests again with the parts of two simulators exchanged, each alone and all combinations."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Shares of the parts in which a failing and a completing simulator differ: Shapley values over all exchanges.
 
 What is shared out is the loss of a drive: the share of the half lane that it uses at most, and 1 if it fails in any

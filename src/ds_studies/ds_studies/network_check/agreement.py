@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How well a network's answers agree with the autopilot's steering, and which number among its outputs agrees best."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writes the description of a network file: what the file says, and what agrees best with the autopilot."""
 
 from __future__ import annotations

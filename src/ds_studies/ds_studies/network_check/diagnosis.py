@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Finds out what is wrong with the description of a network, by comparing its answers with the autopilot's steering."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws what a network sees on each simulator, and its steering beside the autopilot's."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records what the autopilot sees and does on a few short roads, so that a network can be asked about it open-loop."""
 
 from __future__ import annotations

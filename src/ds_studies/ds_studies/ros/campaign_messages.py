@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Messages about a campaign: tests, outcomes, and feature maps as occupancy grids."""
 
 from __future__ import annotations

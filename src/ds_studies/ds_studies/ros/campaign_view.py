@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Topics and services by which the orchestrator shows a goal: state, outcomes, maps, tests."""
 
 from __future__ import annotations

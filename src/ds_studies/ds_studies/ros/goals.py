@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the orchestrator's goals ask, done with the engines of the command line."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Orchestrator as a ROS node: its thread answers, the main thread drives, as engines handle signals there."""
 
 from __future__ import annotations

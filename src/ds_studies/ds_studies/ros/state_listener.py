@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Counts the drives of a goal for the orchestrator's messages."""
 
 from __future__ import annotations

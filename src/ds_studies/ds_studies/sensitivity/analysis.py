@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Measures the sensitivity of a driver to operating conditions, one at a time, on several simulators."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Conditions that are varied one at a time, from a simulator's own world to the hardest value."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Level of one factor at which a driver first fails: on each road, by bisection, and for the median road."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sensitivity of several networks to the same conditions: one row for each network."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Page of a sensitivity analysis: its table, and pictures at the strengths that break the driver."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Draws how much of each condition a driver withstands: a tornado chart, the most sensitive condition on top."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Ranges of conditions for a search, from the result of a sensitivity analysis."""
 
 from __future__ import annotations

@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Regression suites: the tests of a campaign that tell most, frozen in a file with their outcomes."""

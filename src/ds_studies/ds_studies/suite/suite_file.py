@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Regression suites: the tests of a campaign that tell most, with the outcomes of its network, in a file.
 
 A suite is data: it names simulators and drivers, and runs no code of its own.
