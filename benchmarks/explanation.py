@@ -31,7 +31,6 @@ from ds_sim.camera.look import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import AdjustableVehicle, Vehicle
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_studies.explanation.experiment import Experiment, drive_experiments
 from ds_studies.explanation.shares import Explanation, Subset, shapley
@@ -180,8 +179,7 @@ class Pair(NamedTuple):
 def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
     """Find the pairs: on the first roads that the simulators as they were complete, drive every made car."""
     tests = [
-        Test(f"road-0-{k:04d}", Scenario(road, seed=seed))
-        for k, (road, seed) in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
+        Test(f"road-0-{k:04d}", scenario) for k, scenario in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
     ]
 
     def failed_on(work: Mapping[str, Sequence[Test]], stage: str) -> set[tuple[str, str]]:

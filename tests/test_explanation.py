@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 from contextlib import closing
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 
@@ -25,7 +26,6 @@ from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
-from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 from ds_studies.explanation.experiment import experiment_on
 from ds_studies.explanation.shares import Explanation, shapley, subsets
@@ -37,14 +37,14 @@ PARTS = ("camera", "look", "vehicle", "delays")
 def campaign(folder: Path, siblings: list[str], conditions: Conditions = DEFAULT) -> Path:
     """A campaign of one short road, driven by the autopilot, which sees no image."""
     folder.mkdir()
-    road, seed = candidate_roads(1, 1, segments=2)[0]
-    test = Test(f"{siblings[0]}-0-0000", Scenario(road, conditions, seed=seed), Origin(siblings[0], 0, 0))
+    scenario = replace(candidate_roads(1, 1, segments=2)[0], conditions=conditions)
+    test = Test(f"{siblings[0]}-0-0000", scenario, Origin(siblings[0], 0, 0))
     config = CampaignConfig(siblings=siblings, driver=AUTOPILOT, conditions=conditions)
     store = Store(folder / "campaign.sqlite", config=config.identity())
     store.add_test(test)
     for name in siblings:
         made = make_simulator(name)
-        run = drive_road(made, make_driver(AUTOPILOT, made.spec), road, seed, conditions)
+        run = drive_road(made, make_driver(AUTOPILOT, made.spec), test.road, test.seed, conditions)
         store.add_execution(execution_of(test.test_id, name, run))
         made.close()
     store.close()

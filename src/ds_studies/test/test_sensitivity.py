@@ -194,11 +194,11 @@ def test_every_factor_goes_from_the_own_world_to_the_hardest_value() -> None:
 
 def test_roads_need_steering_and_fewer_roads_are_the_first_ones() -> None:
     roads = candidate_roads(2, seed=1)
-    assert roads[:3] == candidate_roads(1, seed=1) and len({road.road_id for road, _ in roads}) == 6
-    for road, _ in roads:
+    assert roads[:3] == candidate_roads(1, seed=1) and len({one.road.road_id for one in roads}) == 6
+    for road in (one.road for one in roads):
         assert road.validity.valid and 90.0 < road.length < 110.0
         assert np.abs(road.lane_centre[:, 0] - road.lane_centre[0, 0]).max() > 2.0  # it starts northwards
-    assert len(candidate_roads(1, seed=1, segments=MOST_SEGMENTS)[0][0].control_points) == 9
+    assert len(candidate_roads(1, seed=1, segments=MOST_SEGMENTS)[0].road.control_points) == 9
 
 
 class MadeUpEngine:

@@ -16,8 +16,8 @@ from ds_base.processes import Progress, map_in_processes
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
-from ds_road import Road
 from ds_sim.registry import simulator_of_process
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, SimulatorError
 from ds_studies.sensitivity.measurement import candidate_roads
@@ -66,8 +66,7 @@ class Recording:
 
 class _Job(NamedTuple):
     simulator: str
-    road: Road
-    seed: int
+    scenario: Scenario
     kept: slice
 
 
@@ -79,13 +78,13 @@ def record(simulators: Sequence[str], seed: int, progress: Progress, *, whole: b
     Raises:
         SimulatorError: a drive ended in an error.
     """
-    roads = [(road, number) for road, number in candidate_roads(ROADS, seed) if road.reversed().validity.valid][:ROADS]
+    roads = [one for one in candidate_roads(ROADS, seed) if one.road.reversed().validity.valid][:ROADS]
     kept = WHOLE if whole else slice(None, None, EVERY)
     jobs = [
-        _Job(name, way, number, kept)
+        _Job(name, way, kept)
         for name in simulators
-        for road, number in roads
-        for way in (road, road.reversed())
+        for one in roads
+        for way in (one, replace(one, road=one.road.reversed()))
     ]
     drives: dict[str, list[Recording]] = {}
     for done, one in enumerate(map_in_processes(_record, jobs), start=1):
@@ -112,7 +111,7 @@ def _record(job: _Job) -> Recording:
 
 def speeds_of_throttle(pilot: Pilot, simulator: str, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
-    job = _Job(simulator, *candidate_roads(1, seed)[0], slice(None))
+    job = _Job(simulator, candidate_roads(1, seed)[0], slice(None))
     pilot.start()
     return np.array([frame.speed for frame, _ in _drive(job, lambda frame: pilot.predict(frame).throttle)])
 
@@ -123,7 +122,7 @@ def _drive(job: _Job, throttle: Callable[[Frame], float | None]) -> list[tuple[F
     spec, session = simulator.spec, Session(simulator)
     autopilot = make_driver(AUTOPILOT, spec)
     driven = []
-    seen = session.start(job.road, job.seed)
+    seen = session.start(job.scenario.road, job.scenario.seed)
     while seen is not None and session.driving and seen.step < LONGEST:
         frame = replace(Frame.of(seen, spec), image=seen.image.copy())
         command, given = autopilot(seen), throttle(frame)

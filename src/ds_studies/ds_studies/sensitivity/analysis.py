@@ -22,7 +22,6 @@ from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
-from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import spec_of
@@ -65,7 +64,7 @@ class Drives:
         self._gatekeeper.stop()
         self._engine.stop()
 
-    def fails(self, simulator: str, road: Road, seed: int, who: str, conditions: Conditions) -> bool:
+    def fails(self, simulator: str, scenario: Scenario, who: str) -> bool:
         """Whether the driver fails, or for `GATE` whether no driver can be judged.
 
         Raises:
@@ -73,9 +72,9 @@ class Drives:
             ds_orchestrator.campaign.executor.CampaignError: the simulator gave no outcome for several tests in a row.
             ds_orchestrator.campaign.executor.Stopped: `stop` was called.
         """
-        name = "-".join(filter(None, (road.road_id, str(seed), format_conditions(conditions))))
-        test = Test(name, Scenario(road, conditions, seed=seed))
-        error = f"{simulator}, road {road.road_id}, seed {seed}: "
+        road_id, seed = scenario.road.road_id, scenario.seed
+        name = "-".join(filter(None, (road_id, str(seed), format_conditions(scenario.conditions))))
+        test, error = Test(name, scenario), f"{simulator}, road {road_id}, seed {seed}: "
         if who == GATE:
             self._gates.add_test(test)
             try:
@@ -114,7 +113,7 @@ class Sensitivity:
     simulators: Sequence[str]
     factors: Sequence[Factor]
     needed: int
-    roads: Mapping[str, Sequence[tuple[Road, int]]]
+    roads: Mapping[str, Sequence[Scenario]]
     thresholds: Mapping[tuple[int, str], Threshold]
 
     @property
@@ -140,7 +139,7 @@ class Sensitivity:
             "driver": self.driver,
             "translated_images": sees_translated(self.driver),
             "simulators": list(self.simulators),
-            "roads": {name: [road.road_id for road, _ in of] for name, of in self.roads.items()},
+            "roads": {name: [one.road.road_id for one in of] for name, of in self.roads.items()},
             "interval_coverage": coverage(self.needed),
             "thresholds": [
                 self.thresholds[position, name].document() for position in self.order for name in self.simulators
@@ -263,11 +262,11 @@ def analyse_sensitivity(
 def _choose(
     drives: Drives,
     settings: DriveSettings,
-    candidates: Sequence[tuple[Road, int]],
+    candidates: Sequence[Scenario],
     needed: int,
     pool: ThreadPoolExecutor,
     say: Callable[[str], None],
-) -> dict[str, list[tuple[Road, int]]]:
+) -> dict[str, list[Scenario]]:
     """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
     found = {
         name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
@@ -284,7 +283,7 @@ def _choose(
 
 def _measure(
     drives: Drives,
-    roads: Mapping[str, Sequence[tuple[Road, int]]],
+    roads: Mapping[str, Sequence[Scenario]],
     factors: Sequence[Factor],
     pool: ThreadPoolExecutor,
     *,
@@ -321,8 +320,8 @@ def _measure(
     return found
 
 
-def _fails(drives: Drives, simulator: str, roads: Sequence[tuple[Road, int]]) -> Fails:
+def _fails(drives: Drives, simulator: str, roads: Sequence[Scenario]) -> Fails:
     def fails(who: str, number: int, conditions: Conditions) -> bool:
-        return drives.fails(simulator, *roads[number], who, conditions)
+        return drives.fails(simulator, replace(roads[number], conditions=conditions), who)
 
     return fails

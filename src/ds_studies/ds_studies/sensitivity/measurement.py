@@ -15,6 +15,7 @@ from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import three_digits
 from ds_sim.oracle import OracleLimits
+from ds_sim.scenario import Scenario
 from ds_studies.sensitivity.factors import LEVELS, Factor
 
 
@@ -106,8 +107,8 @@ class RoadResult:
         return self.fails is None and self.excluded is None
 
 
-def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[tuple[Road, int]]:
-    """Generate candidates for a number of roads, with the seeds of their runs; fewer roads have the same first ones.
+def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[Scenario]:
+    """Generate candidates for a number of roads; fewer roads have the same first ones.
 
     Left out are roads on which a car that never steers stays in its lane: they test nothing.
 
@@ -117,12 +118,12 @@ def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[
         segments: segments of 25 m that are kept of each random road, 2 to `MOST_SEGMENTS`.
     """
     rng = np.random.default_rng(seed)
-    roads: list[tuple[Road, int]] = []
-    while len(roads) < CANDIDATES * count:
+    candidates: list[Scenario] = []
+    while len(candidates) < CANDIDATES * count:
         road = Road(generate(rng, max_angle=MAX_ANGLE).control_points[: segments + 3])
         if road.validity.valid and _needs_steering(road):
-            roads.append((road, (seed + len(roads)) % 2**32))
-    return roads
+            candidates.append(Scenario(road, seed=(seed + len(candidates)) % 2**32))
+    return candidates
 
 
 def _needs_steering(road: Road) -> bool:

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ds_base.atomic_files import write_whole
 from ds_report.camera_pictures import CameraPicture, camera_pictures
 from ds_report.html_report import environment
 from ds_sim.conditions.words import in_words
-from ds_sim.scenario import Scenario
 from ds_studies.sensitivity.analysis import Sensitivity
 
 RELOAD = 3
@@ -48,10 +47,11 @@ class SensitivityPage:
         if not failing:
             return None
         worst = min(failing, key=lambda one: one.fails or 0)
-        level, (road, seed) = worst.fails or 0, found.roads[worst.simulator][0]
+        level = worst.fails or 0
         key = (position, f"{worst.simulator} {level}")
         if key not in self._pictures:
-            scenario = Scenario(road, worst.factor.conditions(level), seed=seed)
+            first = found.roads[worst.simulator][0]
+            scenario = replace(first, conditions=worst.factor.conditions(level))
             (self._pictures[key],) = camera_pictures([worst.simulator], scenario)
         words = in_words(worst.factor.name, worst.factor.value(level))
         return f"{worst.simulator} {words}", self._pictures[key]
