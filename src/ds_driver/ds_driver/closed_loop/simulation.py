@@ -16,6 +16,7 @@ from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import make_simulator
 from ds_sim.road_simulator import RoadSimulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
 
@@ -67,7 +68,7 @@ def drive_road(
         >>> run.outcome.name, run.fitness > 1.0
         ('COMPLETED', True)
     """
-    drive = _Drive(simulator, driver, road, seed, conditions, probed=probed)
+    drive = _Drive(simulator, driver, Scenario(road, conditions, seed=seed), probed=probed)
     while drive.driving:
         drive.take(drive.answer())
     return drive.run
@@ -139,7 +140,7 @@ class InterleavedDrives:
             rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
         _draw_seen_rows(made, rows, probed=request.probed)
         autopilot = make_driver(AUTOPILOT, spec) if network is None else None
-        return _Drive(made, autopilot, request.road, request.seed, request.conditions, probed=request.probed)
+        return _Drive(made, autopilot, request.scenario, probed=request.probed)
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame; return keys and records of those that have ended."""
@@ -201,19 +202,10 @@ class _Drive:
         ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
     """
 
-    def __init__(
-        self,
-        simulator: Simulator,
-        driver: Driver | None,
-        road: Road,
-        seed: int,
-        conditions: Conditions,
-        *,
-        probed: bool,
-    ) -> None:
+    def __init__(self, simulator: Simulator, driver: Driver | None, scenario: Scenario, *, probed: bool) -> None:
         self.simulator, self.driver = simulator, driver
         self._session = Session(simulator)
-        self._seen = self._session.start(road, seed, conditions)
+        self._seen = self._session.start(scenario.road, scenario.seed, scenario.conditions)
         self._probe = ContrastProbe(self.run, simulator) if probed else None
         self._look()
 

@@ -20,7 +20,6 @@ from ds_orchestrator.engines.drive_tests import GivenDrives, Key, Progress, driv
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
-from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import Gate
 from ds_sim.scenario import Scenario
 
@@ -155,16 +154,9 @@ def random_tests(roads: Sequence[Road], seed: int, *, siblings: Sequence[str], t
     )
 
 
-def _by_content(work: Mapping[str, Sequence[Test]]) -> dict[tuple[str, ...], Key]:
-    """What a drive depends on -> test and simulator."""
-    return {
-        (test.road.road_id, test.road.lane, str(test.seed), format_conditions(test.conditions), name): (
-            test.test_id,
-            name,
-        )
-        for name, tests in work.items()
-        for test in tests
-    }
+def _by_content(work: Mapping[str, Sequence[Test]]) -> dict[tuple[Scenario, str], Key]:
+    """Scenario and simulator, on which a drive depends -> test and simulator."""
+    return {(test.scenario, name): (test.test_id, name) for name, tests in work.items() for test in tests}
 
 
 def _shown(value: object) -> str:
