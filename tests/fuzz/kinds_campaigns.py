@@ -7,7 +7,6 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -75,7 +74,7 @@ def _text(name: str, text: str) -> Callable[[Path], Path]:
 
 def _write_store(folder: Path) -> Path:
     """Write a small campaign with conditions, gates, errors, drives, notes and results."""
-    from report_campaigns import make_tests
+    from report_campaigns import make_tests, set_conditions
 
     _text("config.yaml", _CONFIG)(folder)
     config = read_config(folder / "config.yaml")
@@ -84,7 +83,7 @@ def _write_store(folder: Path) -> Path:
     store.note("version numpy", "2")
     store.add_seconds("search", 12.5)
     for test, executions in make_tests(config, 3):
-        store.add_test(replace(test, conditions=config.conditions))
+        store.add_test(set_conditions(test, config.conditions))
         for execution in executions[1:]:
             store.add_execution(execution)
             store.add_gate(test.test_id, execution.simulator, Gate(state=GateState.VALID, outcome=Outcome.COMPLETED))
