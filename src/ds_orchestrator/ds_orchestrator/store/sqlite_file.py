@@ -172,7 +172,7 @@ class SqliteFile:
         with self._lock:
             try:
                 return self._db.execute(statement, values).fetchall()
-            except sqlite3.Error as error:
+            except (sqlite3.Error, UnicodeDecodeError) as error:  # of a damaged file, even the message may be no text
                 raise self._refusal(error) from None
             finally:
                 if self._unchanged is not None and _state_of(self.path) != self._unchanged:
@@ -211,7 +211,7 @@ class SqliteFile:
         """Create the error for content that no campaign writes."""
         return StoreError(f"{self.path} is damaged ({what}): restore it from a copy, or choose another --out")
 
-    def _refusal(self, error: sqlite3.Error) -> StoreError:
+    def _refusal(self, error: sqlite3.Error | UnicodeDecodeError) -> StoreError:
         name = getattr(error, "sqlite_errorname", "SQLITE_CORRUPT")
         if name.startswith("SQLITE_FULL"):
             return StoreError(f"{self.path} cannot grow, the disk is full: make room, and give the same command again")
