@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -68,9 +67,7 @@ def siblings_compare_command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            help="Folder for comparison.json, tables, pictures and drives; a stopped comparison goes on there."
-        ),
+        typer.Option(help="Folder for siblings.json, tables, pictures and drives; a stopped comparison goes on there."),
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
@@ -148,15 +145,17 @@ def _write(
     table: OutcomeTable,
     found: SiblingAnalysis,
 ) -> None:
-    """Write comparison.json, roads.json, tables and pictures."""
+    """Write siblings.json, roads.json, tables and pictures."""
     import ds_road
+    from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
     from ds_analysis.common.table import write_tables
     from ds_analysis.paper.simulator_agreement import most_different
     from ds_analysis.siblings.analysis import analysis_tables
     from ds_analysis.siblings.pictures import draw_failures, draw_matrix
+    from ds_base.atomic_files import write_json
     from ds_sim.camera.encodings import png
 
-    (out / "comparison.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    write_json(out / SIBLINGS, {"version": SIBLINGS_VERSION, **document})
     ds_road.write_roads(list(roads), out / "roads.json")
     write_tables(analysis_tables(found), out)
     judged = table.judged()

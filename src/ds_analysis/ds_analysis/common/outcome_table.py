@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from ds_orchestrator.campaign.folder import CampaignData
     from ds_orchestrator.store.model import Execution, Test
 
+SIBLINGS, SIBLINGS_VERSION = "siblings.json", 1
+"""File of `ds siblings compare --out`, and the version of its format."""
 MOST_TESTS = 20_000
 """Tests of a comparison; chosen: far more than a fit of the population can take in minutes."""
 MOST_ANALYSED = 2_000
@@ -312,6 +314,11 @@ def _sample_of(tests: Sequence[Test], most: int) -> Sequence[Test]:
     return [tests[row] for row in rows]
 
 
+def siblings_file(folder: Path) -> str:
+    """Name of the file of `ds siblings compare --out` in a folder: until 0.2 that of `ds compare`, too."""
+    return SIBLINGS if (folder / SIBLINGS).exists() else "comparison.json"
+
+
 def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTable:
     """Read what `ds siblings compare --out` wrote, without profiles.
 
@@ -323,7 +330,9 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
         OutcomeTableError: the folder holds no comparison, or one without a verdict.
     """
     try:
-        document = json.loads(read_file(folder, "comparison.json"))
+        document = json.loads(read_file(folder, siblings_file(folder)))
+        if document.get("version", SIBLINGS_VERSION) != SIBLINGS_VERSION:
+            raise OutcomeTableError(f"{folder} was written by another version of ds: compare the siblings again")
         rows, names = document["outcomes"], tuple(document["simulators"])
         roads = {road.road_id: road for road in ds_road.read_roads(read_file(folder, "roads.json").decode())}
         shape = len(rows), len(names)
@@ -335,9 +344,9 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
             raise ValueError
         states = np.where(failed, State.FAILED, State.COMPLETED).astype(np.int8)
         table = OutcomeTable.of([roads[row["road_id"]] for row in rows], states, lateral, siblings=names)
-    except StoreError:
+    except (StoreError, OutcomeTableError):
         raise
-    except (OSError, ValueError, KeyError, TypeError, ArithmeticError, RecursionError):
+    except (OSError, ValueError, KeyError, AttributeError, TypeError, ArithmeticError, RecursionError):
         raise OutcomeTableError(f"{folder} holds no comparison: expected the --out of `ds siblings compare`") from None
     return _with_verdicts(table).with_twin(twin)
 

@@ -6,7 +6,14 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 
-from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, table_of_campaign, table_of_comparison
+from ds_analysis.common.outcome_table import (
+    SIBLINGS,
+    OutcomeTable,
+    OutcomeTableError,
+    siblings_file,
+    table_of_campaign,
+    table_of_comparison,
+)
 from ds_analysis.outcomes.study import is_study, read_study
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 
@@ -28,12 +35,12 @@ def read_table(folder: Path, *, twin: str | None = None, most: int | None = None
         with closing(open_store(folder)) as store:
             table = table_of_campaign(read_campaign(store), most=most)
         return table.with_twin(twin) if twin else table
-    if (folder / "comparison.json").exists():
+    if (folder / siblings_file(folder)).exists():
         return table_of_comparison(folder, twin=twin)
     if is_study(folder):
         table = read_study(folder).table()
         return table.with_twin(twin) if twin else table
     raise OutcomeTableError(
-        f"{folder} holds no campaign.sqlite, comparison.json or outcomes.parquet: expected a folder of `ds campaign "
+        f"{folder} holds no campaign.sqlite, {SIBLINGS} or outcomes.parquet: expected a folder of `ds campaign "
         "run`, `ds siblings compare --out` or `ds outcomes import`"
     )

@@ -34,7 +34,7 @@ def write_comparison(folder: Path, roads: list[Road] = ROADS) -> Path:
     ]
     folder.mkdir(exist_ok=True)
     document = {"simulators": dict.fromkeys(names, {}), "outcomes": rows}
-    (folder / "comparison.json").write_text(json.dumps(document))
+    (folder / "siblings.json").write_text(json.dumps(document))
     write_roads(roads, folder / "roads.json")
     return folder
 
@@ -74,14 +74,22 @@ def test_without_a_twin_the_car_is_predicted_and_nothing_compared(
 
 
 def test_bad_input_is_one_line(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    former = write_comparison(tmp_path / "former")  # until 0.2 the file had the name of another verb's
+    (former / "siblings.json").rename(former / "comparison.json")
+    assert run(["predict", str(former), "--json"]) == 0
+    capsys.readouterr()
+    networks = tmp_path / "networks"
+    networks.mkdir()
+    (networks / "comparison.json").write_text('{"version": 1, "tests": [], "simulators": {}}')
     damaged = tmp_path / "damaged"
     damaged.mkdir()
     (damaged / "comparison.json").write_text('{"outcomes": 3}')
     few = write_comparison(tmp_path / "few", ROADS[:6])
     for named, arguments in (
-        ("holds no campaign.sqlite, comparison.json or outcomes.parquet", ["predict", str(tmp_path)]),
+        ("holds no campaign.sqlite, siblings.json or outcomes.parquet", ["predict", str(tmp_path)]),
         ("no simulator 'carla', expected one of bullet", ["predict", str(compared), "--twin", "carla"]),
         ("holds no comparison: expected", ["predict", str(damaged)]),
+        ("expected the --out of `ds siblings compare`", ["predict", str(networks)]),
         ("expected at least 10: drive more tests", ["predict", str(few)]),
     ):
         assert run(arguments) == 2

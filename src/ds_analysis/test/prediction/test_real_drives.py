@@ -226,7 +226,7 @@ def test_two_outcomes_of_one_test_contradict_each_other(tmp_path: Path) -> None:
 
 def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_comparison(tmp_path / "compared")
-    before = (folder / "comparison.json").read_bytes()
+    before = (folder / "siblings.json").read_bytes()
     assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
     proposed = json.loads(capsys.readouterr().out)["drives"]
     place = folder / "real/round_1"
@@ -262,7 +262,7 @@ def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.Ca
     assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
     more = {one["test_id"] for one in json.loads(capsys.readouterr().out)["drives"]}
     assert not more & driven and len(read_proposed(folder).tests) == 6
-    assert (folder / "comparison.json").read_bytes() == before
+    assert (folder / "siblings.json").read_bytes() == before
 
 
 def test_bad_requests_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

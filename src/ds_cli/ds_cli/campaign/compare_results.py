@@ -118,12 +118,18 @@ def write_comparison(
         markdown_of,
         simulator_table,
     )
+    from ds_base.atomic_files import write_json
     from ds_base.installation import ds_command
     from ds_report.comparison_page import grids_of, write_comparison_page
 
     road_files = write_roads(found, out / "worse")
-    document = {**document_of(found, road_files), "unmet": list(unmet), "page": str(out / "comparison.html")}
-    (out / "comparison.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", "utf-8")
+    document = {
+        "version": 1,
+        **document_of(found, road_files),
+        "unmet": list(unmet),
+        "page": str(out / "comparison.html"),
+    }
+    write_json(out / "comparison.json", document)
     (out / "comparison.md").write_text(markdown_of(found, road_files, unmet), "utf-8")
     write_tables([simulator_table(found), cell_table(found), drive_table(found)], out / "tables")
     write_comparison_page(found, out / "comparison.html", road_files, unmet)
