@@ -152,7 +152,7 @@ def score(hidden: OutcomeTable, failed: Bools, scored: Mapping[str, Predictor]) 
         failed: (tests,) the car's.
         scored: the predictors.
     """
-    truth = failed.astype(np.float64)
+    truth, before = failed.astype(np.float64), predict(hidden)
     for predictor in scored.values():
         predictor.fit(hidden)
     errors: dict[tuple[int, str], Array] = {}
@@ -171,7 +171,7 @@ def score(hidden: OutcomeTable, failed: Bools, scored: Mapping[str, Predictor]) 
                     safe, fails = (one[left] for one in called(predicted))
                     wrong = failed[left]
                     found = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum(), 1]
-                    _, low, high = predict(hidden).updated(drives).failures(np.flatnonzero(left))
+                    _, low, high = before.updated(drives).failures(np.flatnonzero(left))
                     calls[budget] = calls.get(budget, np.zeros(6)) + [*found, low <= wrong.sum() <= high]
     return Scored(errors=errors, calls=calls)
 

@@ -34,7 +34,7 @@ def test_no_simple_rule_is_much_better_on_any_table(ours: list[Path]) -> None:
 
 
 def test_it_says_whether_siblings_have_helped(ours: list[Path]) -> None:
-    """As it is, a car is told by its siblings; one that is not is not, and a false praise is rare."""
+    """Siblings predict a car as it is, and not one that does not follow them; a false praise is rare."""
     said: Counter[tuple[str, str]] = Counter()
     for folder in ours[:5]:
         for _, hidden, failed in cars_of(folder):

@@ -161,6 +161,11 @@ class OutcomeTable:
         return (*self.siblings, *([self.twin] if self.twin else []))
 
     @cached_property
+    def rows(self) -> Mapping[str, int]:
+        """Test -> its row."""
+        return {test_id: row for row, test_id in enumerate(self.test_ids)}
+
+    @cached_property
     def profiles(self) -> Mapping[str, Sequence[Array]]:
         """Simulator -> lateral positions every `GRID` m along the lane, m, of every test; decoded when first asked."""
         return {name: [one() for one in self.decoders[:, k]] for k, name in enumerate(self.simulators)}

@@ -64,9 +64,7 @@ class CarPrediction:
     def certificate(self) -> Certificate | None:
         """Bounds on the tests that fail, from drawn drives up to the first that was not recorded; None without any."""
         population = self.proposed.population or [self.table.test_ids[row] for row in candidates_of(self.table)]
-        place = {test_id: row for row, test_id in enumerate(self.table.test_ids)}
-        left = np.zeros(len(self.table), np.bool_)
-        left[[place[test_id] for test_id in population if test_id in place]] = True
+        left = np.isin(self.table.test_ids, population)
         bets = []
         for drive, predicted in in_turn(self.undriven, self.prediction):
             if left[drive.row]:
@@ -84,8 +82,7 @@ class CarPrediction:
         names = self.table.siblings
         named = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
         cells = sum(counts.values()) - counts["untested"]
-        names_of = {test_id: row for row, test_id in enumerate(self.table.test_ids)}
-        rows = np.array([names_of[one.test_id] for one in tests], np.intp)
+        rows = np.array([self.table.rows[one.test_id] for one in tests], np.intp)
         expected, low, high = self.prediction.failures(rows)
         many = f"{expected:.0f} (90 %: {low} to {high})"
         fails, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
@@ -174,7 +171,7 @@ def drives_in_order(table: OutcomeTable, drives: Sequence[RealDrive], proposed: 
     Raises:
         RecordError: a drive is of no test of the table.
     """
-    rows = {test_id: row for row, test_id in enumerate(table.test_ids)}
+    rows = table.rows
     left = {drive.test_id: drive for drive in drives}
     for test_id in left:
         if test_id not in rows:

@@ -230,12 +230,10 @@ def experts_of(outcomes: SiblingOutcomes) -> list[Expert]:
     """
     features, count = outcomes.features, outcomes.failed.shape[1]
     whole = outcomes.said()
-    centre, scale = whole.mean(axis=0), np.maximum(whole.std(axis=0), _LEAST_SCALE)
     others = [outcomes.of([k for k in range(count) if k != one]).said() for one in range(count)] if count > 1 else []
-    heard = (whole - centre) / scale
-    heard_of_others = [(one[:, : whole.shape[1]] - centre[: one.shape[1]]) / scale[: one.shape[1]] for one in others]
-    width = min([whole.shape[1], *(one.shape[1] for one in others)])
-    heard, heard_of_others = heard[:, :width], [one[:, :width] for one in heard_of_others]
+    width = min(one.shape[1] for one in (whole, *others))  # margins count where every one has them
+    centre, scale = whole[:, :width].mean(axis=0), np.maximum(whole[:, :width].std(axis=0), _LEAST_SCALE)
+    heard, *heard_of_others = ((one[:, :width] - centre) / scale for one in (whole, *others))
     made: list[Expert] = []
     alone = _pooled(outcomes, [features] * count)
     for name, own, hears in (

@@ -123,10 +123,10 @@ class Prediction:
         return float(self.probabilities(rows).sum()), low, high
 
     def _with_outcomes(self, probabilities: Array, rows: Indices) -> Array:
-        place = {int(row): k for k, row in enumerate(rows)}
-        for drive in self.drives:
-            if drive.row in place:
-                probabilities[..., place[drive.row]] = float(drive.failed)
+        known = np.full(self.tests, np.nan)
+        known[[drive.row for drive in self.drives]] = [drive.failed for drive in self.drives]
+        driven = ~np.isnan(known[rows])
+        probabilities[..., driven] = known[rows][driven]
         return probabilities
 
 

@@ -187,7 +187,7 @@ def propose(
     population = known.population or [table.test_ids[row] for row in candidates_of(table)]
     order = np.random.default_rng([_SEED, zlib.crc32("\n".join(population).encode())]).permutation(len(population))
     taken = {*driven, *known.tests}
-    place = {test_id: row for row, test_id in enumerate(table.test_ids)}
+    place = table.rows
     left = [population[k] for k in order if population[k] not in taken and population[k] in place]
     if drives > len(left):
         raise BudgetError(

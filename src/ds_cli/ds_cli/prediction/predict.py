@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -63,6 +62,7 @@ def predict_command(
     from ds_analysis.prediction.mixture import predict
     from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
     from ds_analysis.prediction.verdicts import cell_table, judge
+    from ds_base.atomic_files import write_json, write_whole
     from ds_base.folder_files import make_folder
     from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
@@ -78,9 +78,11 @@ def predict_command(
         sentence, document = car.sentence, car.document()
         drives = "" if said else "Nobody knows yet whether these simulators know your car; a few drives tell."
         following = str(ds_command("real", "propose", folder, "--drives", 6))
+        alone = predict(table) if table.twin else car.undriven
     else:
         say(f"{len(table)} tests on {', '.join(table.siblings)}: predicting {twin} as if it had never been driven")
-        verdicts = judge(table, predict(table), tolerated=tolerated)
+        alone = predict(table)
+        verdicts = judge(table, alone, tolerated=tolerated)
         expected = sum(one.probability for one in verdicts.tests)
         title, said, drives = f"Predicted failures on {twin}, never driven", "", ""
         sentence = f"On {twin}, never driven, {expected:.0f} of {len(verdicts.tests)} tests are expected to fail."
@@ -90,7 +92,7 @@ def predict_command(
     tables, missing = [cells], ""
     document |= {"twin": table.twin, "tests_left_out": table.left_out, "comparison": None}
     try:
-        comparison = compare_predictors(table, predict(table))
+        comparison = compare_predictors(table, alone)
     except OutcomeTableError as error:
         if twin is not None:
             raise
@@ -100,9 +102,9 @@ def predict_command(
         document["comparison"] = comparison.document()
     if out is not None:
         write_tables(tables, out)
-        (out / "prediction.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_json(out / "prediction.json", document)
         if any(one.tests for one in verdicts.cells):
-            (out / "verdicts.png").write_bytes(png(draw_verdicts(verdicts, title)))
+            write_whole(out / "verdicts.png", png(draw_verdicts(verdicts, title)))
 
     def show() -> None:
         console = Console()

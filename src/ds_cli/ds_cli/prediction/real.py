@@ -74,12 +74,13 @@ def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
             f"{folder} has no real drives: record some with `{ds_command('real', 'record', folder, 'FILE.csv')}`"
         )
     path = (folder / FOLDER if out is None else out) / "update.json"
-    write_json(path, car.document())
+    document = car.document()
+    write_json(path, document)
     for name, of in (("before", car.before), ("after", car.verdicts)):
         if any(one.tests for one in of.cells):
             picture = png(draw_verdicts(of, f"The car, {name} {len(car.drives)} real drives"))
             write_whole(path.with_name(f"{name}.png"), picture)
-    return Result(document=car.document(), show=lambda: _show(folder, car, path))
+    return Result(document=document, show=lambda: _show(folder, car, path))
 
 
 def _show(folder: Path, car: CarPrediction, path: Path) -> None:
