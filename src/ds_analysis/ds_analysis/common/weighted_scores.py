@@ -16,10 +16,6 @@ from ds_orchestrator.maps.algebra import LEVEL
 
 _NO_WIDTH = 1e-9
 """Width below which an interval is a single point."""
-_BLOCK = 500_000
-"""Weights whose precision is computed at once; chosen: 4 MB for each array."""
-_CONSTANT = 1e-18
-"""Product of two variances below which a correlation is rounding."""
 
 
 def family_weights(families: Indices, resamples: int, seed: int) -> Array:
