@@ -1,15 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loads a user's own part of the method, `module:NAME`, once the user has named it."""
+"""Loads parts that other packages add: installed ones by their entry points, and the user's own as `module:NAME`."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from importlib import import_module
-from typing import TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from ds_base.errors import InputError
 
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+Group = Literal["simulators", "drivers", "features", "operators"]
+"""Kinds of parts; the entry points are in the group `digital_siblings.KIND`."""
 TRUST_VARIABLE = "DS_TRUST"
 """Environment variable with names that may be loaded, separated by commas."""
 
@@ -19,6 +25,14 @@ _confirmed: set[str] = set()
 
 class ExtensionError(InputError):
     """A name that nobody confirmed, or that leads to no such part."""
+
+
+@cache
+def installed(group: Group) -> Mapping[str, EntryPoint]:
+    """List the parts that installed packages add: name -> entry point, whose `dist` is the package."""
+    from importlib.metadata import entry_points  # would delay every help text
+
+    return {entry.name: entry for entry in entry_points(group=f"digital_siblings.{group}")}
 
 
 def is_extension(name: str) -> bool:
@@ -54,13 +68,31 @@ def load_extension(name: str, kind: type[Part], what: str) -> Part:
             f"trust it, set {TRUST_VARIABLE}={name:.100}"
         )
     module, _, attribute = name.partition(":")
+    advice = "expected module:NAME, with the module in this folder or on PYTHONPATH"
+    return _loaded(lambda: getattr(import_module(module), attribute), name, kind, what, advice)
+
+
+def load_installed(name: str, group: Group, kind: type[Part], what: str) -> Part:
+    """Import a part that an installed package adds; installing the package was the user's consent.
+
+    Args:
+        name: key of `installed(group)`.
+        group: kind of part.
+        kind: class that the part must be an instance of.
+        what: the part in the words of a message, such as `feature`.
+
+    Raises:
+        ExtensionError: it cannot be imported, or it is something else.
+    """
+    entry = installed(group)[name]
+    return _loaded(entry.load, name, kind, what, f"install {entry.dist.name if entry.dist else entry.value} again")
+
+
+def _loaded(load: Callable[[], object], name: str, kind: type[Part], what: str, advice: str) -> Part:
     try:
-        part = getattr(import_module(module), attribute)
+        part = load()
     except Exception as error:  # importing a module can raise anything
-        raise ExtensionError(
-            f"{what} {name} cannot be imported ({type(error).__name__}: {error}): expected module:NAME, with the "
-            "module in this folder or on PYTHONPATH"
-        ) from None
+        raise ExtensionError(f"{what} {name} cannot be imported ({type(error).__name__}: {error}): {advice}") from None
     if not isinstance(part, kind):
         raise ExtensionError(f"{what} {name} is a {type(part).__name__}, expected a {kind.__name__}")
     return part
