@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import yaml
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
@@ -21,6 +22,7 @@ from ds_bags.info import describe, in_words
 from ds_bags.layout import LEVELS, BagError, Level
 from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
+from ds_bags.rosbag2_writer import Rosbag2Writer
 from ds_bags.run_writer import write_bag
 from ds_sim.camera.lens import optical_axes
 from ds_sim.messages import MessageBuilder
@@ -214,3 +216,15 @@ def test_what_is_no_bag_is_reported_in_one_line(bags: Path, tmp_path: Path) -> N
     (tmp_path / "cut" / "metadata.yaml").write_text("{")
     with pytest.raises(BagError, match="cannot be read"):
         describe(tmp_path / "cut")
+
+
+def test_the_file_repeats_the_metadata_of_its_folder(bags: Path, tmp_path: Path) -> None:
+    facts = {"message": "words " * 60, "road": "[1, 2], " * 90, "é: -": "a\nb", "number": "1", "": ""}
+    with Rosbag2Writer(tmp_path / "empty", {}) as writer:
+        writer.close(facts)
+    for folder in (bags / "compressed", tmp_path / "empty"):
+        outside = yaml.safe_load((folder / "metadata.yaml").read_text())
+        with (folder / f"{folder.name}.mcap").open("rb") as file:
+            (record,) = (record for record in make_reader(file).iter_metadata() if record.name == "rosbag2")
+        assert outside == {"rosbag2_bagfile_information": yaml.safe_load(record.metadata["serialized_metadata"])}
+    assert outside["rosbag2_bagfile_information"]["custom_data"] == facts

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
-from ds_bags.messages import frame_times, message_builder, serialise_frames, typestore
+from ds_bags.messages import frame_times, message_builder, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
+from ds_sim.frames import ROAD_FRAME
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -198,22 +199,19 @@ class RunWriter:
         Args:
             observations: the run's observations with images; None to write no images.
         """
-        if not self._run.observations:
-            return
-        times, rows = frame_times(self._run), serialise_frames(self._make, self._run)
-        answered = len(self._run.commands)
-        if observations is None:
-            for part in (slice(None, answered), slice(answered, None)):
-                found = ((self._channels[topic], messages[part]) for topic, messages in rows.items())
-                self._writer.write_frames(times[part], [pair for pair in found if len(pair[1])])
-            return
-        drive = rows.pop("drive")
-        for index, (seen, time) in enumerate(zip(observations, times.tolist(), strict=True)):
-            for topic, messages in rows.items():
-                self._writer.write(self._channels[topic], time, messages[index].tobytes())
-            self._put_image(seen, time)
-            if index < answered:
-                self._writer.write(self._channels["drive"], time, drive[index].tobytes())
+        run, make = self._run, self._make
+        images = run.observations if observations is None else observations
+        for index, (frame, pictured, time) in enumerate(
+            zip(run.observations, images, frame_times(run).tolist(), strict=True)
+        ):
+            header = make.header(time, ROAD_FRAME)
+            self._put("state", time, make.state(frame, header, run.road.road_id))
+            self._put("odom", time, make.odometry(frame.vehicle, header.stamp))
+            self._put("/tf", time, make.body_transform(frame.vehicle, header.stamp))
+            if observations is not None:
+                self._put_image(pictured, time)
+            if index < len(run.commands):
+                self._put("drive", time, make.command(run.commands[index], header))
 
     def _put_image(self, seen: Observation, time: int) -> None:
         if not seen.image.size:

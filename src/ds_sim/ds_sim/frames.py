@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -42,12 +40,6 @@ def body_pose(vehicle: VehicleState) -> Pose:
     """Pose of the vehicle in the road frame; its origin is on the ground below the centre when the body is at rest."""
     turn = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
     return (vehicle.x, vehicle.y, vehicle.heave), _quaternion(turn)
-
-
-def body_rotations(vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
-    """Rotations of `body_pose` for many states at once, (n, 4), as quaternions x, y, z, w; the same bits."""
-    angles = np.array([(vehicle.yaw, vehicle.pitch, vehicle.roll) for vehicle in vehicles]).reshape(-1, 3)
-    return Rotation.from_euler("ZYX", angles).as_quat()
 
 
 def camera_pose(camera: CameraSpec) -> Pose:
