@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.replication.tables import of_runs, read, third_table
+from benchmarks.replication.stored import read
+from benchmarks.replication.tables import of_runs, third_table
 from benchmarks.when_to_merge.analysis import cases_of, load
 from benchmarks.when_to_merge.plan import PARTS, SIBLINGS, Part
 

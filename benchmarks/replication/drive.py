@@ -9,19 +9,16 @@ needed: it resumes from the tables in `docs/data/replication`, where outcomes ar
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
-import tempfile
 import threading
 import time
 from contextlib import closing
 from pathlib import Path
 
-import pyarrow.parquet as pq
 from benchmarks.replication.networks import BACKEND
+from benchmarks.replication.stored import restore
 
 from ds_analysis.common.parquet import write_tables
-from ds_analysis.common.restoration import restore_campaign
 from ds_orchestrator.campaign.config import CampaignConfig, read_config
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -41,18 +38,6 @@ def config_of(network: str, backend: str, workers: int) -> CampaignConfig:
     paper = read_config(Path("src/ds_bringup/config/paper.yaml"))
     driver = f"{WEIGHTS / network}.safetensors@{backend}"
     return paper.model_copy(update={"driver": driver, "engine": "local", "workers": workers, "record": "none"})
-
-
-def restore(table: Path, folder: Path, backend: str) -> None:
-    """Make the campaign's folder from its table, to be continued with a backend other than it was begun with."""
-    found = pq.read_table(table)
-    notes = found.schema.metadata
-    config = json.loads(notes[b"config"])
-    config["driver"] = f"{config['driver'].rpartition('@')[0]}@{backend}"
-    notes[b"config"] = json.dumps(config).encode()
-    with tempfile.TemporaryDirectory() as there:
-        pq.write_table(found.replace_schema_metadata(notes), Path(there) / table.name)
-        restore_campaign(Path(there) / table.name, folder)
 
 
 class Keeper(Listener):
@@ -99,7 +84,7 @@ def main() -> None:
             print(f"{network}: no weights in {WEIGHTS} yet")
             continue
         if table.exists() and not (folder / "campaign.sqlite").exists():
-            restore(table, folder, arguments.backend)
+            restore(table, folder, backend=arguments.backend)
         keeper = Keeper(network, folder)
         config = config_of(network, arguments.backend, arguments.workers)
         outcome = run_campaign(config, folder, keeper, say=print)

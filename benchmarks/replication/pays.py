@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.replication.drive import NETWORKS, TABLES
-from benchmarks.replication.tables import read, third_table
+from benchmarks.replication.stored import read
+from benchmarks.replication.tables import third_table
 
 from ds_analysis.common.statistics import Array, families_of
 from ds_analysis.paper.merge_case import Advice, merge_case

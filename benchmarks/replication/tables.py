@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import argparse
 import csv
-import tempfile
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -21,18 +19,18 @@ from typing import NamedTuple
 
 import numpy as np
 from benchmarks.replication.drive import NETWORKS, TABLES
+from benchmarks.replication.stored import read
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
 from ds_analysis.common.heatmap import COLOURS
-from ds_analysis.common.restoration import restore_campaign
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import check_robustness, evaluate
 from ds_analysis.paper.paper_tables import RQ2, RQ3, PaperRow, role_of
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_road.figures import COLOURS as GROUPS
@@ -80,14 +78,6 @@ class Score(NamedTuple):
 
     r: float
     auc: float
-
-
-def read(table: Path) -> CampaignData:
-    """Contents of a stored campaign."""
-    with tempfile.TemporaryDirectory() as folder:
-        restore_campaign(table, Path(folder) / "campaign")
-        with closing(open_store(Path(folder) / "campaign")) as store:
-            return read_campaign(store)
 
 
 @dataclass(frozen=True)

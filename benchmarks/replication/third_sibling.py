@@ -2,7 +2,7 @@
 """Drives the tests of each campaign's first run on `panda`, too, and keeps all outcomes as a campaign of three.
 
 `nice -n 19 python -m benchmarks.replication.third_sibling FOLDER` from the root of the repository; it resumes from
-FOLDER. Then `ds campaign import docs/data/replication/dave2_panda.parquet --out three` and `ds evaluate three`.
+FOLDER. `python -m benchmarks.replication.stored` makes a campaign of such a table, which `ds evaluate` reads.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.replication.drive import NETWORKS, TABLES
-from benchmarks.replication.tables import THIRD, THIRD_RUN, of_runs, read, third_table
+from benchmarks.replication.stored import read
+from benchmarks.replication.tables import THIRD, THIRD_RUN, of_runs, third_table
 
 from ds_analysis.common.parquet import write_tables
 from ds_cli.progress import ScreenListener

@@ -8,23 +8,17 @@ import json
 import sqlite3
 import zlib
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from report_campaigns import make_campaign
 
 from ds_analysis.common.parquet import EXECUTIONS, FRAMES, write_tables
-from ds_analysis.common.restoration import restore_campaign
-from ds_analysis.paper.campaign_contents import maps_of
-from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
-from ds_orchestrator.store.model import NO_DRIVE
+from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_road import read_roads
 from ds_sim.gates.gate import Gate, GateState
 
@@ -126,47 +120,3 @@ def test_columns_are_documented_in_the_files_and_in_the_documentation(tables: Pa
             assert field.metadata[b"description"].decode() == column.description
         assert json.loads(schema.metadata[b"config"])["driver"] == "dave2"
         assert json.loads(schema.metadata[b"features"]) == ["turns_count", "curvature"]
-
-
-def test_a_campaign_comes_back_from_its_exported_executions(
-    campaign: tuple[Path, CampaignData], tmp_path: Path
-) -> None:
-    data = campaign[1]
-    (table,) = write_tables(data, tmp_path / "tables")
-    assert restore_campaign(table, tmp_path / "again") == len(data.executions)
-    with closing(open_store(tmp_path / "again")) as store:
-        again = read_campaign(store)
-    assert again.tests == data.tests
-    kept = [replace(one, bag="", drive=NO_DRIVE) for one in data.executions]
-    assert kept == [replace(one, drive=NO_DRIVE) for one in again.executions]
-    assert {len(one.trajectory) for one in again.executions} == {0}
-    assert again.config.identity() == data.config.identity()
-    assert maps_of(again) == maps_of(data)
-    with pytest.raises(StoreError, match="holds a campaign: choose another --out"):
-        restore_campaign(table, tmp_path / "again")
-
-
-@pytest.mark.parametrize(
-    ("column", "value", "message"),
-    [
-        ("road", "[[0, 0]]", "a road"),
-        ("outcome", "WON", "WON"),
-        ("simulator", "carla", "carla"),
-        ("fitness", float("nan"), "fitness"),
-        ("number", 99, "test_id does not end in"),
-    ],
-)
-def test_a_table_that_no_campaign_wrote_is_refused(
-    campaign: tuple[Path, CampaignData], tmp_path: Path, column: str, value: object, message: str
-) -> None:
-    (table,) = write_tables(campaign[1], tmp_path / "tables")
-    content = pq.read_table(table)
-    rows = content.to_pylist()
-    rows[0][column] = value
-    pq.write_table(pa.Table.from_pylist(rows, schema=content.schema), table)
-    with pytest.raises(StoreError, match=message):
-        restore_campaign(table, tmp_path / "again")
-    assert not (tmp_path / "again").exists()
-    table.write_bytes(b"no table")
-    with pytest.raises(StoreError, match="cannot be read: expected the executions.parquet"):
-        restore_campaign(table, tmp_path / "again")

@@ -68,7 +68,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "campaign",
                 "campaign.group",
                 "Prepare, run, resume, inspect and compare campaigns.",
-                ("init", "run", "resume", "status", "roads", "export", "import", "compare"),
+                ("init", "run", "resume", "status", "roads", "export", "compare"),
             ),
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),

@@ -23,7 +23,7 @@ from ds_sim.gates.gate import Gate
 from ds_sim.simulator import FRAME_TIME
 
 WEIGHTS_NOTE = "driver_sha256"
-"""Note of a table with the digest of the driver's weights, so that a restored campaign goes on with no others."""
+"""Note of a table with the digest of the driver's weights."""
 FORMAT_VERSION = "1"
 """Increases when a column changes its meaning or goes; new columns may come at any time."""
 
@@ -143,6 +143,9 @@ def write_tables(data: CampaignData, folder: Path, *, frames: bool = False) -> l
     return [executions, path]
 
 
+_MEASURED = ("fitness", "max_lateral_position", "steps", "simulated_seconds", "bag", "trajectory_sha256")
+
+
 def _execution_batches(data: CampaignData) -> Iterator[list[dict[str, Any]]]:
     """Rows for each test on each simulator, by test and simulator in the campaign's order; one batch at least."""
     driven = {(one.test_id, one.simulator): one for one in data.executions}
@@ -162,11 +165,13 @@ def _execution_batches(data: CampaignData) -> Iterator[list[dict[str, Any]]]:
 def _about_test(data: CampaignData, test: Test) -> dict[str, Any]:
     road, cell = test.road, data.cells.get(test.test_id)
     return {
-        "driver": data.config.driver, "test_id": test.test_id, "sibling": test.sibling, "run": test.run,
-        "number": test.number, "seed": test.seed, "conditions": format_conditions(test.conditions),
-        "cell": None if cell is None else list(cell), "road_id": road.road_id, "turns_count": road.turns_count,
-        "curvature": road.curvature, "length": road.length, "lane": road.lane, "road": json.dumps(road_to_json(road)),
-    }  # fmt: skip
+        "driver": data.config.driver,
+        **{name: getattr(test, name) for name in ("test_id", "sibling", "run", "number", "seed")},
+        "conditions": format_conditions(test.conditions),
+        "cell": None if cell is None else list(cell),
+        **{name: getattr(road, name) for name in ("road_id", "turns_count", "curvature", "length", "lane")},
+        "road": json.dumps(road_to_json(road)),
+    }
 
 
 def _about_drive(data: CampaignData, simulator: str, execution: Execution | None, gate: Gate | None) -> dict[str, Any]:
@@ -174,12 +179,9 @@ def _about_drive(data: CampaignData, simulator: str, execution: Execution | None
     if gate is not None:
         row |= {"gate": gate.state.value, "gate_message": gate.message or None}
     if execution is not None:
-        row |= {
-            "outcome": execution.outcome.name, "failed": execution.outcome.is_failure, "fitness": execution.fitness,
-            "max_lateral_position": execution.max_lateral_position, "steps": execution.steps,
-            "simulated_seconds": execution.simulated_seconds, "message": execution.message or None,
-            "bag": execution.bag, "trajectory_sha256": execution.trajectory_sha256,
-        }  # fmt: skip
+        row |= {name: getattr(execution, name) for name in _MEASURED}
+        row |= {"outcome": execution.outcome.name, "failed": execution.outcome.is_failure}
+        row |= {"message": execution.message or None}
     return row
 
 
@@ -191,11 +193,9 @@ def _frame_batches(data: CampaignData) -> Iterator[list[dict[str, Any]]]:
         x, y, yaw, speed, lateral = one.trajectory.T
         steering = np.full(count, np.nan)
         steering[: len(one.steering)] = one.steering[:count]
-        batch.append({
-            "test_id": [one.test_id] * count, "simulator": [one.simulator] * count, "step": np.arange(count),
-            "time": np.arange(count) * FRAME_TIME, "x": x, "y": y, "yaw": yaw, "speed": speed,
-            "lateral_position": lateral, "steering": steering,
-        })  # fmt: skip
+        motion = {"x": x, "y": y, "yaw": yaw, "speed": speed, "lateral_position": lateral, "steering": steering}
+        drive = {"test_id": [one.test_id] * count, "simulator": [one.simulator] * count}
+        batch.append({**drive, "step": np.arange(count), "time": np.arange(count) * FRAME_TIME, **motion})
         if sum(len(columns["x"]) for columns in batch) >= _BATCH:
             yield batch
             batch = []

@@ -149,20 +149,6 @@ def campaign_export_command(
         print(path)
 
 
-@campaign_app.command("import")
-def campaign_import_command(
-    table: Annotated[Path, typer.Argument(metavar="FILE", help="The executions.parquet of `ds campaign export`.")],
-    out: Annotated[Path, typer.Option(help="Folder of the campaign, created if missing.")],
-) -> None:
-    """Make a campaign's folder again from its exported executions, to read it or to go on with it.
-
-    Frames are not in that file: maps, tables and predictions are as before, replays are empty.
-    """
-    from ds_analysis.common.restoration import restore_campaign
-
-    print(f"{restore_campaign(table, out)} executions are in {out}")
-
-
 @app.command("runs")
 def runs_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with campaigns.")] = Path("."),
