@@ -19,6 +19,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from ds_base.atomic_files import write_json
+from ds_base.progress import SILENT
 from ds_driver.data.collection import CollectionPlan, collect
 from ds_driver.data.dataset import decode
 from ds_sim.camera.encodings import JPEG_QUALITY
@@ -39,7 +40,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     crops = {}
     with tempfile.TemporaryDirectory() as folder:
-        collect(CollectionPlan(roads=2, seed=SEED, disturbance=0.5), list(STANDARD), Path(folder), lambda *_: None)
+        collect(CollectionPlan(roads=2, seed=SEED, disturbance=0.5), list(STANDARD), Path(folder), SILENT)
         for simulator in STANDARD:
             files = sorted((Path(folder) / simulator).glob("*.parquet"))
             images = [image for file in files for image in pq.read_table(file)["image"].to_pylist()]

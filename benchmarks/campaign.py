@@ -60,7 +60,7 @@ def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> 
     (folder / "bags").mkdir()
     with closing(Store(folder / "campaign.sqlite", config=config.identity())) as store:
         started = time.perf_counter()
-        with running_engine(config.drive_settings(), logs=folder / "logs", say=print) as started_engine:
+        with running_engine(config.drive_settings(), logs=folder / "logs") as started_engine:
             ready = time.perf_counter()
             Campaign(config, folder, store, started_engine, Listener()).run()
             ended, processor = time.perf_counter(), processor_time()

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim.camera.look import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
@@ -183,7 +183,7 @@ def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
     ]
 
     def failed_on(work: Mapping[str, Sequence[Test]], stage: str) -> set[tuple[str, str]]:
-        driven = drive_tests(replace(settings, siblings=tuple(work)), work, folder / stage, Progress(say=print))
+        driven = drive_tests(replace(settings, siblings=tuple(work)), work, folder / stage, Callbacks())
         return {key for key, execution in driven.executions.items() if execution.outcome.is_failure}
 
     failed = failed_on(dict.fromkeys(AGAINST, tests), "as_they_were")
@@ -240,7 +240,7 @@ def main() -> None:
     settings = DriveSettings(siblings=(), driver=options.driver, gates="none", workers=options.workers)
     chosen = pairs(options.roads, settings, options.out / "made_cars")
     experiments = [pair.experiment for pair in chosen]
-    found = drive_experiments(experiments, settings, options.out / "exchanges", Progress(say=print))
+    found = drive_experiments(experiments, settings, options.out / "exchanges", Callbacks())
     rows = [row(pair, pair.experiment.explained(found)) for pair in chosen]
     (options.out / "result.json").write_text(json.dumps(rows, indent=1) + "\n")
     for plant in (*PLANTS, ""):

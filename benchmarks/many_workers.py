@@ -153,7 +153,7 @@ def run(drives: int, workers: int, seconds: float, folder: Path) -> None:
         time.sleep(10)
         settings = config.drive_settings(cluster=ClusterOptions(scheduler=address))
         store = stack.enter_context(closing(Store(folder / "campaign.sqlite", config=config.identity())))
-        engine = stack.enter_context(running_engine(settings, logs=folder / "logs", say=print))
+        engine = stack.enter_context(running_engine(settings, logs=folder / "logs"))
         meter = Meter(scheduler, seconds, workers)
 
         class Counter(Listener):

@@ -37,7 +37,7 @@ from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.data.collection import unseen_roads
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Key, Progress, drive_tests, read_drives
+from ds_orchestrator.engines.drive_tests import Callbacks, Key, drive_tests, read_drives
 from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
@@ -90,7 +90,7 @@ def drive(
         else:
             say(f"{driver} on {name}")
             known = None if gates is None else gates.get(name)
-            found = drive_tests(settings, work, folder, Progress(listen=ScreenListener, say=say), gates=known)
+            found = drive_tests(settings, work, folder, Callbacks(listen=ScreenListener), gates=known)
         if gates is not None:
             gates[name] = {**gates.get(name, {}), **found.gates}
         runs[name] = [driven_road(found, test, name) for test in work[name]]

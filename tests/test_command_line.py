@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from progress_lines import ProgressLines
 
 from ds_analysis.common.table import Column, Table
 from ds_cli import application, evaluations, main
 from ds_cli.options import SHIPPED_SIMULATORS
-from ds_cli.output import countdown, duration
-from ds_cli.twin import FitProgress
+from ds_cli.output import ScreenProgress
 from ds_cli.verbs import GROUPS, VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign import executor
@@ -33,6 +33,7 @@ from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SIMULATORS, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
+from ds_twin_donkey.fit import _Phases
 
 DS = [sys.executable, "-m", "ds_cli.main"]
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -218,29 +219,27 @@ def test_an_evaluation_is_short_unless_all_is_wanted(tmp_path: Path, capsys: pyt
 
 
 def test_a_fit_says_how_long_it_still_takes() -> None:
-    lines: list[str] = []
-    clock = iter([0.0, 0.0, 2.0, 4.0, 4.0, 9.0])
-    progress = FitProgress(lambda: next(clock), lines.append)
-    for line in (
-        "phase 1 of 3: windows",
-        "iteration 0: 1",
-        "iteration 1: 1",
-        "phase 2 of 3: windows",
-        "iteration 0: 1",
-    ):
-        progress(line)
-    assert lines[0] == "[0 s] phase 1 of 3: windows"
-    # 2 s an iteration: 3 more, then 4 of 2.5 times that, and 8 of 6 times.
-    assert lines[1].endswith(f"about {duration(2.0 * (3 + 10 + 48))} left")
-    assert lines[4].endswith(f"about {duration(2.0 * (7.5 + 48))} left")
+    """Iterations of 2 s; those of the second phase are taken to last 2.5 times, of the third 6 times as long."""
+    told = ProgressLines()
+    phases = _Phases(told, first=1)
+    phases.begin(1, "windows")
+    for number in range(6):
+        phases.iterated(f"iteration {number}")
+    assert told.total == 4 * 1 + 4 * 2.5 + 8 * 6 and told.done == 3
+    phases.begin(2, "windows")
+    assert told.done == 4
+    phases.iterated("iteration 0")
+    assert told.done == 6.5 and told.lines[-2:] == ["phase 2 of 3: windows", "iteration 0"]
 
 
-def test_a_countdown_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:
+def test_time_left_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:
     """Four of eight were done before; the others take 30 s each."""
-    clock = iter([0.0, 0.001, 0.002, 0.003, 0.004, 30.004, 60.004, 90.004, 120.004])
-    progress = countdown(lambda: next(clock))
-    for done in range(1, 9):
-        progress(done, 8, "x")
+    now = 0.0
+    progress = ScreenProgress(lambda: now)
+    progress.start(8)
+    for number in range(8):
+        now += 0.001 if number < 4 else 30.0
+        progress.advance(line="x")
     said = capsys.readouterr().err.splitlines()
     assert said[:4] == [f"{done}/8 x" for done in range(1, 5)]
     assert said[4:] == ["5/8 x; about 90 s left", "6/8 x; about 60 s left", "7/8 x; about 30 s left", "8/8 x"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import base64
 import json
+import logging
 import os
 import signal
 import socket
@@ -29,6 +30,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ds_base.progress import LOGGER
 from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
 from ds_sim import Command, make_simulator
@@ -90,10 +92,21 @@ def pixels(message: dict[str, Any]) -> np.ndarray:
     return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
+class _Lines(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__()
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.messages.append(record.getMessage())
+
+
 @contextmanager
 def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[int, list[str]]]:
     """A server in a thread: its port, and the lines that it reports."""
-    lines: list[str] = []
+    lines = _Lines()
+    logging.getLogger(LOGGER).addHandler(lines)
+    logging.getLogger(LOGGER).setLevel(logging.INFO)
     ready = threading.Event()
     found: list[Any] = []
 
@@ -106,16 +119,15 @@ def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[
             ready.set()
 
         with suppress(asyncio.CancelledError):
-            await DonkeyServer(sim, tests, report=lines.append, **{"greeting_delay": 0.0, **options}).serve(
-                "127.0.0.1", 0, listening
-            )
+            await DonkeyServer(sim, tests, **{"greeting_delay": 0.0, **options}).serve("127.0.0.1", 0, listening)
 
     thread = threading.Thread(target=asyncio.run, args=(main(),))
     thread.start()
     try:
         assert ready.wait(60)
-        yield found[2], lines
+        yield found[2], lines.messages
     finally:
+        logging.getLogger(LOGGER).removeHandler(lines)
         found[0].call_soon_threadsafe(found[1].cancel)
         thread.join(30)
         assert not thread.is_alive()
@@ -223,7 +235,7 @@ def test_axes_are_unitys() -> None:
 
 def test_a_reset_before_the_car_moved_keeps_the_road_and_later_ones_go_on() -> None:
     simulator = make_simulator("bullet")
-    talk = Conversation(simulator, ServedTests(roads=[ROAD, STRAIGHT]), print)
+    talk = Conversation(simulator, ServedTests(roads=[ROAD, STRAIGHT]))
     start = talk.answer({"msg_type": "load_scene", "scene_name": "generated_road"})[1]
     drive, reset, hold = control(0.0, 1.0), {"msg_type": "reset_car"}, control(0.0, 0.0, 1.0)
     assert talk.answer(reset) == [] and talk.answer(hold)[0] == start
@@ -242,10 +254,10 @@ def test_a_reset_before_the_car_moved_keeps_the_road_and_later_ones_go_on() -> N
     simulator.close()
 
 
-def test_images_are_scaled_and_grey_and_what_has_no_effect_is_said_once() -> None:
-    lines: list[str] = []
+def test_images_are_scaled_and_grey_and_what_has_no_effect_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, LOGGER)
     simulator = make_simulator("bullet")
-    talk = Conversation(simulator, ServedTests(roads=[ROAD]), lines.append)
+    talk = Conversation(simulator, ServedTests(roads=[ROAD]))
     talk.answer({"msg_type": "load_scene", "scene_name": "generated_road"})
     for _ in range(2):
         talk.answer({**OWN_PIXELS, "img_w": "80", "img_h": "40", "img_d": "1", "fov": "50"})
@@ -255,6 +267,7 @@ def test_images_are_scaled_and_grey_and_what_has_no_effect_is_said_once() -> Non
     expected = simulator.load(ROAD, seed=0).image.reshape(40, 4, 80, 4, 3).mean(axis=(1, 3)) @ [0.2126, 0.7152, 0.0722]
     assert image.shape == (40, 80, 3) and np.ptp(image, axis=2).max() == 0
     assert np.abs(image[..., 0] - expected).max() <= 1.0
+    lines = caplog.messages
     assert len(lines) == 2 and "fov left as they are" in lines[0] and "'lidar_config' has no effect" in lines[1]
     simulator.close()
 

@@ -21,6 +21,7 @@ import numpy as np
 import onnx
 
 from ds_analysis.paper.open_loop import Answers, predict
+from ds_cli.output import ScreenProgress
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
@@ -28,7 +29,7 @@ from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.weights import SHIPPED, compress, generators_in, load_weights
 from ds_driver.sim2real.stage import FOLDER, shipped_set_of
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Progress
+from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_road import Road
 from ds_sim.registry import SIMULATORS
 from ds_sim.simulator import Outcome
@@ -75,7 +76,7 @@ def main() -> None:
         sys.exit(f"the generators of {weights} are not shipped: put them into {SHIPPED / FOLDER}/NAME first")
     roads = _unseen_roads(arguments)
     assessed = f"{weights}@{arguments.backend}"
-    found = predict(arguments.offline, assessed, _print_progress)
+    found = predict(arguments.offline, assessed, ScreenProgress())
     success = _success_rates(assessed, roads, arguments.seed)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
@@ -145,7 +146,7 @@ def _unseen_roads(arguments: argparse.Namespace) -> list[Road]:
 def _ship_described(path: Path, arguments: argparse.Namespace) -> None:
     """Ship a network file with its description."""
     roads = _unseen_roads(arguments)
-    found = predict(arguments.offline, str(path), _print_progress)
+    found = predict(arguments.offline, str(path), ScreenProgress())
     manifest = json.loads((arguments.data / "manifest.json").read_text())
     training = json.loads((arguments.training / f"{path.stem}.training.json").read_text())
     network, collection = file_of(path, read_description(path)), manifest["plan"]
@@ -188,16 +189,12 @@ def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[
     settings = DriveSettings(siblings=tuple(SIMULATORS), driver=driver, gates="none")
     rates: dict[str, dict[str, float]] = {name: {} for name in SIMULATORS}
     for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
-        for name, found in drive_same_roads(settings, driven, seed, None, Progress(say=print)).items():
+        for name, found in drive_same_roads(settings, driven, seed, None, Callbacks()).items():
             completed = [one.outcome is Outcome.COMPLETED for one in found if one.outcome.is_verdict]
             if len(completed) < len(roads):
                 sys.exit(f"{name}, {way}: {len(roads) - len(completed)} drives ended in errors: fix them and try again")
             rates[name][way] = sum(completed) / len(roads)
     return rates
-
-
-def _print_progress(done: int, total: int, line: str) -> None:
-    print(f"{done}/{total} {line}", flush=True)
 
 
 def _gain(answers: Answers) -> float:

@@ -23,11 +23,11 @@ import numpy as np
 from benchmarks.recording.drives import polynomial
 
 from ds_analysis.common.driven_road import DrivenRoad
-from ds_cli.output import say
+from ds_cli.output import ScreenProgress, say
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.recordings import Reading
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_recording.floor_camera import read_camera
 from ds_recording.locate import located_of
@@ -139,7 +139,7 @@ def main() -> None:
         car = out / f"car of {name}.yaml"
         if not car.exists():
             logs = [read_log(folder) for folder in made]
-            fitted = fit([drive for log in logs for drive in log.drives], None, FitSettings(), say)
+            fitted = fit([drive for log in logs for drive in log.drives], None, FitSettings(), ScreenProgress())
             write_parameters(car, document_of(fitted, logs))
         for folder in made:
             (folder / "simulator.yaml").write_text(f"car: {car.resolve()}\ncrop_top: 40\n")
@@ -163,7 +163,7 @@ def main() -> None:
                     siblings=tuple(work), driver=f"{network}@onnx", gates="none", workers=arguments.workers
                 )
                 place = out / "drives" / network / label.replace(" ", "_") / name.replace(" ", "_")
-                driven = drive_tests(settings, work, place, Progress(say=lambda _: None))
+                driven = drive_tests(settings, work, place, Callbacks())
                 runs: list[DrivenRoad | None] = [
                     driven_road(driven, test, of) for of, test in zip(names, tests, strict=True)
                 ]

@@ -87,7 +87,7 @@ def main() -> None:
             restore(table, folder, backend=arguments.backend)
         keeper = Keeper(network, folder)
         config = config_of(network, arguments.backend, arguments.workers)
-        outcome = run_campaign(config, folder, keeper, say=print)
+        outcome = run_campaign(config, folder, keeper)
         if outcome.executions_in_error:
             print(f"{network}: {outcome.executions_in_error} executions ended in errors; the same command tries again")
         keeper.keep()

@@ -21,7 +21,7 @@ from pathlib import Path
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.networks.weights import SHIPPED, compress
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Progress
+from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_sim.simulator import Outcome
 from ds_studies.same_roads import drive_same_roads
 
@@ -44,7 +44,7 @@ def success_of(weights: Path, folder: Path, backend: str, workers: int) -> float
     settings = DriveSettings(siblings=("donkey",), driver=f"{weights}@{backend}", gates="none", workers=workers)
     completed = 0
     for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
-        found = drive_same_roads(settings, driven, SEED, folder / way, Progress(say=print))["donkey"]
+        found = drive_same_roads(settings, driven, SEED, folder / way, Callbacks())["donkey"]
         if not all(one.outcome.is_verdict for one in found):
             sys.exit(f"{weights}: a drive ended in an error: fix it and try again")
         completed += sum(one.outcome is Outcome.COMPLETED for one in found)

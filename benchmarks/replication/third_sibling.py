@@ -18,7 +18,7 @@ from benchmarks.replication.tables import THIRD, THIRD_RUN, of_runs, third_table
 
 from ds_analysis.common.parquet import write_tables
 from ds_cli.progress import ScreenListener
-from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 
 
 def main() -> None:
@@ -36,7 +36,7 @@ def main() -> None:
         data = of_runs(read(TABLES / f"{network}.parquet"), {THIRD_RUN})
         here = data.config.model_copy(update={"engine": "local", "workers": arguments.workers})
         settings = replace(here.drive_settings(), siblings=(THIRD,), twin=None)
-        progress = Progress(listen=ScreenListener, say=print)
+        progress = Callbacks(listen=ScreenListener)
         found = drive_tests(settings, {THIRD: data.tests}, arguments.folder / network, progress)
         config = here.model_copy(update={"siblings": [*here.siblings, THIRD]})
         driven = replace(data, config=config, executions=(*data.executions, *found.executions.values()))

@@ -27,7 +27,7 @@ from ds_orchestrator.campaign.config import CampaignConfig, read_config
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import CampaignData, prepare_folder, read_campaign, record_provenance, store_of
 from ds_orchestrator.campaign.runner import Campaign
-from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.engines.start import running_engine
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_road import road_from_json
@@ -93,7 +93,7 @@ def search(part: Part, folder: Path) -> CampaignData:
     prepare_folder(folder)
     with locked(folder), closing(store_of(folder, config)) as store:
         record_provenance(store, config.drive_settings(), folder)
-        with running_engine(config.drive_settings(), logs=folder / "logs", say=print) as engine:
+        with running_engine(config.drive_settings(), logs=folder / "logs") as engine:
             Campaign(config, folder, store, engine, Counter(part)).run()
         return read_campaign(store)
 
@@ -103,7 +103,7 @@ def drive(part: Part, tests: Sequence[Test], folder: Path) -> CampaignData:
     simulator = plan.SIMULATORS.get(part.where, part.where)
     settings = config_of(part, [simulator]).drive_settings()
     for _ in range(plan.PASSES):
-        progress = Progress(listen=lambda: nullcontext(Counter(part)), say=print)
+        progress = Callbacks(listen=lambda: nullcontext(Counter(part)))
         found = drive_tests(settings, {simulator: tests}, folder, progress)
         if not found.errors:
             break

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from ds_base.progress import SILENT
 from ds_driver.data.dataset import DatasetError, crops_of, decode, read_samples
 from ds_driver.data.recordings import Imported, Reading, import_recordings, open_recording
 from ds_driver.networks.images import Crop, fit_to_network
@@ -40,7 +41,7 @@ def picture(index: int) -> np.ndarray:
 
 
 def imported(tub: Path, out: Path, name: str = "car") -> Imported:
-    return import_recordings([open_recording(tub, Reading())], out, name, lambda *_: None)
+    return import_recordings([open_recording(tub, Reading())], out, name, SILENT)
 
 
 def test_a_tub_becomes_part_of_a_data_set(tub: Path, tmp_path: Path) -> None:

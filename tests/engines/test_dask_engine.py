@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,7 @@ import numpy as np
 import pytest
 from tests.engines.dask_processes import DaskProcesses, wait_until
 
+from ds_base.progress import LOGGER
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -44,14 +47,23 @@ class Lines(list[str]):
         return any(str(part) in line for line in self)
 
 
-def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW):  # type: ignore[no-untyped-def]
+@contextmanager
+def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW) -> Iterator[DaskEngine]:
     settings = DriveSettings(
         siblings=(simulator,),
         driver="autopilot",
         command_timeout=20.0,
         cluster=ClusterOptions(scheduler=cluster.address),
     )
-    return running_dask(settings, folder=folder, say=lines.append)
+    handler, logger = logging.Handler(), logging.getLogger(LOGGER)
+    handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        with running_dask(settings, folder=folder) as engine:
+            yield engine
+    finally:
+        logger.removeHandler(handler)
 
 
 def expected(folder: Path, count: int) -> list[bytes]:
@@ -175,7 +187,7 @@ def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses,
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_an_own_cluster_of_any_size_gives_the_same_bytes(tmp_path: Path, count: int) -> None:
     settings = DriveSettings(siblings=(QUICK,), driver="autopilot", workers=count, command_timeout=20.0)
-    with running_dask(settings, folder=tmp_path / "own", say=print) as engine:
+    with running_dask(settings, folder=tmp_path / "own") as engine:
         assert Drives(engine, QUICK, 60).encoded() == expected(tmp_path, 60)
 
 
@@ -201,11 +213,11 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
         file.write_text(f"scheduler: {cluster.address}\ntls: {{ca: {cert}, cert: {cert}, key: {key}}}\n")
         right = read_cluster(file)
         settings = DriveSettings(siblings=(QUICK,), driver="autopilot", command_timeout=20.0, cluster=right)
-        with running_dask(settings, folder=tmp_path, say=print) as engine:
+        with running_dask(settings, folder=tmp_path) as engine:
             assert len(Drives(engine, QUICK, 5).encoded()) == 5
         other = ClusterOptions(scheduler=cluster.address, tls=TlsFiles(ca=wrong, cert=wrong, key=wrong_key))
         refused = pytest.raises(ClusterError, match="refuses this TLS connection")
-        with refused, running_dask(replace(settings, cluster=other), folder=tmp_path, say=print):
+        with refused, running_dask(replace(settings, cluster=other), folder=tmp_path):
             pass
     finally:
         cluster.close()

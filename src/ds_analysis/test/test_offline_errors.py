@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from progress_lines import ProgressLines
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
 from ds_analysis.paper.open_loop import ErrorsError, architecture_of, predict
 from ds_analysis.paper.paper_tables import error_tables
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
+from ds_base.progress import SILENT
 from ds_driver.data.dataset import write_drive
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
@@ -117,18 +119,18 @@ def test_predictions_over_a_data_set(tmp_path: Path) -> None:
             for k, label in enumerate(labels)
         ]  # fmt: skip
         write_drive(tmp_path / "data" / simulator / "r-forward.parquet", rows)
-    told: list[str] = []
+    told = ProgressLines()
     found = predict(
         tmp_path / "data",
         str(tmp_path / "biased.safetensors"),
-        lambda done, total, line: told.append(f"{done}/{total}"),
+        told,
     )
     assert found["bullet"].absolute_errors == pytest.approx([0.75, 0.25, 0.5], abs=1e-3)
-    assert found["donkey"].recorded == pytest.approx([1.0, 0.9]) and told == ["5/5"]
-    few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), lambda *_: None, images=2)
+    assert found["donkey"].recorded == pytest.approx([1.0, 0.9]) and (told.done, told.total) == (5, 5)
+    few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), SILENT, images=2)
     assert few["bullet"].recorded == pytest.approx([0.5, 0.75])
     with pytest.raises(ErrorsError, match="name a network"):
-        predict(tmp_path / "data", "autopilot", lambda *_: None)
+        predict(tmp_path / "data", "autopilot", SILENT)
 
 
 class Summing:
@@ -154,12 +156,12 @@ def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_p
 
     name = f"{__name__}:Summing"
     each = 100 / 25500 + 0.1
-    whole = predict(written(tmp_path / "whole", [0, 1, 2]), name, lambda *_: None)["bullet"]
+    whole = predict(written(tmp_path / "whole", [0, 1, 2]), name, SILENT)["bullet"]
     assert whole.answered == pytest.approx([each, 2 * each, 3 * each] * 2, abs=1e-3)
-    few = predict(tmp_path / "whole", name, lambda *_: None, images=4)["bullet"]
+    few = predict(tmp_path / "whole", name, SILENT, images=4)["bullet"]
     assert few.answered == pytest.approx([each, 2 * each, 3 * each, each], abs=1e-3)
     with pytest.raises(ErrorsError, match="leaves out frames of bullet, and .* remembers .*: collect with --every 1"):
-        predict(written(tmp_path / "thin", [0, 3, 6]), name, lambda *_: None)
+        predict(written(tmp_path / "thin", [0, 3, 6]), name, SILENT)
 
 
 def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:

@@ -20,8 +20,6 @@ _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 USER_DOMAIN = "DS_USER_ROS_DOMAIN_ID"
 """Variable with the user's ROS domain, in the processes of a graph that has a domain of its own."""
-Progress = Callable[[int, int, str], None]
-"""Called with the number of jobs done, their total number, and a line about the last one."""
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 

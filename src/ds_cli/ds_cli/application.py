@@ -20,7 +20,7 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from ds_base.errors import DsError, RunError
-from ds_cli.output import Interrupted
+from ds_cli.output import Interrupted, show_lines
 from ds_cli.verbs import COMPLETION_VARIABLE, PACKAGE, VERBS, overview
 from ds_orchestrator.graph import signals
 
@@ -81,6 +81,7 @@ def run(arguments: Sequence[str]) -> int:
     Returns:
         Exit status.
     """
+    show_lines()
     try:
         status = make_app().main(
             args=[one for one in arguments if one != DEBUG],

@@ -137,7 +137,7 @@ def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
         tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
         running_graph(
             {sim: namespace}, request.driver, command_timeout=COMMAND_TIMEOUT, logs=Path(logs), attach=request.attach,
-            wait=request.wait if request.attach else START_WAIT, report=say,
+            wait=request.wait if request.attach else START_WAIT,
         ) as executor,
         _recorder(executor, request) as recorder,
         DriveProgress(f"{sim} drives") as progress,

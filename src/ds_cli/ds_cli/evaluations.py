@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from ds_cli.options import JsonFlag, Trust
-from ds_cli.output import Interrupted, Result, answer, countdown
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer
 
 if TYPE_CHECKING:
     from ds_analysis.common.table import Table
@@ -74,7 +74,7 @@ def _offline_tables(
     from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
 
     try:
-        found = predict(data, driver, countdown(), images=images, trusted=trusted)
+        found = predict(data, driver, ScreenProgress(), images=images, trusted=trusted)
     except KeyboardInterrupt:
         raise Interrupted from None
     names = siblings if siblings is not None else [name for name in found if name != twin]

@@ -24,7 +24,7 @@ from ds_cli.options import (
     rows_of,
     simulators_of,
 )
-from ds_cli.output import Interrupted, Result, answer, countdown, say
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer
 
 if TYPE_CHECKING:
     pass
@@ -63,7 +63,7 @@ def collect_command(
     count = (roads or 25) if given is None else len(given)
     plan = CollectionPlan(roads=count, seed=seed, every=every, disturbance=disturbance)
     try:
-        collect(plan, simulators, out, countdown(), given)
+        collect(plan, simulators, out, ScreenProgress(), given)
     except KeyboardInterrupt:
         files = [file for file in out.rglob("*.parquet") if not file.name.startswith(".")] if out.is_dir() else []
         drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
@@ -91,7 +91,7 @@ def import_command(
 
     reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), trusted=tuple(trust or ()))
     try:
-        found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, countdown())
+        found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, ScreenProgress())
     except KeyboardInterrupt:
         raise Interrupted from None
 
@@ -136,7 +136,7 @@ def train_command(
         weights_at=_steps_of(weights_at), threads=threads, device=device, start=start or "",
     )  # fmt: skip
     try:
-        train(data, out, plan, say, trusted=trust or [])
+        train(data, out, plan, ScreenProgress(), trusted=trust or [])
     except KeyboardInterrupt:
         known = (out / "checkpoint.pt").is_file()
         raise Interrupted(

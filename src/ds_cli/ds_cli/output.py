@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
+
+from ds_base.progress import LOGGER
 
 if TYPE_CHECKING:
     from ds_analysis.common.table import Table
@@ -80,26 +83,60 @@ def duration(seconds: float) -> str:
 
 
 KEPT = 0.05
-"""Seconds; what is done within them, at the beginning, was done by an earlier call; chosen: no drive is so short."""
+"""Seconds an item; items reported faster than this at the start were done by an earlier call, and do not count for the
+time left. Chosen: no drive is so short."""
 
 
-def countdown(now: Callable[[], float] = time.monotonic) -> Callable[[int, int, str], None]:
-    """A function that prints what is done and how long the rest takes at the pace of this call.
+class ScreenProgress:
+    """Prints lines of a `ds_base.progress.Progress` with what is done, and how long the rest takes at this pace.
 
     Args:
         now: steady clock, s.
     """
-    started, kept = now(), 0
 
-    def progress(done: int, total: int, line: str) -> None:
-        nonlocal kept
-        passed = now() - started
-        if passed < KEPT * (done - kept) and passed < 1.0:
-            kept = done
-        left = passed / (done - kept) * (total - done) if kept < done < total else None
-        say(f"{done}/{total} {line}" + ("" if left is None else f"; about {duration(left)} left"))
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now = now
+        self.start(0)
 
-    return progress
+    def start(self, total: float) -> None:
+        """See `Progress.start`."""
+        self._total, self._began, self._done, self._kept = total, self._now(), 0.0, 0.0
+
+    def advance(self, amount: float = 1, line: str = "") -> None:
+        """See `Progress.advance`."""
+        self._done = min(self._done + amount, self._total)
+        passed = self._now() - self._began
+        if passed < KEPT * (self._done - self._kept) and passed < 1.0:
+            self._kept = self._done
+        if line:
+            self.describe(line)
+
+    def describe(self, line: str) -> None:
+        """See `Progress.describe`."""
+        share = (
+            f"{self._done / self._total:.0%}" if isinstance(self._total, float) else f"{self._done:.0f}/{self._total}"
+        )
+        left = ""
+        if self._kept < self._done < self._total:
+            pace = (self._now() - self._began) / (self._done - self._kept)
+            left = f"; about {duration(pace * (self._total - self._done))} left"
+        say(f"{share} {line}{left}")
+
+
+class ScreenLines(logging.Handler):
+    """Prints the lines of the product's loggers."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a line."""
+        say(record.getMessage())
+
+
+def show_lines() -> None:
+    """Print lines of the product's loggers on standard error from now on."""
+    logger = logging.getLogger(LOGGER)
+    logger.setLevel(logging.INFO)
+    if not logger.handlers:
+        logger.addHandler(ScreenLines())
 
 
 def number(value: float | None) -> str:

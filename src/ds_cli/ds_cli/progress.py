@@ -82,6 +82,14 @@ class ScreenListener(Listener):
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
 
 
+class StageLines(Listener):
+    """Prints the stages of what is computed after driving."""
+
+    def stage(self, name: str) -> None:
+        """Print the stage."""
+        say(f"stage: {name}")
+
+
 def _outcome(execution: Execution | Gate | None) -> str:
     if isinstance(execution, Gate):
         return f"{execution.state.value}, {execution.message}"

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from ds_cli.options import JsonFlag
-from ds_cli.output import Interrupted, Result, answer, countdown, say
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer
 
 app = typer.Typer()
 recording_app = typer.Typer(help="Make a track, a twin and a sibling of a car's recording.", no_args_is_help=True)
@@ -52,8 +52,8 @@ def locate_command(
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     try:
         known = read_camera(camera)
-        views = read_views(source, reading, say, odometry, centre)
-        found, fit = located_of(views, known, lane_width, progress=countdown())
+        views = read_views(source, reading, odometry, centre)
+        found, fit = located_of(views, known, lane_width, progress=ScreenProgress())
         found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
         write_located(out, found)
         page = write_page(out / "index.html", views, found, fit)

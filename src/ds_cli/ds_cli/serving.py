@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from ds_cli.options import Lane, MaxAngle, Seed, Simulator, complete_value
-from ds_cli.output import Interrupted, say
+from ds_cli.output import Interrupted
 
 app = typer.Typer()
 serve_app = typer.Typer(help="Serve a simulator to clients of another one's protocol.", no_args_is_help=True)
@@ -52,7 +52,7 @@ def serve_donkey_command(
 
     roads = [one_road(None, seed, max_angle, lane)] if road is None else roads_of(road, lane)
     tests = ServedTests(roads=roads, seed=seed, conditions=parse_conditions(conditions))
-    server = DonkeyServer(sim, tests, patience=timeout, most_clients=clients, report=say)
+    server = DonkeyServer(sim, tests, patience=timeout, most_clients=clients)
 
     def listening(chosen: int) -> None:
         print(f"serving {sim} on {host}:{chosen}", flush=True)

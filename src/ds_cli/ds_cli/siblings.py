@@ -89,7 +89,7 @@ def siblings_compare_command(
     from ds_cli.roads import roads_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import DriveSettings
-    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.same_roads import drive_same_roads
 
     driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
@@ -103,7 +103,7 @@ def siblings_compare_command(
         make_folder(out)
     folder = None if out is None else out / "drives"
     with stopped_in(folder):
-        runs = drive_same_roads(settings, chosen, seed, folder, Progress(listen=ScreenListener, say=say))
+        runs = drive_same_roads(settings, chosen, seed, folder, Callbacks(listen=ScreenListener))
     table = table_of_runs(runs)
     pairs, judged = compare(table), table.judged()
     say("analysing")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ds_cli.options import JsonFlag, Simulator
-from ds_cli.output import Interrupted, Result, answer, countdown, say
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 
 app = typer.Typer()
 sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
@@ -53,7 +53,7 @@ def train_command(
     changes: dict[str, Any] = {"epochs": epochs, "steps": steps}
     settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
     try:
-        sources = read_sources(sim, real, out, settings, countdown(), data_sets=unlike or [])
+        sources = read_sources(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
         match = sources.match
         for name, window, position in zip(
             (sim, "photographs"), (match.simulated, match.real), match.positions, strict=True
@@ -62,7 +62,7 @@ def train_command(
         domains, warnings = prepare_domains(sources, real, out)
         for warning in warnings:
             say(f"warning: {warning}")
-        history = train(domains, settings, out, say)
+        history = train(domains, settings, out, ScreenProgress())
     except KeyboardInterrupt:
         kept = (out / CHECKPOINT).is_file()
         line = f"the finished epochs are kept in {out}; the same command continues" if kept else ""
@@ -124,7 +124,7 @@ def translate_command(
         files = list(open_set(str(generator)).files.values())
     translators = (Translator(load_generator(file), backend) for file in files)
     try:
-        count = sum(translate(source, out, one, countdown(), workers=workers) for one in translators)
+        count = sum(translate(source, out, one, ScreenProgress(), workers=workers) for one in translators)
     except KeyboardInterrupt:
         raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
     answer(Result(document={"out": str(out), "translated": count}, show=lambda: print(out)), as_json)

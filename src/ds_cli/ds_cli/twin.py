@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_cli.options import JsonFlag
-from ds_cli.output import Interrupted, Result, answer, duration, say
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 from ds_sim.conditions.text import three_digits
 
 MISFIT = 2.0
@@ -22,49 +20,6 @@ MISFIT = 2.0
 app = typer.Typer()
 twin_app = typer.Typer(help="Fit the digital twin to recorded drives.", no_args_is_help=True)
 app.add_typer(twin_app, name="twin")
-
-
-TYPICAL = (4, 4, 8)
-"""Iterations of the three phases of a fit that usually suffice, measured on drives of the twin: for the time left."""
-COST = (1.0, 2.5, 6.0)
-"""Relative duration of their iterations, measured likewise."""
-
-
-class FitProgress:
-    """Prints a fit's messages with the time so far and an estimate of the time left.
-
-    Args:
-        now: steady clock, s.
-        out: prints a line.
-    """
-
-    def __init__(self, now: Callable[[], float] = time.monotonic, out: Callable[[str], None] = say) -> None:
-        self._now, self._out = now, out
-        self._began = self._phase_began = now()
-        self._phase, self._iterations = 0, 0
-        self._unit = 0.0
-
-    def __call__(self, line: str) -> None:
-        """Print a message of the fit."""
-        now = self._now()
-        if line.startswith("phase "):
-            self._phase, self._iterations, self._phase_began = int(line.split()[1]), 0, now
-        elif line.startswith("iteration ") and self._phase:
-            self._iterations += 1
-            # Seconds of an iteration of the first phase, from the present phase.
-            self._unit = (now - self._phase_began) / self._iterations / COST[self._phase - 1]
-        left = self.seconds_left()
-        self._out(
-            f"[{duration(now - self._began)}] {line}" + ("" if left is None else f"; about {duration(left)} left")
-        )
-
-    def seconds_left(self) -> float | None:
-        """Estimated seconds left; None before the first iteration."""
-        if not self._unit:
-            return None
-        at_least_one = max(TYPICAL[self._phase - 1] - self._iterations, 1)
-        rest = zip(TYPICAL[self._phase :], COST[self._phase :], strict=True)
-        return self._unit * (at_least_one * COST[self._phase - 1] + sum(count * cost for count, cost in rest))
 
 
 @twin_app.command("fit")
@@ -110,9 +65,9 @@ def twin_fit_command(
     mounting = None
     try:
         if located:
-            found, mounting = fit_located(drives, begin, settings, FitProgress())
+            found, mounting = fit_located(drives, begin, settings, ScreenProgress())
         else:
-            found = fit(drives, begin, settings, FitProgress())
+            found = fit(drives, begin, settings, ScreenProgress())
     except KeyboardInterrupt:
         raise Interrupted from None
     for name, ratio in found.misfit.items():

@@ -11,6 +11,7 @@ import torch
 
 from ds_analysis.paper.campaign_evaluation import network_of
 from ds_analysis.paper.open_loop import predict
+from ds_base.progress import SILENT
 from ds_driver.data.dataset import drive_path, keep_import, write_drive
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
@@ -79,7 +80,7 @@ def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Pa
         write_drive(drive_path(tmp_path / folder, "bullet", "r", "forward"), [row])
     keep_import(tmp_path / "translated", "bullet", {"sim2real": "0"})
     found = {
-        name: float(predict(tmp_path / name, str(weights), lambda done, total, line: None)["bullet"].answered[0])
+        name: float(predict(tmp_path / name, str(weights), SILENT)["bullet"].answered[0])
         for name in ("plain", "translated")
     }
     from ds_driver.data.dataset import decode

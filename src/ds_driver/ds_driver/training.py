@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ds_base.atomic_files import whole_file, write_json
+from ds_base.progress import Progress
 from ds_driver.data.dataset import (
     DatasetError,
     Sample,
@@ -44,7 +45,6 @@ from ds_driver.networks.weights import architecture_in, generators_in, path_of_w
 CHECKPOINT = "checkpoint.pt"
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 """Options of mallopt(3)."""
-Report = Callable[[str], None]
 MAX_SHIFT = (50, 5)
 """Largest shift in columns and rows (maxitwo)."""
 STEERING_PER_COLUMN = 0.002
@@ -128,7 +128,7 @@ def train(
     data: Path | Sequence[Path],
     out: Path,
     plan: TrainingPlan,
-    report: Report,
+    progress: Progress,
     crops: dict[str, Crop] | None = None,
     *,
     trusted: Collection[str] = (),
@@ -176,9 +176,10 @@ def train(
         network.load_state_dict(state["network"])
         optimizer.load_state_dict(state["optimizer"])
         history = [Epoch(**entry) for entry in state["history"]]
-    report(
-        f"{len(training)} images for training, {len(validation)} for validation, {len(history)} epochs completed before"
-    )
+    batches = len(training) // plan.batch_size
+    progress.start(batches * plan.epochs)
+    counts = f"{len(training)} images for training, {len(validation)} for validation"
+    progress.advance(batches * len(history), f"{counts}, {len(history)} epochs completed before")
     while len(history) < plan.epochs and not _stalled(history, plan.patience):
         number = len(history) + 1
         started = time.monotonic()
@@ -189,14 +190,13 @@ def train(
                 file = out / f"{plan.network}_{step}.safetensors"
                 save_weights(network, file, architecture=plan.network, generators=generators)
 
-        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, report, keep)
+        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, progress, keep)
         validation_loss = _validate(network, validation, crops, plan)
         seconds = round(time.monotonic() - started, 1)
         history.append(
             Epoch(epoch=number, training_loss=training_loss, validation_loss=validation_loss, seconds=seconds)
         )
-        left = (plan.epochs - number) * history[-1].seconds / 60
-        report(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}, {left:.0f} min left")
+        progress.describe(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}")
         if validation_loss == min(e.validation_loss for e in history):
             file = out / f"{plan.network}.safetensors"
             save_weights(network, file, architecture=plan.network, generators=generators)
@@ -304,7 +304,7 @@ def _train_epoch(
     crops: dict[str, Crop],
     plan: TrainingPlan,
     number: int,
-    report: Report,
+    progress: Progress,
     keep: Callable[[int], None],
 ) -> float:
     """Train for one epoch; `keep` hears of every step, counted from 1 over all epochs; return the mean loss."""
@@ -327,9 +327,9 @@ def _train_epoch(
         optimizer.step()
         losses.append(loss.item())
         keep((number - 1) * len(batches) + index)
-        if index % 50 == 0:
-            speed = index * plan.batch_size / (time.monotonic() - started)
-            report(f"epoch {number}: {index}/{len(batches)} batches, loss {np.mean(losses[-50:]):.5f}, {speed:.0f}/s")
+        speed = index * plan.batch_size / (time.monotonic() - started)
+        line = f"batches; epoch {number}: loss {np.mean(losses[-50:]):.5f}, {speed:.0f} images a second"
+        progress.advance(line="" if index % 50 else line)
     return float(np.mean(losses))
 
 

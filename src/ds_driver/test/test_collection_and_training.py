@@ -12,7 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from progress_lines import ProgressLines
 
+from ds_base.progress import SILENT
 from ds_driver.data.collection import CollectionPlan, collect, given_roads, roads_both_ways
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples, write_manifest
 from ds_driver.networks.images import Crop
@@ -28,7 +30,7 @@ PLAN = CollectionPlan(roads=2, seed=5, max_angle=60, every=12)
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
-    collect(PLAN, ["donkey"], folder, lambda *_: None)
+    collect(PLAN, ["donkey"], folder, SILENT)
     return folder
 
 
@@ -43,15 +45,15 @@ def test_every_road_is_driven_both_ways_and_labelled_by_the_autopilot(data: Path
 
 
 def test_a_stopped_collection_resumes_with_the_same_result(data: Path, tmp_path: Path) -> None:
-    lines: list[str] = []
+    told = ProgressLines()
     first = sorted((data / "donkey").glob("*.parquet"))[1]
     before = {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")}
     first.unlink()
-    collect(PLAN, ["donkey"], data, lambda done, total, line: lines.append(line))
-    assert lines[0] == "3 drives are there already" and len(lines) == 2
+    collect(PLAN, ["donkey"], data, told)
+    assert told.lines[0] == "3 drives are there already" and len(told.lines) == 2
     assert {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")} == before
     with pytest.raises(DatasetError, match="another plan"):
-        collect(replace(PLAN, every=1), ["donkey"], data, lambda *_: None)
+        collect(replace(PLAN, every=1), ["donkey"], data, SILENT)
     write_manifest(data, {"seed": 5})
     manifest = json.loads((data / "manifest.json").read_text())
     assert manifest["images"]["donkey"] == sum(manifest["steering"]["donkey"]) > 50
@@ -73,14 +75,14 @@ def test_given_roads_are_driven_under_the_conditions_of_their_tests(tmp_path: Pa
         ((index, distance),) = changes
         assert index in (4, 5, 6) and distance <= 6
     assert [one.name for one in given_roads(file, mutants=1, seed=1)] == [one.name for one in given]
-    collect(PLAN, ["donkey"], tmp_path / "new", lambda *_: None, [given[0], given[2]])
+    collect(PLAN, ["donkey"], tmp_path / "new", SILENT, [given[0], given[2]])
     files = sorted((tmp_path / "new" / "donkey").glob("*-forward.parquet"))
     fog, clear = sorted(files, key=lambda path: "+" not in path.name)
     seen = [decode(pq.read_table(path)["image"][1].as_py()) for path in (fog, clear)]
     assert seen[0].std() < 0.8 * seen[1].std()
     assert pq.read_table(fog)["road_id"].unique().to_pylist() == [road.road_id]
     with pytest.raises(DatasetError, match="another plan"):
-        collect(PLAN, ["donkey"], tmp_path / "new", lambda *_: None, given[:1])
+        collect(PLAN, ["donkey"], tmp_path / "new", SILENT, given[:1])
     for content, problem in (("[]", "holds no road"), (json.dumps([{**test, "conditions": 3}]), "road 0: its cond")):
         file.write_text(content)
         with pytest.raises(DatasetError, match=problem):
@@ -115,27 +117,27 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
     def plan(epochs: int) -> TrainingPlan:
         return TrainingPlan(epochs=epochs, batch_size=16, learning_rate=1e-3, validation=0.5, threads=1)
 
-    whole = train(data, tmp_path / "whole", plan(2), lambda _: None, crops)
-    train(data, tmp_path / "parts", plan(1), lambda _: None, crops)
-    parts = train(data, tmp_path / "parts", plan(2), lambda _: None, crops)
+    whole = train(data, tmp_path / "whole", plan(2), SILENT, crops)
+    train(data, tmp_path / "parts", plan(1), SILENT, crops)
+    parts = train(data, tmp_path / "parts", plan(2), SILENT, crops)
     assert [e.training_loss for e in whole] == [e.training_loss for e in parts]
     assert whole[1].training_loss < whole[0].training_loss
     best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
     assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
-    train(data, tmp_path / "steps", replace(plan(2), weights_at=(4, 8)), lambda _: None, crops)
+    train(data, tmp_path / "steps", replace(plan(2), weights_at=(4, 8)), SILENT, crops)
     kept = [(tmp_path / "steps" / f"dave2_{step}.safetensors").read_bytes() for step in (4, 8)]
     lowest = min((0, 1), key=lambda k: whole[k].validation_loss)
     assert kept[lowest] == best != kept[1 - lowest]
     with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
-        train(data, tmp_path / "parts", replace(plan(2), seed=9), lambda _: None, crops)
+        train(data, tmp_path / "parts", replace(plan(2), seed=9), SILENT, crops)
     with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
-        train(data, tmp_path / "parts", plan(3), lambda _: None, {"donkey": Crop(50, 0)})
+        train(data, tmp_path / "parts", plan(3), SILENT, {"donkey": Crop(50, 0)})
     with pytest.raises(DatasetError, match="75 images for training, expected at least one batch of 128"):
-        train(data, tmp_path / "few", replace(plan(1), batch_size=128), lambda _: None, crops)
+        train(data, tmp_path / "few", replace(plan(1), batch_size=128), SILENT, crops)
     for content in (b"", b"no checkpoint"):
         (tmp_path / "parts" / CHECKPOINT).write_bytes(content)
         with pytest.raises(TrainingError, match="cannot be read"):
-            train(data, tmp_path / "parts", plan(2), lambda _: None, crops)
+            train(data, tmp_path / "parts", plan(2), SILENT, crops)
 
 
 def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_path: Path) -> None:
@@ -145,20 +147,20 @@ def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_p
     crops, new = {"donkey": Crop(60, 0)}, tmp_path / "new"
     (new / "donkey").mkdir(parents=True)
     shutil.copy(next((data / "donkey").glob("*.parquet")), new / "donkey")
-    lines: list[str] = []
-    train([data, new], tmp_path / "tuned", plan, lines.append, crops)
+    told = ProgressLines()
+    train([data, new], tmp_path / "tuned", plan, told, crops)
     with pytest.raises(TrainingError, match="other settings or images"):
-        train(data, tmp_path / "tuned", plan, lines.append, crops)
+        train(data, tmp_path / "tuned", plan, told, crops)
     tuned, start = (load_weights(str(n)).tensors for n in (tmp_path / "tuned" / "dave2.safetensors", "dave2_short"))
     assert max(float(np.abs(tuned[name] - start[name]).max()) for name in start) < 1e-3
-    again = train([data, new], tmp_path / "tuned", replace(plan, epochs=2), lines.append, crops)
-    assert len(again) == 2 and any("1 epochs completed before" in line for line in lines)
+    again = train([data, new], tmp_path / "tuned", replace(plan, epochs=2), told, crops)
+    assert len(again) == 2 and any("1 epochs completed before" in line for line in told.lines)
     with pytest.raises(TrainingError, match="other settings or images"):
-        train([data, new], tmp_path / "tuned", replace(plan, start="dave2"), lines.append, crops)
+        train([data, new], tmp_path / "tuned", replace(plan, start="dave2"), told, crops)
     with pytest.raises(TrainingError, match="dave2_short is no chauffeur: leave out --network"):
-        train(data, tmp_path / "other", replace(plan, network="chauffeur"), lines.append, crops)
+        train(data, tmp_path / "other", replace(plan, network="chauffeur"), told, crops)
     with pytest.raises(TrainingError, match="dave2_real sees translated images"):
-        train(data, tmp_path / "other", replace(plan, start="dave2_real"), lines.append, crops)
+        train(data, tmp_path / "other", replace(plan, start="dave2_real"), told, crops)
 
 
 def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:

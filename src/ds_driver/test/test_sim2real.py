@@ -14,10 +14,12 @@ import numpy as np
 import pytest
 import torch
 from numpy.typing import NDArray
+from progress_lines import ProgressLines
 
 from ds_bags.layout import Level
 from ds_bags.run_writer import write_bag
 from ds_base.atomic_files import write_whole
+from ds_base.progress import SILENT
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, write_drive
 from ds_driver.data.recordings import Reading, open_recording
@@ -174,7 +176,7 @@ def test_the_learning_rate_is_constant_and_then_falls_to_nothing() -> None:
 
 
 def test_a_stored_generator_has_the_weights_that_were_trained(tmp_path: Path) -> None:
-    train(domains(np.random.default_rng(3)), SETTINGS, tmp_path, lambda line: None)
+    train(domains(np.random.default_rng(3)), SETTINGS, tmp_path, SILENT)
     trained = torch.load(tmp_path / CHECKPOINT, weights_only=True)["networks"][0]
     stored = load_generator(tmp_path / EPOCHS / "epoch_002.safetensors").tensors
     assert stored.keys() == trained.keys()
@@ -186,30 +188,31 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
     data = domains(np.random.default_rng(3))
     for name in ("whole", "stopped"):
         (tmp_path / name).mkdir()
-    train(data, SETTINGS, tmp_path / "whole", lambda line: None)
+    train(data, SETTINGS, tmp_path / "whole", SILENT)
 
-    def stop(line: str) -> None:
-        if line.startswith("epoch 2/2, step 2"):
-            raise KeyboardInterrupt
+    class Stopping(ProgressLines):
+        def describe(self, line: str) -> None:
+            if self.done == 4:
+                raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(data, SETTINGS, tmp_path / "stopped", stop)
-    lines: list[str] = []
-    train(data, SETTINGS, tmp_path / "stopped", lines.append)
-    assert lines[0].startswith("epoch 2/2") and "left" in lines[0]
+        train(data, SETTINGS, tmp_path / "stopped", Stopping())
+    told = ProgressLines()
+    train(data, SETTINGS, tmp_path / "stopped", told)
+    assert told.total == 4 and told.lines[0].startswith("steps; epoch 2/2")
     names = sorted(path.name for path in (tmp_path / "whole" / EPOCHS).iterdir())
     assert names == [f"epoch_00{i}.{kind}" for i in (1, 2) for kind in ("png", "safetensors")]
     for name in names:
         contents = [(tmp_path / folder / EPOCHS / name).read_bytes() for folder in ("whole", "stopped")]
         assert contents[0] == contents[1], name
     with pytest.raises(TrainingError, match="other settings or images"):
-        train(data, replace(SETTINGS, seed=2), tmp_path / "whole", lines.append)
+        train(data, replace(SETTINGS, seed=2), tmp_path / "whole", told)
 
 
 def test_a_full_disk_and_a_damaged_checkpoint_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = domains(np.random.default_rng(3))
     one = replace(SETTINGS, epochs=1, steps=1)
-    train(data, one, tmp_path, lambda line: None)
+    train(data, one, tmp_path, SILENT)
     kept = (tmp_path / CHECKPOINT).read_bytes()
 
     def full(path: Path, content: bytes) -> int:
@@ -222,7 +225,7 @@ def test_a_full_disk_and_a_damaged_checkpoint_lose_nothing(tmp_path: Path, monke
     assert (tmp_path / CHECKPOINT).read_bytes() == kept and not list(tmp_path.glob(".*partial"))
     (tmp_path / CHECKPOINT).write_bytes(kept[: len(kept) // 2])
     with pytest.raises(TrainingError, match="delete it and train again"):
-        train(data, one, tmp_path, lambda line: None)
+        train(data, one, tmp_path, SILENT)
 
 
 def test_lines_are_found_and_a_picture_without_any_has_none() -> None:
@@ -302,7 +305,7 @@ def test_a_training_draws_real_images_from_the_pairs(tmp_path: Path) -> None:
     results = []
     for name, real in (("one", data.real), ("other", changed)):
         (tmp_path / name).mkdir()
-        results.append(train(replace(data, real=real, pairs=pairs), SETTINGS, tmp_path / name, lambda line: None))
+        results.append(train(replace(data, real=real, pairs=pairs), SETTINGS, tmp_path / name, SILENT))
     assert results[0] == results[1], "an image that nothing is paired with is never seen"
 
 
@@ -362,24 +365,24 @@ def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Pa
         rows = [{"image": image, "simulator": name, **about} for image in images]
         write_drive(drive_path(data, name, "r", "forward"), rows)
     translator = Translator(tiny_generator(tmp_path / "g.safetensors"))
-    done: list[str] = []
-    assert translate(data, out, translator, lambda i, n, line: done.append(line)) == 1 and len(done) == 1
+    told = ProgressLines()
+    assert translate(data, out, translator, told) == 1 and len(told.lines) == 1
     samples = read_samples(out)
     assert [sample.simulator for sample in samples] == ["bullet"] * 2 and samples[0].steering == 0.5
     assert samples[0].jpeg == jpeg(translator.translate(decode(images[0])))
     assert crops_of(out, ["bullet"]) == {"bullet": Crop()}
     file = drive_path(out, "bullet", "r", "forward")
     content, written = file.read_bytes(), file.stat().st_mtime_ns
-    translate(data, out, translator, lambda i, n, line: None)
+    translate(data, out, translator, SILENT)
     assert file.stat().st_mtime_ns == written
-    translate(data, tmp_path / "again", translator, lambda i, n, line: None, workers=2)
+    translate(data, tmp_path / "again", translator, SILENT, workers=2)
     assert drive_path(tmp_path / "again", "bullet", "r", "forward").read_bytes() == content
     other = Translator(tiny_generator(tmp_path / "other.safetensors", seed=2))
     with pytest.raises(Sim2RealError, match="another generator"):
-        translate(data, out, other, lambda i, n, line: None)
+        translate(data, out, other, SILENT)
     donkey = Translator(tiny_generator(tmp_path / "donkey.safetensors", simulator="donkey"))
     with pytest.raises(Sim2RealError, match="has no drives of donkey"):
-        translate(data, tmp_path / "x", donkey, lambda i, n, line: None)
+        translate(data, tmp_path / "x", donkey, SILENT)
     with pytest.raises(Sim2RealError, match="camera images of simulators"):
         translator.translate(np.zeros((120, 160, 3), np.uint8))
 
@@ -403,7 +406,7 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
     for level in ("raw", "compressed"):
         out = tmp_path / f"{level}_real"
         before = list(open_recording(tmp_path / level, Reading()).frames())
-        assert translate(tmp_path / level, out, translator, lambda i, n, line: None) == len(before)
+        assert translate(tmp_path / level, out, translator, SILENT) == len(before)
         recording = open_recording(out, Reading())
         after = list(recording.frames())
         assert recording.crop == Crop() and [f.steering for f in after] == [f.steering for f in before]
@@ -413,14 +416,14 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
             if level == "compressed":
                 expected = decode(jpeg(expected))
             assert np.array_equal(frame.image, expected)
-        translate(tmp_path / level, tmp_path / level / "again" / out.name, translator, lambda i, n, line: None)
+        translate(tmp_path / level, tmp_path / level / "again" / out.name, translator, SILENT)
         copies = [file.read_bytes() for file in sorted(tmp_path.rglob(f"{level}_real.mcap"))]
         assert len(copies) == 2 and copies[0] == copies[1]
         with pytest.raises(Sim2RealError, match="translated already"):
-            translate(out, tmp_path / "x", translator, lambda i, n, line: None)
+            translate(out, tmp_path / "x", translator, SILENT)
     donkey = Translator(tiny_generator(tmp_path / "donkey.safetensors", simulator="donkey"))
     with pytest.raises(Sim2RealError, match="translates images of donkey, these are of bullet"):
-        translate(tmp_path / "raw", tmp_path / "x", donkey, lambda i, n, line: None)
+        translate(tmp_path / "raw", tmp_path / "x", donkey, SILENT)
 
 
 def test_generators_that_are_damaged_or_of_another_simulator_are_refused(tmp_path: Path) -> None:
@@ -443,20 +446,19 @@ def test_from_photographs_to_a_set_of_generators(tmp_path: Path) -> None:
     """Images of another simulator stand for the photographs."""
     shape = GeneratorShape(filters=4, blocks=1, rows=80, columns=160)
     settings = replace(SETTINGS, shape=shape, discriminator_filters=4, roads=2, every=4, longest=80)
-    lines: list[str] = []
-    said = lambda done, total, line: lines.append(line)  # noqa: E731
+    told = ProgressLines()
     real = tmp_path / "photographs"
     real.mkdir()
-    for index, image in enumerate(simulated_frames("softbody", settings, tmp_path / "s.npz", said).images):
+    for index, image in enumerate(simulated_frames("softbody", settings, tmp_path / "s.npz", told).images):
         (real / f"{index:03d}.jpg").write_bytes(jpeg(image))
     out = tmp_path / "out"
-    sources = read_sources("bullet", real, out, settings, said)
+    sources = read_sources("bullet", real, out, settings, told)
     data, warnings = prepare_domains(sources, real, out)
     assert sources.match.difference < BOUND and not warnings
     frames = sources.frames
     assert 0 < frames.held_out.sum() < len(frames.images) == 80
-    train(data, settings, out, lines.append)
-    again = read_sources("bullet", real, out, settings, said)
+    train(data, settings, out, told)
+    again = read_sources("bullet", real, out, settings, told)
     assert again.match == sources.match and np.array_equal(again.frames.held_out, frames.held_out)
     (tmp_path / "set").mkdir()
     shutil.copy(out / EPOCHS / "epoch_002.safetensors", tmp_path / "set" / "bullet.safetensors")

@@ -14,6 +14,7 @@ import pytest
 import torch
 
 from ds_bags.run_writer import write_bag
+from ds_base.progress import SILENT
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import InterleavedDrives, drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
@@ -193,11 +194,11 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     (data / "manifest.json").write_text('{"plan": {"seed": 1}, "images": {"bullet": 4}}')
     for name in WINDOWS:
         translator = Translator(load_generator(folder / FOLDER / f"{name}.safetensors"))
-        translate_data(data, real, translator, lambda done, total, line: None)
+        translate_data(data, real, translator, SILENT)
     manifest = json.loads((real / "manifest.json").read_text())
     assert manifest["plan"] == {"seed": 1} and manifest["images"] == {"bullet": 4, "softbody": 4}
     plan = TrainingPlan(epochs=1, batch_size=2, validation=0.5, threads=1, device="cpu")
-    train(real, tmp_path / "out", plan, lambda line: None)
+    train(real, tmp_path / "out", plan, SILENT)
     trained = tmp_path / "out" / "dave2.safetensors"
     assert generators_in(str(trained)) == generators_in(str(folder / "real.safetensors"))
     stage = NetworkDriver(str(trained)).stage
@@ -207,7 +208,7 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     shutil.rmtree(real / "bullet")
     shutil.copytree(data / "bullet", real / "bullet")
     with pytest.raises(DatasetError, match="translated images of softbody and plain ones of bullet"):
-        train(real, tmp_path / "mixed", plan, lambda line: None)
+        train(real, tmp_path / "mixed", plan, SILENT)
 
 
 def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from .campaign.executor import CampaignError, Executor, Listener, Stopped
 from .campaign.folder import CampaignData, config_of, open_store, prepare_folder, read_campaign
 from .campaign.runner import Campaign
 from .campaign.status import Stage, stages_of
-from .engines.drive_tests import GivenDrives, Progress, drive_tests
+from .engines.drive_tests import Callbacks, GivenDrives, drive_tests
 from .maps.algebra import OPERATORS, MergeOperator, jeffreys_interval, merge, pool, union
 from .maps.campaign_maps import MapPlan, build_maps
 from .maps.feature_map import FeatureMap, MapCell, MapId, map_ids, maps_frame
@@ -26,6 +26,7 @@ from .store.model import Execution, Origin, Test
 from .store.store import Store
 
 __all__ = [
+    "Callbacks",
     "Archive",
     "Campaign",
     "CampaignConfig",
@@ -52,7 +53,6 @@ __all__ = [
     "OPERATORS",
     "OperatorsConfig",
     "Origin",
-    "Progress",
     "RandomSearch",
     "SEARCHES",
     "Search",

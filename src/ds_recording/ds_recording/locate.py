@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.progress import SILENT, Progress
 from ds_recording.closing import close_lap
 from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, guess_track
@@ -27,7 +27,6 @@ from ds_recording.smoother import Evidence, Smoother, Solution
 from ds_recording.track import Track
 
 Array = NDArray[np.float64]
-Progress = Callable[[int, int, str], None]
 LEAST_MOTION = 0.6
 """Share of neighbouring images between which a motion of the floor must be seen; chosen: of images in their order it is
 0.95 and more, of shuffled ones 0.3 and less."""
@@ -58,18 +57,14 @@ class Fit:
     located: NDArray[np.bool_]
 
 
-def _silent(_done: int, _total: int, _line: str) -> None:
-    return None
-
-
-def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent) -> Evidence:
+def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT) -> Evidence:
     """Find lines and motions of a stretch's images.
 
     Args:
         views: the stretch.
         camera: mounted, for images of the recorded size.
         lane_width: m.
-        progress: called with images done, all images, and what is done.
+        progress: counts the images.
     """
     images, seconds = views.images, views.seconds
     seen = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
@@ -77,17 +72,17 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
     hints: list[Hint] = []
     lines: list[LinePoints] = []
     motions: list[Motion | None] = []
+    progress.start(len(images))
     for index, image in enumerate(images):
         hints.append(before.see(image))
         motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0, hints[-1]))
         lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1, views.centre), seen))
-        if index % 500 == 499:
-            progress(index + 1, len(images), "images looked at")
+        progress.advance(line="" if (index + 1) % 500 else "images looked at")
     return Evidence(times=seconds, lines=lines, motions=motions, hints=hints, steering=views.steering)
 
 
 def with_odometry(
-    evidence: Evidence, views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent
+    evidence: Evidence, views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT
 ) -> tuple[Evidence, list[Checked]]:
     """Check other sources of motion against the images, and follow the floor anew with those that agree.
 
@@ -96,7 +91,7 @@ def with_odometry(
         views: the stretch.
         camera: mounted, for images of the recorded size.
         lane_width: m.
-        progress: called with images done, all images, and what is done.
+        progress: counts the images.
 
     Returns:
         Evidence of both, ways in the metres of both, and what became of each source.
@@ -114,11 +109,11 @@ def with_odometry(
     finder = MotionFinder(camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width))
     motions: list[Motion | None] = []
     longer = np.array([stretch(checked)] * 2 + [1.0])
+    progress.start(len(images))
     for index, seconds in enumerate(np.diff(evidence.times, prepend=evidence.times[0])):
         motion = finder.see(images[index], float(seconds), hints[index])
         motions.append(motion and replace(motion, step=motion.step * longer))
-        if index % 500 == 499:
-            progress(index + 1, len(images), "images looked at again, with odometry")
+        progress.advance(line="" if (index + 1) % 500 else "images looked at again, with odometry")
     return replace(evidence, motions=motions, hints=[replace(hint, step=hint.step * longer) for hint in hints]), checked
 
 
@@ -254,7 +249,7 @@ def in_metres(
 
 
 def located_of(
-    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = _silent
+    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT
 ) -> tuple[Located, Fit]:
     """Locate a stretch.
 
@@ -266,7 +261,6 @@ def located_of(
             f"the camera is for {camera.width_px} x {camera.height_px} px, the images have {views.size[0]} x "
             f"{views.size[1]}: give the camera of this recording"
         )
-    started = time.monotonic()
     calibration = "given"
     if not camera.mounted:
         calibration = "chessboard"
@@ -276,6 +270,6 @@ def located_of(
     checked: list[Checked] = []
     if views.odometry:
         evidence, checked = with_odometry(evidence, views, camera, lane_width, progress)
-    progress(0, 1, f"lines and motion found in {time.monotonic() - started:.0f} s; solving for the whole run")
+    progress.describe("lines and motion found; solving for the whole run")
     fit = solve(evidence)
     return in_metres(views, fit, camera, lane_width, calibration, checked), fit

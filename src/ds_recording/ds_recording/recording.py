@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.progress import logger_of
 from ds_driver.data.recordings import Reading, Recording, open_recording
 from ds_recording.errors import RecordingError
 from ds_recording.lines import CENTRES
@@ -18,7 +18,7 @@ from ds_recording.odometry import Source, read_sources
 from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]
-Say = Callable[[str], None]
+LOG = logger_of(__name__)
 LONGEST_GAP = 0.5
 """Time between two images that ends a stretch, s; chosen: ten images, in which a car leaves what it has seen."""
 SHORTEST = 60
@@ -69,7 +69,6 @@ class Views:
 def read_views(
     path: Path,
     reading: Reading,
-    say: Say = lambda _line: None,
     odometry: str | None = None,
     centre: str = "yellow",
 ) -> Views:
@@ -78,7 +77,6 @@ def read_views(
     Args:
         path: bag or tub.
         reading: topics of images and steering.
-        say: prints progress.
         odometry: see `ds_recording.odometry.read_sources`.
         centre: colour of the centre line.
 
@@ -102,7 +100,7 @@ def read_views(
             rows.append((frame.index, frame.seconds))
             sizes.add((frame.image.shape[1], frame.image.shape[0]))
         if total % 2000 == 0:
-            say(f"{path}: {total} images read")
+            LOG.info("%s: %d images read", path, total)
     seconds = np.array([row[1] for row in rows])
     first, end = longest_stretch(path, seconds, total)
     if len(sizes) > 1 or not SIZES[0] <= min(min(sizes)) <= max(max(sizes)) <= SIZES[1]:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +18,14 @@ from ds_analysis.paper.campaign_evaluation import (
     write_correlations,
 )
 from ds_base import atomic_files as whole_files
+from ds_base.progress import logger_of
+from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
+
+LOG = logger_of(__name__)
 
 RQ1 = Path("evaluation/rq1.json")
 """File in which `ds evaluate --data` stores the tables of RQ1 for the report, relative to the campaign folder."""
@@ -45,7 +49,7 @@ def write_all(
     *,
     data: CampaignData | None = None,
     again: bool = True,
-    say: Callable[[str], None] = lambda line: None,
+    listener: Listener | None = None,
     trusted: Collection[str] = (),
 ) -> Path:
     """Write maps, evaluation and report from a campaign's store.
@@ -55,7 +59,7 @@ def write_all(
         store: store of the campaign, finished or not.
         data: contents of the store, if already read.
         again: write all results even if they are up to date.
-        say: called with one line for each stage.
+        listener: receives every stage.
         trusted: user-defined simulators whose code may run; the report has no camera pictures of others.
 
     The caller holds `ds_base.folder_files.locked`.
@@ -68,7 +72,7 @@ def write_all(
     from ds_report.html_report import SHOWN_TESTS, write_report
     from ds_report.sections import answer_section, further_map, merge_tables, sibling_section
 
-    report = folder / "report.html"
+    report, listener = folder / "report.html", listener or Listener()
     count, made = store.count_results(), store.results()
     if not again and all(made.get(stage) == count for stage in STAGES) and report.exists():
         return report
@@ -80,13 +84,13 @@ def write_all(
         try:
             received_simulator(name, confirmed=trusted, option="--trust")
         except UntrustedSimulatorError as error:
-            say(f"report without its pictures: {error}")
+            LOG.warning("report without its pictures: %s", error)
     began = time.monotonic()
     maps = maps_of(data)
     # If this process ends early, the mark remains and the results are written again.
     for stage in STAGES:
         store.set_result(stage, NOT_MADE)
-    say("stage: maps")
+    listener.stage("maps")
     write_json(folder, maps)
     write_maps(maps, folder / "maps")
     further_maps = []
@@ -97,7 +101,7 @@ def write_all(
         further_maps.append(further_map(axes, further))
     store.set_result("maps", count)
     mapped = time.monotonic()
-    say("stage: evaluation")
+    listener.stage("evaluation")
     correlations = correlations_of(data.config, maps)
     differences = paired_differences_of(data.config, maps)
     tables = [*tables_of(data.config, maps, correlations, differences), *merge_tables(folder, data)]
@@ -110,7 +114,7 @@ def write_all(
     store.note("seconds maps", f"{mapped - began:.1f}")
     store.note("seconds evaluation", f"{time.monotonic() - mapped:.1f}")
     data = replace(data, notes=store.notes())
-    say("stage: report")
+    listener.stage("report")
     # RQ1 needs a data set; its tables exist after `ds evaluate --data`.
     of_rq1 = [replace(table, name=_RENAMED_TABLES.get(table.name, table.name)) for table in read_tables(folder / RQ1)]
     write_report(

@@ -7,7 +7,7 @@ Every constant but `MOST_SEARCHED` was chosen before a result was seen. A stoppe
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 
 from ds_base.atomic_files import write_json
 from ds_base.folder_files import make_folder
+from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -28,7 +29,7 @@ from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
-from ds_studies.sensitivity.analysis import Progress, Sensitivity, analyse_sensitivity
+from ds_studies.sensitivity.analysis import Sensitivity, analyse_sensitivity
 from ds_studies.sensitivity.factors import factors_named
 from ds_studies.sensitivity.page import SensitivityPage
 from ds_studies.sensitivity.ranges import ranges_of
@@ -105,7 +106,7 @@ def fog_in_words(found: dict[str, Any]) -> str:
     return f"{who} completes in clear weather; leaves the lane at a visibility of {found['leaves_at']:g} m."
 
 
-def measure_sensitivity(folder: Path, workers: int, *, progress: Progress, say: Callable[[str], None]) -> Sensitivity:
+def measure_sensitivity(folder: Path, workers: int, *, progress: Progress) -> Sensitivity:
     """Find what breaks the network on the siblings and the twin; `sensitivity.html` in the folder shows it live."""
     make_folder(folder)
     settings = DriveSettings(siblings=SIMULATORS, twin=TWIN, driver=DRIVER, engine="local", workers=workers)
@@ -119,7 +120,6 @@ def measure_sensitivity(folder: Path, workers: int, *, progress: Progress, say: 
         folder=folder / "drives",
         progress=progress,
         watch=page.write,
-        say=say,
     )
 
 

@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ds_base.folder_files import make_folder
+from ds_base.progress import logger_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.network_driver import translation_of
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.video import write_video
+
+LOG = logger_of(__name__)
 
 MOST_VIDEOS = 10
 """Videos that are written; chosen: half a minute of computing, 30 MB."""
@@ -34,16 +37,13 @@ class FailedDrive(OfScenario):
     scenario: Scenario
 
 
-def write_failure_videos(
-    driver: str, failed: Sequence[FailedDrive], folder: Path, say: Callable[[str], None]
-) -> list[Path]:
+def write_failure_videos(driver: str, failed: Sequence[FailedDrive], folder: Path) -> list[Path]:
     """Drive failed tests once more, which gives the same drives, and write a video of each.
 
     Args:
         driver: name of the driver.
         failed: the drives; the first `MOST_VIDEOS` are shown.
         folder: receives `TEST_SIMULATOR.mp4`, created if missing.
-        say: called with one line for each video, and if some are left out.
 
     Returns:
         Paths of the videos.
@@ -57,12 +57,12 @@ def write_failure_videos(
         finally:
             simulator.close()
         video = folder / f"{one.test}_{label_of(one.simulator)}.mp4"
-        say(f"rendering {video}")
+        LOG.info("rendering %s", video)
         write_video(
             video, f"{one.simulator}, {Path(driver).name}", one.road, resimulate(one.simulator, run), run.commands,
             run.conditions, translation_of(driver, one.simulator),
         )  # fmt: skip
         videos.append(video)
     if len(failed) > MOST_VIDEOS:
-        say(f"{len(failed) - MOST_VIDEOS} further failed drives have no video")
+        LOG.info("%d further failed drives have no video", len(failed) - MOST_VIDEOS)
     return videos

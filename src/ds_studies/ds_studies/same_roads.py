@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import GivenDrives, NoVerdict, Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, NoVerdict, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import Road
 from ds_sim.scenario import Scenario
@@ -18,7 +18,7 @@ from ds_sim.simulator import Outcome
 
 
 def drive_same_roads(
-    settings: DriveSettings, roads: Sequence[Road], seed: int, folder: Path | None, progress: Progress
+    settings: DriveSettings, roads: Sequence[Road], seed: int, folder: Path | None, callbacks: Callbacks
 ) -> dict[str, list[DrivenRoad]]:
     """Drive roads on every simulator; errors are as in `ds_orchestrator.engines.drive_tests.drive_tests`.
 
@@ -27,14 +27,14 @@ def drive_same_roads(
         roads: roads to drive.
         seed: of the run on the first road; it increases by one per road.
         folder: of the drives, where a stopped call goes on, with other roads, too; None keeps nothing.
-        progress: who hears of it.
+        callbacks: who hears of it.
 
     Returns:
         Simulator -> what became of the roads, in their order; what a simulator cannot realise ends in an error.
     """
     tests = [Test(f"{road.road_id}-{seed + k}", Scenario(road, seed=seed + k)) for k, road in enumerate(roads)]
     with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_roads_") as place:
-        found = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), progress)
+        found = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), callbacks)
         return {
             name: [
                 driven_road(found, test, name) or DrivenRoad(road=test.road, outcome=Outcome.SIM_ERROR)

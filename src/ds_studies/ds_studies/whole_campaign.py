@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,7 +61,6 @@ def run_campaign(
     *,
     attach: bool = False,
     cluster: ClusterOptions | None = None,
-    say: Callable[[str], None] = lambda line: None,
     stop: StopSwitch | None = None,
 ) -> CampaignOutcome:
     """Run a campaign to its report, or resume the one in the folder.
@@ -72,7 +71,6 @@ def run_campaign(
         listener: receives every stage and every finished execution, from several threads.
         attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
         cluster: cluster of the engine `dask`; one on this machine if None.
-        say: called with one line for each stage after driving, and about a cluster's workers.
         stop: ends driving from another thread.
 
     Raises:
@@ -94,15 +92,11 @@ def run_campaign(
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
         if not is_driven(store, config):
-            in_error = _drive(config, settings, folder, store, live, say, stop or StopSwitch())
-
-        def say_result(line: str) -> None:
-            live.result(line.removeprefix("stage: "))
-            say(line)
+            in_error = _drive(config, settings, folder, store, live, stop or StopSwitch())
 
         # The simulators come from the caller's configuration, so their code is trusted.
         data = read_campaign(store)
-        report = write_all(folder, store, data=data, again=False, say=say_result, trusted=config.simulators)
+        report = write_all(folder, store, data=data, again=False, listener=live, trusted=config.simulators)
         return CampaignOutcome(
             folder=folder,
             report=report,
@@ -113,14 +107,12 @@ def run_campaign(
         )
 
 
-def rebuild_report(
-    folder: Path, *, say: Callable[[str], None] = lambda line: None, trusted: Collection[str] = ()
-) -> Path:
+def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: Collection[str] = ()) -> Path:
     """Write maps, pictures, tables and report of a campaign again.
 
     Args:
         folder: campaign folder.
-        say: called with one line for each stage.
+        listener: receives every stage.
         trusted: simulators of the user's own whose code may run; see `check_trust`.
 
     Returns:
@@ -131,7 +123,7 @@ def rebuild_report(
         ds_base.folder_files.LockError: the campaign runs.
     """
     with closing(open_store(folder, writable=True)) as store, locked(folder):
-        return write_all(folder, store, say=say, trusted=trusted)
+        return write_all(folder, store, listener=listener, trusted=trusted)
 
 
 def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
@@ -162,12 +154,11 @@ def _drive(
     folder: Path,
     store: Store,
     live: LiveFile,
-    say: Callable[[str], None],
     stop: StopSwitch,
 ) -> int:
     """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     try:
-        with running_engine(settings, logs=folder / "logs", say=say) as engine:
+        with running_engine(settings, logs=folder / "logs") as engine:
             campaign = Campaign(config, folder, store, ObservedEngine(engine, live), live)
             stop.connect(campaign.stop, engine.stop)
             try:

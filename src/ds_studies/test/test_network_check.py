@@ -15,6 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
+from ds_base.progress import SILENT
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_studies.network_check import recording
 from ds_studies.network_check.description import describe, forms_of
@@ -34,7 +35,7 @@ def drives() -> list[Recording]:
         patch.setattr(recording, "LONGEST", 160)
         patch.setattr(recording, "EVERY", 4)
         patch.setattr(recording, "map_in_processes", map)
-        return record(["softbody", "donkey"], 1, lambda _done, _all, _line: None)
+        return record(["softbody", "donkey"], 1, SILENT)
 
 
 def fitted(drives: list[Recording], steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -256,6 +257,6 @@ class Counting(Pilot):
 def test_a_network_with_memory_is_shown_whole_pieces_of_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("ROADS", 1), ("LONGEST", 60), ("WHOLE", slice(20, 50)), ("map_in_processes", map)):
         monkeypatch.setattr(recording, name, value)
-    found = record(["softbody"], 1, lambda _done, _all, _line: None, whole=True)
+    found = record(["softbody"], 1, SILENT, whole=True)
     steering, _, _ = ask_open_loop(Counting(), found)
     assert len(steering["softbody"]) == 2 * 30 and [one.step for one in found[0].frames[28:32]] == [48, 49, 20, 21]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -12,12 +13,13 @@ import numpy as np
 import pytest
 
 from ds_base.folder_files import StoreError
+from ds_base.progress import LOGGER
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.engines import drive_tests, fingerprint
-from ds_orchestrator.engines.drive_tests import Progress
+from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_road import Road, generate
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
@@ -72,15 +74,18 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[MadeUpEngine], MadeUpEngin
 
 
 def test_a_stopped_comparison_drives_only_what_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    use: Callable[[MadeUpEngine], MadeUpEngine],
 ) -> None:
-    said: list[str] = []
-    progress = Progress(say=said.append)
+    callbacks = Callbacks()
+    caplog.set_level(logging.INFO, LOGGER)
     use(MadeUpEngine(most=3))
     with pytest.raises(Stopped):
-        drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", progress)
+        drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", callbacks)
     engine = use(MadeUpEngine())
-    found = drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", progress)
+    found = drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", callbacks)
     assert engine.driven == [("donkey", ROADS[1], 8), ("bullet", ROADS[2], 9), ("donkey", ROADS[2], 9)]
     for runs in found.values():
         assert [run.outcome for run in runs] == [OUTCOMES[road] for road in ROADS[:3]]
@@ -89,14 +94,14 @@ def test_a_stopped_comparison_drives_only_what_is_missing(
         np.testing.assert_array_equal(runs[1].path, ROADS[1].lane_centre[:40])
     # Errors are driven again, and so are other roads and other seeds.
     engine = use(MadeUpEngine())
-    drive_same_roads(SETTINGS, ROADS, 7, tmp_path / "drives", progress)
+    drive_same_roads(SETTINGS, ROADS, 7, tmp_path / "drives", callbacks)
     assert engine.driven == [(name, ROADS[k], 7 + k) for k in (2, 3) for name in ("bullet", "donkey")]
     engine = use(MadeUpEngine())
-    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", progress)
-    assert len(engine.driven) == 2 and said == []
+    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", callbacks)
+    assert len(engine.driven) == 2 and not caplog.messages
     monkeypatch.setattr(drive_tests, "code_sha256", lambda: "0")
-    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", progress)
-    assert len(engine.driven) == 2 and len(said) == 1 and "the code has changed" in said[0]
+    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", callbacks)
+    assert len(engine.driven) == 2 and "the code has changed" in caplog.text and len(caplog.messages) == 1
     assert fingerprint.code_sha256() != "0"
 
 
@@ -105,12 +110,12 @@ def test_drives_of_another_driver_or_of_other_weights_are_refused(
 ) -> None:
     use(MadeUpEngine())
     network = replace(SETTINGS, driver="dave2_short")
-    drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Progress())
+    drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Callbacks())
     with pytest.raises(StoreError, match=r"driver.*choose another --out"):
-        drive_same_roads(SETTINGS, ROADS[:1], 7, tmp_path / "drives", Progress())
+        drive_same_roads(SETTINGS, ROADS[:1], 7, tmp_path / "drives", Callbacks())
     monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: "0")
     with pytest.raises(ConfigError, match=r"the weights of dave2_short have changed since .*: choose another --out"):
-        drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Progress())
+        drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Callbacks())
 
 
 def test_without_a_folder_nothing_is_kept(
@@ -119,7 +124,7 @@ def test_without_a_folder_nothing_is_kept(
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         engine = use(MadeUpEngine())
-        assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Progress())["donkey"]) == 1
+        assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Callbacks())["donkey"]) == 1
         assert len(engine.driven) == 2
     assert not list(tmp_path.iterdir())
 
@@ -137,7 +142,7 @@ def test_roads_stay_in_line_where_a_simulator_cannot_realise_one(
     tmp_path: Path, use: Callable[[MadeUpEngine], MadeUpEngine]
 ) -> None:
     use(RefusingEngine())
-    found = drive_same_roads(SETTINGS, ROADS[:2], 7, tmp_path / "drives", Progress())
+    found = drive_same_roads(SETTINGS, ROADS[:2], 7, tmp_path / "drives", Callbacks())
     assert [run.road for run in found["donkey"]] == list(ROADS[:2])
     assert [run.outcome for run in found["donkey"]] == [Outcome.SIM_ERROR, Outcome.OUT_OF_BOUNDS]
     assert [run.outcome for run in found["bullet"]] == [Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS]

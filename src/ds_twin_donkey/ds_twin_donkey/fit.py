@@ -9,16 +9,17 @@ come first, because a car with parameters 30 % off diverges quickly; longer ones
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.progress import SILENT, Progress
 from ds_twin_donkey.dynamics import SUBSTEPS
 from ds_twin_donkey.logs import CHANNELS, Drive
 from ds_twin_donkey.parameters import DonkeyParameters
-from ds_twin_donkey.residuals import FLOORS, MAX_FACTOR, SCALES, Problem, Say
+from ds_twin_donkey.residuals import FLOORS, MAX_FACTOR, SCALES, Problem
 from ds_twin_donkey.windows import UNKNOWNS, FitError, Windows
 
 Array = NDArray[np.float64]
@@ -40,6 +41,9 @@ MAX_ROUNDS, SETTLED = 8, 0.1
 ROUGH_SECONDS, ROUGH_TOTAL, ROUGH_SUBSTEPS = 3.0, 120.0, 10
 """Length of the short windows (s), their total (s), and substeps per step. Chosen: in 3 s a car 30 % off does not
 diverge yet; two minutes bring it close; 10 substeps differ from 20 by a third of a millimetre, in half the time."""
+
+TYPICAL, COST = (4, 4, 8), (1.0, 2.5, 6.0)
+"""Iterations of the three phases that usually suffice, and their relative duration; measured on drives of the twin."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +128,7 @@ def fit(
     drives: Sequence[Drive],
     start: DonkeyParameters | None = None,
     settings: FitSettings | None = None,
-    say: Say = lambda line: None,
+    progress: Progress = SILENT,
 ) -> Fit:
     """Fit parameters to recorded drives; deterministic.
 
@@ -132,7 +136,7 @@ def fit(
         drives: recorded drives.
         start: initial values, and values of all parameters that are not fitted; nominal if omitted.
         settings: see `FitSettings`.
-        say: called with a line per iteration.
+        progress: counts the work of all phases; an iteration has a line.
 
     Raises:
         FitError: no drive is long enough, or the model does not follow the drives at all.
@@ -145,24 +149,25 @@ def fit(
     stages = [(settings.window_seconds, settings.max_seconds)]
     if settings.window_seconds > ROUGH_SECONDS:
         stages.insert(0, (ROUGH_SECONDS, min(ROUGH_TOTAL, settings.max_seconds)))
+    phases = _Phases(progress, first=3 - len(stages))
     for phase, (seconds, max_total) in enumerate(stages, start=3 - len(stages)):
         windows = Windows(drives, start, seconds, max_total, MAX_FACTOR * start.command_delay)
         problem = Problem(windows, start, ROUGH_SUBSTEPS)
         counts = f"{problem.windows.count} windows of {seconds:g} s, {int(problem.windows.known.sum())} measured values"
-        say(f"phase {phase} of 3: {counts}")
-        theta, eta = _rounds(problem, names, theta, sigma, settings, say)
+        phases.begin(phase, counts)
+        theta, eta = _rounds(problem, names, theta, sigma, settings, phases.iterated)
         sigma = problem.sigma
     problem.substeps = SUBSTEPS
-    say("phase 3 of 3: the model at its full rate")
-    theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, say, 1e-5)
+    phases.begin(3, "the model at its full rate")
+    theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-5, phases.iterated)
     held = _undetermined(problem, names, theta, eta)
     if held:
-        say(f"not determined, left at their start: {', '.join(held)}")
+        progress.describe(f"not determined, left at their start: {', '.join(held)}")
         theta = theta[[name not in held for name in names]]
         names = [name for name in names if name not in held]
         if not names:
             raise FitError("the drives determine no parameter: record longer ones, with bends and changes of throttle")
-        theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, say, 1e-5)
+        theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-5, phases.iterated)
     problem.weigh(names, theta, eta)
     width = problem.half_widths(names, theta, eta)
     found = dict(zip(names, zip(problem.values(names, theta), width, strict=True), strict=True))
@@ -198,12 +203,35 @@ def fit(
     )
 
 
+class _Phases:
+    """Counts iterations by what they cost in their phase."""
+
+    def __init__(self, progress: Progress, *, first: int) -> None:
+        self._progress, self._left, self._cost = progress, 0, 0.0
+        progress.start(float(np.dot(TYPICAL[first - 1 :], COST[first - 1 :])))
+
+    def begin(self, phase: int, line: str) -> None:
+        self._progress.advance(self._left * self._cost)  # what the phase before did not need
+        self._left, self._cost = TYPICAL[phase - 1], COST[phase - 1]
+        self._progress.describe(f"phase {phase} of 3: {line}")
+
+    def iterated(self, line: str) -> None:
+        counts = self._left > 1  # the last one of a phase is counted when the phase ends
+        self._left -= counts
+        self._progress.advance(self._cost if counts else 0.0, line)
+
+
 def _by_channel(values: Array) -> dict[str, float]:
     return dict(zip(CHANNELS, values.tolist(), strict=True))
 
 
 def _rounds(
-    problem: Problem, names: Sequence[str], theta: Array, sigma: Array | None, settings: FitSettings, say: Say
+    problem: Problem,
+    names: Sequence[str],
+    theta: Array,
+    sigma: Array | None,
+    settings: FitSettings,
+    iterated: Callable[[str], None],
 ) -> tuple[Array, Array]:
     """Alternate weighting and solving until the noise has settled; `sigma` is the noise to start with, if known."""
     eta = problem.windows.initial_states.copy()
@@ -213,7 +241,7 @@ def _rounds(
         problem.sigma = sigma.copy()
     for _ in range(MAX_ROUNDS):
         before = problem.sigma.copy()
-        theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, say, 1e-3)
+        theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-3, iterated)
         problem.weigh(names, theta, eta)
         if np.all(np.abs(np.log(problem.sigma / before)) < SETTLED):
             break

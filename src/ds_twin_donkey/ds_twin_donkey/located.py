@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.progress import SILENT, Progress
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.fit import ROUGH_SUBSTEPS, ROUGH_TOTAL, Fit, FitSettings, fit
 from ds_twin_donkey.logs import Drive
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
-from ds_twin_donkey.residuals import Say
 from ds_twin_donkey.windows import Windows
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ def fit_located(
     drives: Sequence[Drive],
     start: DonkeyParameters | None = None,
     settings: FitSettings = LOCATED,
-    say: Say = lambda line: None,
+    progress: Progress = SILENT,
 ) -> tuple[Fit, Mounting]:
     """Fit parameters to a located recording; deterministic.
 
@@ -144,7 +144,7 @@ def fit_located(
         drives: its drives.
         start: values of all parameters that are not fitted; nominal if omitted.
         settings: see `FitSettings`.
-        say: called with a line per iteration.
+        progress: see `ds_twin_donkey.fit.fit`.
 
     Returns:
         The fit, of the car's centre, and where the recording's poses are on the car.
@@ -155,4 +155,4 @@ def fit_located(
     start = start or DonkeyParameters()
     mounting = find_mounting(drives, start)
     drives = mounting.centred(drives)
-    return fit(drives, rough_start(drives, start), settings, say), mounting
+    return fit(drives, rough_start(drives, start), settings, progress), mounting

@@ -16,7 +16,6 @@ from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.windows import UNKNOWNS, FitError, Windows
 
 Array = NDArray[np.float64]
-Say = Callable[[str], None]
 
 SCALES = {"steering_trim": 0.05}
 """Scale of a parameter whose start may be 0, rad; chosen: a trim that would always be noticed and corrected."""
@@ -108,7 +107,13 @@ class Problem:
         return flat[..., : len(names)], flat[..., len(names) :], self._deviations(rows[0], eta)
 
     def solve(
-        self, names: Sequence[str], theta: Array, eta: Array, evaluations: int, say: Say, tolerance: float
+        self,
+        names: Sequence[str],
+        theta: Array,
+        eta: Array,
+        evaluations: int,
+        tolerance: float,
+        iterated: Callable[[str], None],
     ) -> tuple[Array, Array]:
         """Minimise the squares over the parameters, with the initial state of each window eliminated.
 
@@ -120,8 +125,8 @@ class Problem:
             theta: scaled parameters to start from.
             eta: initial states to start from, (windows, 7).
             evaluations: largest number of evaluations of all residuals.
-            say: called with a line per iteration.
             tolerance: relative change of the cost that ends the iterations.
+            iterated: called with a line per iteration.
 
         Returns:
             Scaled parameters and initial states.
@@ -146,7 +151,7 @@ class Problem:
             states.clear()
             states[values.tobytes()] = anchor.eta
             cost = float(np.square(anchor.residual).sum())
-            say(f"iteration {iterations}: {cost / self.windows.known.sum():.5g} squared deviations per value")
+            iterated(f"iteration {iterations}: {cost / self.windows.known.sum():.5g} squared deviations per value")
             iterations += 1
             return anchor.projected
 

@@ -230,7 +230,7 @@ def test_wheels_at_an_end_of_the_play_do_not_stop_the_fit() -> None:
     problem.sigma = np.array(MOTION_CAPTURE)
     names, eta = ["full_duty", "steering_trim"], problem.windows.initial_states.copy()
     eta[:, -1] = 1.0
-    theta, states = problem.solve(names, np.array([0.01, 0.02]), eta, 8, lambda _: None, 1e-5)
+    theta, states = problem.solve(names, np.array([0.01, 0.02]), eta, 8, 1e-5, lambda _: None)
     assert np.abs(states[:, -1]).max() <= 1.0
     off = [abs(v - getattr(car, n)) for n, v in zip(names, problem.values(names, theta), strict=True)]
     assert all(np.array(off) <= 2.0 * np.array(problem.half_widths(names, theta, states)))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Array
 from ds_base.errors import InputError
+from ds_base.progress import Progress
 from ds_driver.data.recordings import RecordedFrame, Recording
 from ds_driver.networks.images import Crop
 
@@ -146,7 +147,7 @@ def write_answers(path: Path, answers: Iterable[Answers]) -> None:
 def predict(
     data: Path,
     network: str,
-    progress: Callable[[int, int, str], None],
+    progress: Progress,
     *,
     images: int | None = None,
     trusted: Collection[str] = (),
@@ -156,7 +157,7 @@ def predict(
     Args:
         data: folder of the data set; see `ds_driver.data.dataset`.
         network: any name that `ds_driver.networks.network_driver.NetworkDriver` accepts.
-        progress: called with the number of images done, their total, and the simulator.
+        progress: counts the images.
         images: largest number of images per simulator, evenly spread over its drives, or for a network with memory the
             first of them; all if None.
         trusted: user-defined simulators whose code may run.
@@ -185,6 +186,7 @@ def predict(
     if images is not None:
         groups = {n: of[:images] if pilot.has_memory else _spread(of, images) for n, of in groups.items()}
     total, done = sum(map(len, groups.values())), 0
+    progress.start(total)
     found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
     for name, group in groups.items():
         if pilot.has_memory and any(b.step > a.step + 1 for a, b in pairwise(group) if a.drive == b.drive):
@@ -205,8 +207,7 @@ def predict(
             )
             steering[index] = pilot.predict(frame).steering
             done += 1
-            if done % REPORT_EVERY == 0 or done == total:
-                progress(done, total, f"images, {name}")
+            progress.advance(line=f"images, {name}" if done % REPORT_EVERY == 0 or done == total else "")
         found[name] = Answers(
             name=name,
             group=name,

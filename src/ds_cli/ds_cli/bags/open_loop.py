@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
-from ds_cli.output import Interrupted, Result, countdown, say
+from ds_cli.output import Interrupted, Result, ScreenProgress, say
 
 if TYPE_CHECKING:
     from ds_analysis.paper.open_loop import Answer
@@ -51,14 +51,15 @@ def bag_drive(
     if out is not None and out.exists() and not out.is_dir():
         raise BagError(f"{out} is a file: choose another --out")
     answer = answer or _network(driver)
-    progress, answers = countdown(), []
+    progress, answers = ScreenProgress(), []
+    progress.start(len(recordings))
     try:
-        for done, recording in enumerate(recordings, start=1):
+        for recording in recordings:
             one = evaluate_recording(recording, answer, limit=limit)
             answers.append(one)
             for line in one.trouble[:3]:
                 say(f"an image is left out: {line}")
-            progress(done, len(recordings), f"{recording.path}: {one.images} images")
+            progress.advance(line=f"{recording.path}: {one.images} images")
     except KeyboardInterrupt:
         raise Interrupted from None
     summaries = summarise(answers)

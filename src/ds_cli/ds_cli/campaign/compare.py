@@ -35,7 +35,7 @@ from ds_cli.options import (
     simulators_of,
     with_engine_without_ros,
 )
-from ds_cli.output import Result, end, of_networks, say, stopped_in
+from ds_cli.output import Result, end, of_networks, stopped_in
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison, Origin
@@ -198,7 +198,7 @@ def campaign_compare_command(
     from ds_analysis.outcomes.study import is_study
     from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
-    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.comparison.compare import compare, compare_until_sure
 
     if (second is None) == (driver is None):
@@ -237,17 +237,23 @@ def campaign_compare_command(
             for tests in plan.sets
         ]
         with stopped_in(out):
-            progress = Progress(listen=ScreenListener, say=say)
+            callbacks = Callbacks(listen=ScreenListener)
             if stop_early:
                 if is_campaign(first):
                     raise ComparisonError("--stop-early is for two networks, which drive random roads")
                 found = compare_until_sure(
-                    sets[0], plan.reference, plan.candidate, source=plan.source, out=out, label=label, progress=progress
+                    sets[0],
+                    plan.reference,
+                    plan.candidate,
+                    source=plan.source,
+                    out=out,
+                    label=label,
+                    callbacks=callbacks,
                 )
             else:
                 found = compare(
                     sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out, label=label,
-                    progress=progress,
+                    callbacks=callbacks,
                 )  # fmt: skip
         return written(found, label)
 

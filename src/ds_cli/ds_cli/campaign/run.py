@@ -88,7 +88,7 @@ def campaign(
     listener = ScreenListener()
     try:
         with listener:
-            outcome = run_campaign(config, out, listener, attach=attach, cluster=cluster, say=say)
+            outcome = run_campaign(config, out, listener, attach=attach, cluster=cluster)
     except (KeyboardInterrupt, Stopped):
         known = (out / "campaign.sqlite").is_file()
         raise Interrupted(_kept(out, listener.done) if known else "") from None
@@ -159,7 +159,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
         tests = {test.test_id: test for test in data.tests}
         lost = [(tests[one.test_id], one.simulator) for one in data.verdicts if one.outcome.is_failure]
         failed = [FailedDrive(test.test_id, name, test.scenario) for test, name in lost]
-        write_failure_videos(data.config.driver, failed, videos, say)
+        write_failure_videos(data.config.driver, failed, videos)
     return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 
@@ -367,7 +367,7 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Resu
     try:
         with (
             tempfile.TemporaryDirectory(prefix="ds_forecast_") as logs,
-            running_engine(settings, logs=Path(logs), say=say) as engine,
+            running_engine(settings, logs=Path(logs)) as engine,
         ):
             found = measure(config, engine, out, start_seconds=time.monotonic() - began)
     except KeyboardInterrupt:

@@ -124,7 +124,7 @@ def suite_run_command(
     from ds_analysis.comparison.sequential import BATCH
     from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
-    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_sim.registry import received_simulator
     from ds_studies.failure_videos import FailedDrive, write_failure_videos
@@ -158,7 +158,7 @@ def suite_run_command(
         some = tests.model_copy(update={"tests": tests.tests[:last]})
         with stopped_in(out):
             found, executions = run_suite(
-                some, settings, candidate, out / "drives", Progress(listen=ScreenListener, say=say), source=source
+                some, settings, candidate, out / "drives", Callbacks(listen=ScreenListener), source=source
             )
         if last in sizes and lost_by(criteria, found, tests):
             say(f"ended after {last} of {len(tests.tests)} tests: a pass criterion cannot be met any more")
@@ -169,5 +169,5 @@ def suite_run_command(
     if videos is not None:
         lost = [one for one in found.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
-        write_failure_videos(driver, failed, videos, say)
+        write_failure_videos(driver, failed, videos)
     end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from ds_cli.options import ALL, JsonFlag, Seed, Simulators, every_or_named
-from ds_cli.output import Result, countdown, end, say
+from ds_cli.output import Result, ScreenProgress, end, say
 
 app = typer.Typer()
 
@@ -52,7 +52,7 @@ def check_command(
     # Refuses what cannot be used before anything is driven.
     has_memory = forms[0].has_memory if bare else load_pilot(network).has_memory
     make_folder(out)
-    recordings = record(names, seed, countdown(), whole=has_memory)
+    recordings = record(names, seed, ScreenProgress(), whole=has_memory)
     if bare:
         network = str(file.with_suffix(".yaml"))
         say(f"choosing a description for {file}")

@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 
 from ds_cli.options import EngineName, JsonFlag, OutFolder, Workers
-from ds_cli.output import countdown, end, say, stopped_in
+from ds_cli.output import ScreenProgress, end, say, stopped_in
 
 DEMO_WORKERS = 2
 """Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
@@ -42,7 +42,7 @@ def demo_command(
     place = out / "sensitivity"
     say(f"2 of 4: what else breaks it? Open {place / 'sensitivity.html'} in a browser: it fills while you watch")
     with stopped_in(place):
-        found = demo.measure_sensitivity(place, workers, progress=countdown(), say=lambda line: say(f"   {line}"))
+        found = demo.measure_sensitivity(place, workers, progress=ScreenProgress())
     ranges = demo.searched(found)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
     result = campaign(with_engine(demo.campaign_config(ranges), workers, engine), out)

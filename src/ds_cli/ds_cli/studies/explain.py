@@ -14,7 +14,7 @@ import typer
 from rich.console import Console
 
 from ds_cli.options import Cluster, EngineName, Folder, JsonFlag, Trust, Workers, with_engine_without_ros
-from ds_cli.output import Result, end, say, stopped_in
+from ds_cli.output import Result, end, stopped_in
 
 app = typer.Typer()
 
@@ -51,7 +51,7 @@ def explain_command(
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
-    from ds_orchestrator.engines.drive_tests import Progress
+    from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.explanation.experiment import drive_experiments, experiment_on, experiments_on
     from ds_studies.whole_campaign import check_trust
 
@@ -72,9 +72,9 @@ def explain_command(
         # A folder of drives belongs to its simulators, so that other experiments need another one.
         pairs = sorted(f"{one.test.test_id}-{one.fails}-{one.against}" for one in experiments)
         drives = Path(place) / "drives" / hashlib.sha256(" ".join(pairs).encode()).hexdigest()[:12]
-        progress = Progress(listen=ScreenListener, say=say)
+        callbacks = Callbacks(listen=ScreenListener)
         with stopped_in(drives if out is not None else None):
-            driven = drive_experiments(experiments, settings, drives, progress)
+            driven = drive_experiments(experiments, settings, drives, callbacks)
     explained = [one.explained(driven) for one in experiments]
     tables = [*([groups_table(found)] if test is None else []), *(one.table() for one in explained)]
     document = {

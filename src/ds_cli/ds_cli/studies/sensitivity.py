@@ -28,7 +28,7 @@ from ds_cli.options import (
     several,
     with_engine_without_ros,
 )
-from ds_cli.output import Result, countdown, end, of_networks, say, stopped_in
+from ds_cli.output import Result, ScreenProgress, end, of_networks, say, stopped_in
 from ds_sim.conditions.model import ConditionsError
 
 app = typer.Typer()
@@ -108,7 +108,7 @@ def sensitivity_command(
         with stopped_in(folder):
             found = analyse_sensitivity(
                 settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
-                progress=countdown(), watch=page.write if page else lambda found: None, say=say,
+                progress=ScreenProgress(), watch=page.write if page else lambda found: None,
             )  # fmt: skip
         document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
         if out is not None:

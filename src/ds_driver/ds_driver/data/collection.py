@@ -16,7 +16,8 @@ from zlib import crc32
 import numpy as np
 
 from ds_base.installation import ds_command
-from ds_base.processes import Progress, map_in_processes
+from ds_base.processes import map_in_processes
+from ds_base.progress import Progress
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.dataset import DatasetError, drive_path, keep_plan, write_drive
 from ds_road import Road, RoadError, generate, mutate, read_raw_roads, road_from_json
@@ -149,7 +150,7 @@ def collect(
         plan: settings; `max_angle` is for random roads only.
         simulators: names of the simulators.
         folder: folder of the data set, created if missing.
-        progress: called after each drive.
+        progress: counts the drives.
         given: roads to drive instead of random ones; a direction in which one is not valid is left out, and so is a
             simulator that cannot realise its conditions.
 
@@ -170,10 +171,11 @@ def collect(
     ]
     missing = [job for job in jobs if not job.path.exists()]
     known = len(jobs) - len(missing)
+    progress.start(len(jobs))
     if known:
-        progress(known, len(jobs), f"{known} drives are there already")
-    for done, line in enumerate(map_in_processes(partial(_collect, plan), missing), start=known + 1):
-        progress(done, len(jobs), line)
+        progress.advance(known, f"{known} drives are there already")
+    for line in map_in_processes(partial(_collect, plan), missing):
+        progress.advance(line=line)
 
 
 def _collect(plan: CollectionPlan, job: _Job) -> str:

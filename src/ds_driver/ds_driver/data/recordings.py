@@ -19,7 +19,7 @@ from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run, stamp_of
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
-from ds_base.processes import Progress
+from ds_base.progress import Progress
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
@@ -314,7 +314,8 @@ def import_recordings(recordings: list[Recording], out: Path, name: str, progres
     unfinished = out / UNFINISHED
     shutil.rmtree(unfinished, ignore_errors=True)
     images = unlabelled = files = 0
-    for done, (recording, stem) in enumerate(zip(recordings, stems, strict=True), start=1):
+    progress.start(len(recordings))
+    for recording, stem in zip(recordings, stems, strict=True):
         rows: list[dict[str, object]] = []
         for frame in recording.frames():
             if frame.image is None:
@@ -339,7 +340,7 @@ def import_recordings(recordings: list[Recording], out: Path, name: str, progres
             write_drive(drive_path(unfinished, name, str(part[0]["road_id"]), DIRECTION), part)
             files += 1
         images += len(rows)
-        progress(done, len(recordings), f"{recording.path}: {len(rows)} images")
+        progress.advance(line=f"{recording.path}: {len(rows)} images")
     if not images:
         raise DatasetError("no image has a steering beside it: name its topic with --steering TOPIC:FIELD")
     about: dict[str, Any] = {"recordings": stems, "kinds": sorted({r.kind for r in recordings}), "images": images}

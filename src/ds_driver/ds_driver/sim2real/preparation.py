@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_json
-from ds_base.processes import Progress
+from ds_base.progress import Progress
 from ds_driver.sim2real.generator import Window, prepare
 from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane

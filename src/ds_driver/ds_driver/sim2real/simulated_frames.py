@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import whole_file
-from ds_base.processes import Progress, map_in_processes
+from ds_base.processes import map_in_processes
+from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.data.collection import roads_both_ways
@@ -72,9 +73,10 @@ def simulated_frames(simulator: str, settings: Sim2RealSettings, file: Path, pro
     if file.exists():
         return _read(file, identity, len(roads))
     drives, work = [], partial(_drive, simulator, settings, roads)
+    progress.start(len(roads))
     for drive in map_in_processes(work, range(len(roads)), workers=settings.threads):
         drives.append(drive)
-        progress(len(drives), len(roads), f"{simulator}: {len(drive)} images")
+        progress.advance(line=f"{simulator}: {len(drive)} images")
     images = np.concatenate(drives)
     numbers = np.concatenate([np.full(len(drive), index, np.int32) for index, drive in enumerate(drives)])
     with whole_file(file) as unfinished, unfinished.open("wb") as stream:

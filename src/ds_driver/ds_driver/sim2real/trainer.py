@@ -9,8 +9,6 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training 
 
 import hashlib
 import json
-import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ds_base.atomic_files import write_whole
+from ds_base.progress import Progress
 from ds_driver.sim2real.generator import Sim2RealError, Window, save_generator
 from ds_driver.sim2real.lane_pairs import align_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, to_batch, to_images
@@ -35,7 +34,6 @@ SHOWN = 4
 """Pictures of each domain on a sheet."""
 REPORTS = 10
 """Lines of progress per epoch."""
-Report = Callable[[str], None]
 LOSSES = ("adversarial", "cycle", "identity", "discriminator")
 
 
@@ -142,9 +140,7 @@ def train(
     domains: Domains,
     settings: Sim2RealSettings,
     out: Path,
-    report: Report,
-    *,
-    now: Callable[[], float] = time.monotonic,
+    progress: Progress,
 ) -> list[dict[str, float]]:
     """Train, or continue after the last whole epoch with the results of an undisturbed training; return mean losses.
 
@@ -162,8 +158,10 @@ def train(
     history = _resume(out, gan, identity, device)
     (out / EPOCHS).mkdir(exist_ok=True)
     steps = settings.steps or max(len(domains.simulated), len(domains.real))
+    progress.start(settings.epochs * steps)
+    progress.advance(len(history) * steps)
     while len(history) < settings.epochs:
-        epoch, began = len(history) + 1, now()
+        epoch = len(history) + 1
         gan.set_learning_rate(learning_rate_share(epoch, settings.epochs))
         rng = np.random.default_rng([settings.seed, epoch])
         simulated = _order(len(domains.simulated), steps, rng)
@@ -174,15 +172,15 @@ def train(
                 to_batch(torch.from_numpy(image[None])) for image in domains.pair(simulated[step], real[step])
             )
             total += gan.step(there.to(device), back.to(device), rng)
+            progress.advance()
             if (step + 1) % max(1, steps // REPORTS) == 0:
-                left = (now() - began) / (step + 1) * (steps * (settings.epochs - epoch + 1) - step - 1)
                 values = _named(total / (step + 1))
                 if not all(np.isfinite(value) for value in values.values()):
                     raise Sim2RealError(
                         f"training diverged in epoch {epoch}: continue with another --seed in another --out"
                     )
                 losses = ", ".join(f"{name} {value:.3f}" for name, value in values.items())
-                report(f"epoch {epoch}/{settings.epochs}, step {step + 1}/{steps}: {losses}; {left / 60:.0f} min left")
+                progress.describe(f"steps; epoch {epoch}/{settings.epochs}: {losses}")
         history.append(_named(total / steps))
         name = f"epoch_{epoch:03d}"
         write_whole(out / EPOCHS / f"{name}.png", png(_sheet(gan, domains, device)))

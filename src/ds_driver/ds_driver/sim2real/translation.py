@@ -21,7 +21,8 @@ from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
-from ds_base.processes import Progress, map_in_processes
+from ds_base.processes import map_in_processes
+from ds_base.progress import Progress
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.data.recordings import MAX_IMAGE_FILE
 from ds_driver.networks.images import ImageError, rgb_of_file, rgb_of_message
@@ -38,7 +39,7 @@ def translate(source: Path, out: Path, translator: Translator, progress: Progres
     """Translate a data set, bag or tub of simulated drives; what is there already is kept, so a stopped one continues.
 
     A data set is translated by as many processes as there are processors if `workers` is None; bags and tubs take one.
-    `progress` is called after each drive, or each hundred images.
+    `progress` counts drives of a data set, and images of a bag or tub.
 
     Returns:
         Number of translated drives, or of images of a bag or tub.
@@ -80,8 +81,9 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
     else:
         work = partial(_translate_in_worker, translator.backend, target)
         finished = map_in_processes(work, files, workers=workers)
-    for done, file in enumerate(finished, start=1):
-        progress(done, len(files), f"{simulator}: {file.stem}")
+    progress.start(len(files))
+    for file in finished:
+        progress.advance(line=f"{simulator}: {file.stem}")
     if (folder / "manifest.json").is_file():
         write_manifest(out, _facts(folder / "manifest.json"))
     return len(files)
@@ -136,12 +138,12 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
             raise Sim2RealError(f"{out} is no translation by this generator: choose another --out")
         return total
     done = 0
+    progress.start(total)
 
     def translated(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         nonlocal done
         done += 1
-        if done % 100 == 0 or done == total:
-            progress(done, total, f"{folder.name}: images")
+        progress.advance(line=_images_of(folder, done, total))
         return translator.translate(pixels)
 
     def image(message: Any) -> Any:
@@ -166,6 +168,7 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
     mark = out / f"{MARK}.json"
     _claim(mark, translator)
     write_json(mark, {MARK: translator.generator.sha256})
+    progress.start(len(images))
     for done, image in enumerate(images, start=1):
         target = out / "images" / image.name
         if not target.exists():
@@ -175,12 +178,16 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
                 reason = getattr(error, "strerror", None) or error
                 raise Sim2RealError(f"{image}: {reason}: copy the tub again") from None
             write_whole(target, jpeg(translator.translate(pixels)))
-        if done % 100 == 0 or done == len(images):
-            progress(done, len(images), f"{folder.name}: images")
+        progress.advance(line=_images_of(folder, done, len(images)))
     # Last, so that an unfinished folder is no tub.
     for file in (*tub.files, folder / "manifest.json"):
         write_whole(out / file.name, file.read_bytes())
     return len(images)
+
+
+def _images_of(folder: Path, done: int, total: int) -> str:
+    """A line after each hundred images, and after the last."""
+    return f"{folder.name}: images" if done % 100 == 0 or done == total else ""
 
 
 def _claim(mark: Path, translator: Translator) -> None:

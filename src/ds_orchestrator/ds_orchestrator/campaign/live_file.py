@@ -212,11 +212,6 @@ class LiveFile(Listener):
             self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
         self._listener.finished(test, simulator, execution, fresh)
 
-    def result(self, name: str) -> None:
-        """Set the stage while results are computed."""
-        with self._lock:
-            self._live.stage, self._eta = name, Eta()
-
     @contextmanager
     def driving(self, simulator: str, road_id: str, seed: int) -> Iterator[LiveDrive]:
         """Enter a drive under way; whoever has feedback sets its attributes."""

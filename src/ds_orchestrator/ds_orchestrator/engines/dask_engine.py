@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ds_base.errors import RunError
+from ds_base.progress import logger_of
 from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines import dask_worker
@@ -29,6 +30,8 @@ from ds_orchestrator.engines.parcel import Parcel, parcel_of
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
+
+LOG = logger_of(__name__)
 
 MOST_THREADS = 256
 """Drives that a campaign has ready at a time, each with a waiting thread; chosen: 64 cores with a batch of four."""
@@ -84,7 +87,6 @@ class DaskEngine:
         client: connected `distributed.Client`.
         parcel: driver and simulators.
         command_timeout: wall-clock time for one answer of the driver, s.
-        say: called with one line when a worker is refused or lost, or the scheduler is.
     """
 
     def __init__(
@@ -95,16 +97,13 @@ class DaskEngine:
         parcel: Parcel,
         *,
         command_timeout: float,
-        say: Callable[[str], None],
     ) -> None:
         self._sha256, self._timeout = parcel.sha256, command_timeout
         self._changed = threading.Condition()
         self._pending: deque[_Job] = deque()
         self._seats: dict[str, _Seat] = {}
         self._stopped, self._failure, self._tasks = False, "", 0
-        self._membership = Membership(
-            address, options, client, parcel, command_timeout=command_timeout, members=self, say=say
-        )
+        self._membership = Membership(address, options, client, parcel, command_timeout=command_timeout, members=self)
         self._thread = threading.Thread(target=self._hand_out, name="batches", daemon=True)
         self._thread.start()
 
@@ -269,13 +268,12 @@ class DaskEngine:
 
 
 @contextmanager
-def running_dask(settings: DriveSettings, *, folder: Path, say: Callable[[str], None]) -> Iterator[DaskEngine]:
+def running_dask(settings: DriveSettings, *, folder: Path) -> Iterator[DaskEngine]:
     """Connect to the cluster, or start one on this machine; yield an engine, and leave the cluster.
 
     Args:
         settings: driver, simulators, the cluster, and the number of workers of an own one.
         folder: folder for an own cluster's files, created if missing.
-        say: called with one line when a worker is refused or lost, or the scheduler is.
 
     Raises:
         ds_orchestrator.engines.cluster.ClusterError: there is no scheduler, or no usable worker.
@@ -290,9 +288,9 @@ def running_dask(settings: DriveSettings, *, folder: Path, say: Callable[[str], 
             folder.mkdir(parents=True, exist_ok=True)
             address = stack.enter_context(own_cluster(settings.workers, options, folder))
             if options.listen != ClusterOptions().listen:
-                say(f"further workers may join: dask worker {address}")
+                LOG.info("further workers may join: dask worker %s", address)
         client = connect(address, options)
-        engine = DaskEngine(address, options, client, parcel, command_timeout=settings.command_timeout, say=say)
+        engine = DaskEngine(address, options, client, parcel, command_timeout=settings.command_timeout)
         stack.callback(engine.close)
         engine.wait_for_worker()
         yield engine

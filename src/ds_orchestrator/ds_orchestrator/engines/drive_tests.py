@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ds_base.folder_files import locked, make_folder
+from ds_base.progress import logger_of
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Executor, Listener, Stopped, StopSwitch
 from ds_orchestrator.campaign.folder import record_provenance
@@ -21,6 +22,7 @@ from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
 from ds_sim.simulator import Outcome
 
+LOG = logger_of(__name__)
 DRIVES_FILE = "drives.sqlite"
 """Store of drives of given tests; not a campaign's file, as no search can resume from it."""
 Key = tuple[str, str]
@@ -28,17 +30,15 @@ Key = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Who hears how far the drives are.
+class Callbacks:
+    """Who hears how far a batch of drives is, and who may end it.
 
     Attributes:
         listen: makes a listener, which receives every finished drive of one driver on one set of tests.
-        say: called with one line about workers that come and go.
         stop: ends driving from another thread.
     """
 
     listen: Callable[[], AbstractContextManager[Listener]] = lambda: nullcontext(Listener())
-    say: Callable[[str], None] = lambda line: None
     stop: StopSwitch = field(default_factory=StopSwitch)
 
 
@@ -76,7 +76,7 @@ def drive_tests(
     settings: DriveSettings,
     work: Mapping[str, Sequence[Test]],
     folder: Path,
-    progress: Progress | None = None,
+    callbacks: Callbacks | None = None,
     *,
     gates: Mapping[Key, Gate] | None = None,
 ) -> GivenDrives:
@@ -86,7 +86,7 @@ def drive_tests(
         settings: how they are driven.
         work: simulator -> tests.
         folder: for the drives, created if missing.
-        progress: who hears of it; nobody if None.
+        callbacks: who hears of it; nobody if None.
         gates: what is known of the tests' validity, so that the autopilot does not drive them again.
 
     Raises:
@@ -95,10 +95,10 @@ def drive_tests(
         ds_orchestrator.store.sqlite_file.StoreError: the folder holds drives of another driver or of other tests.
         ds_orchestrator.campaign.executor.Stopped: the user stopped it; what was finished is kept.
     """
-    progress = progress or Progress()
+    callbacks = callbacks or Callbacks()
     preflight(settings)
     tests = {test.test_id: test for of in work.values() for test in of}
-    with open_drives(settings, folder, progress.say, tests=list(tests.values())) as store:
+    with open_drives(settings, folder, tests=list(tests.values())) as store:
         for test in tests.values():
             store.add_test(test)
         for (test_id, simulator), gate in (gates or {}).items():
@@ -107,20 +107,17 @@ def drive_tests(
         known = _read(store, work)
         if not known.errors:
             return known
-        _drive(settings, work, folder, store, progress)
+        _drive(settings, work, folder, store, callbacks)
         return _read(store, work)
 
 
 @contextmanager
-def open_drives(
-    settings: DriveSettings, folder: Path, say: Callable[[str], None], *, tests: Sequence[Test] = ()
-) -> Iterator[Store]:
+def open_drives(settings: DriveSettings, folder: Path, *, tests: Sequence[Test] = ()) -> Iterator[Store]:
     """Open and lock the store of a folder of given tests, created if missing.
 
     Args:
         settings: how they are driven; see `drive_tests` for what may not have changed since the folder began.
         folder: folder of the drives.
-        say: called with one line if the code has changed since the folder began.
         tests: those that the store may hold.
     """
     make_folder(folder)
@@ -132,23 +129,23 @@ def open_drives(
         )  # fmt: skip
         record_provenance(store, settings, folder)
         if store.note("code", (code := code_sha256())) != code:
-            say(f"the code has changed since {folder} began: its drives are kept, another --out has none")
+            LOG.warning("the code has changed since %s began: its drives are kept, another --out has none", folder)
         yield store
 
 
 def _drive(
-    settings: DriveSettings, work: Mapping[str, Sequence[Test]], folder: Path, store: Store, progress: Progress
+    settings: DriveSettings, work: Mapping[str, Sequence[Test]], folder: Path, store: Store, callbacks: Callbacks
 ) -> None:
     try:
         with (
-            running_engine(settings, logs=folder / "logs", say=progress.say) as engine,
-            progress.listen() as listener,
+            running_engine(settings, logs=folder / "logs") as engine,
+            callbacks.listen() as listener,
         ):
             own = {name: sum(test.sibling == name for test in of) for name, of in work.items()}
             listener.expect([own, {name: len(of) - own[name] for name, of in work.items()}])
             listener.stage("given tests")
             executor = Executor(settings, folder, store, engine, listener)
-            progress.stop.connect(executor.stop, engine.stop)
+            callbacks.stop.connect(executor.stop, engine.stop)
             executor.execute_all(work)
     except KeyboardInterrupt:
         raise Stopped from None

@@ -10,10 +10,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from ds_base.progress import logger_of
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect
 from ds_orchestrator.engines.fingerprint import differences, fingerprint
 from ds_orchestrator.engines.parcel import Parcel
+
+LOG = logger_of(__name__)
 
 FIRST_WORKER_TIME = 180.0
 """Limit for the first worker to appear and prepare itself, s; more than `PREPARE_TIME`, so that its reason is known."""
@@ -69,7 +72,6 @@ class Membership:
         parcel: what every worker needs.
         command_timeout: wall-clock time for one answer of the driver, s.
         members: receives what changes.
-        say: called with one line when a worker is refused or lost, or the scheduler is.
 
     Attributes:
         client: client that is connected now.
@@ -84,11 +86,10 @@ class Membership:
         *,
         command_timeout: float,
         members: Members,
-        say: Callable[[str], None],
     ) -> None:
         self.client = client
         self._address, self._options, self._parcel, self._timeout = address, options, parcel, command_timeout
-        self._members, self._say = members, say
+        self._members = members
         self._sha256, self._here = parcel.sha256, fingerprint(parcel.backend, parcel.simulators)
         self._changed = threading.Condition()
         self._known: dict[str, bool] = {}
@@ -117,7 +118,7 @@ class Membership:
                     raise ClusterError(f"no usable worker at {self._address}: {why}")
                 if not told and not self._known and waited > 3.0:
                     told = True
-                    self._say(f"waiting for a worker at {self._address}, {limit:.0f} s at most")
+                    LOG.info("waiting for a worker at %s, %.0f s at most", self._address, limit)
                 self._changed.wait(_LOOK)
 
     def forget(self, address: str) -> None:
@@ -161,7 +162,7 @@ class Membership:
         now = time.monotonic()
         for address in self._known.keys() - present.keys():
             if self._known[address]:
-                self._say(f"worker {address} is gone: others take over its drives")
+                LOG.warning("worker %s is gone: others take over its drives", address)
             self.forget(address)
         for address, about in present.items():
             beat = float(about.get("last_seen", 0.0))
@@ -169,7 +170,7 @@ class Membership:
                 self._heartbeats[address] = (beat, now)
             silent = now - self._heartbeats[address][1] > SILENCE
             if silent and self._known.get(address):
-                self._say(f"worker {address} has been silent for {SILENCE:.0f} s: others take over its drives")
+                LOG.warning("worker %s has been silent for %.0f s: others take over its drives", address, SILENCE)
                 heartbeat = self._heartbeats[address]
                 self.forget(address)
                 self._heartbeats[address] = heartbeat
@@ -211,7 +212,7 @@ class Membership:
                 return
             self._refusals[address] = line
             self._changed.notify_all()
-        self._say(line)
+        LOG.warning(line)
 
     def _on(self, address: str, function: Callable[..., Any], *arguments: Any) -> Any:
         task = self.client.submit(
@@ -230,7 +231,7 @@ class Membership:
         for address in list(self._known):
             self.forget(address)
         self._heartbeats.clear()
-        self._say(f"the scheduler at {self._address} does not answer: waiting {SCHEDULER_TIME:.0f} s at most")
+        LOG.warning("the scheduler at %s does not answer: waiting %.0f s at most", self._address, SCHEDULER_TIME)
         with suppress(Exception):
             self.client.close(timeout=1.0)
         deadline = time.monotonic() + SCHEDULER_TIME
@@ -243,7 +244,7 @@ class Membership:
                     return False
                 self._pause(1.0)
                 continue
-            self._say(f"the scheduler at {self._address} is back")
+            LOG.info("the scheduler at %s is back", self._address)
             return True
         return False
 

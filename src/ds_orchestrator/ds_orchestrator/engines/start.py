@@ -3,22 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 from ds_orchestrator.campaign.engine import DriveSettings, Engine
 
 
-def running_engine(
-    settings: DriveSettings, *, logs: Path, say: Callable[[str], None]
-) -> AbstractContextManager[Engine]:
+def running_engine(settings: DriveSettings, *, logs: Path) -> AbstractContextManager[Engine]:
     """Context manager that starts an engine, yields it, and stops it.
 
     Args:
         settings: what is driven, by which engine.
         logs: folder for the logs of the engine's processes.
-        say: called with one line about workers that come and go.
     """
     if settings.engine == "local":
         from ds_orchestrator.engines.local import running_local
@@ -29,7 +25,7 @@ def running_engine(
     if settings.engine == "dask":
         from ds_orchestrator.engines.dask_engine import running_dask
 
-        return running_dask(settings, folder=logs / "dask", say=say)
+        return running_dask(settings, folder=logs / "dask")
     from ds_orchestrator.graph.session import running_graphs
 
     return running_graphs(settings, logs=logs)

@@ -8,7 +8,6 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
@@ -22,6 +21,7 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from ds_base.errors import RunError
+from ds_base.progress import logger_of
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.graph.supervisor import (
@@ -40,6 +40,8 @@ from ds_sim.ros.runtime import init_ros
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
+
+LOG = logger_of(__name__)
 
 SERVICE_TIME = 20.0
 """Limit for a simulator's answer to a service or a goal, s."""
@@ -68,7 +70,6 @@ class GraphClient:
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         supervisor: supervisor of the graph's processes if this process started them; dead ones are restarted before
             the next run. None to use running nodes.
-        report: called with one line when a run has to wait for another client.
     """
 
     def __init__(
@@ -78,12 +79,10 @@ class GraphClient:
         domain: int | None,
         command_timeout: float,
         supervisor: Supervisor | None = None,
-        report: Callable[[str], None] = lambda _line: None,
     ) -> None:
         self._namespaces = dict(namespaces)
         self._timeout = command_timeout
         self._supervisor = supervisor
-        self._report = report
         self._revival = threading.Lock()
         self._renewed: dict[str, float] = {}
         """Monotonic time of the last restart of a process, s."""
@@ -313,7 +312,7 @@ class GraphClient:
                 self._thread.ask(simulator.reset, Trigger.Request(), SERVICE_TIME)
             elif not reported:
                 reported = True
-                self._report(f"{simulator.namespace} drives for {', '.join(others)}: waiting {BUSY_TIME:.0f} s at most")
+                LOG.info("%s drives for %s: waiting %.0f s at most", simulator.namespace, ", ".join(others), BUSY_TIME)
             if time.monotonic() > deadline or self._thread.pause(0.5 if others else 0.2):
                 return result
 

@@ -137,7 +137,6 @@ def running_graph(
     composed: bool = True,
     draw: str = "all",
     wait: float = START_TIME,
-    report: Callable[[str], None] = lambda line: None,
 ) -> Iterator[GraphClient]:
     """Start a graph, yield it when it is ready to drive, and stop it.
 
@@ -151,7 +150,6 @@ def running_graph(
             one driver drives all.
         draw: `all`, or `seen` to draw, in a composed graph, only rows of the images that somebody looks at.
         wait: limit for the start of the nodes, s.
-        report: called with one line when a run has to wait for another client.
 
     Raises:
         ds_orchestrator.graph.client.GraphError: the graph does not start.
@@ -174,7 +172,6 @@ def running_graph(
             domain=domain,
             command_timeout=command_timeout,
             supervisor=supervisor,
-            report=report,
         )
         stack.callback(executor.close)
         stack.callback(signals_ignored.__enter__)

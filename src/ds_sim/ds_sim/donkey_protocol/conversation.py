@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ds_base.progress import logger_of
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.donkey_protocol.messages import (
@@ -20,6 +21,8 @@ from ds_sim.donkey_protocol.messages import (
 )
 from ds_sim.session import Session
 from ds_sim.simulator import Command, Observation, Simulator, SimulatorError
+
+LOG = logger_of(__name__)
 
 SCENE = "generated_road"
 """The one scene: the Donkey simulator's with a random road, `donkey-generated-roads-v0` in gym-donkeycar."""
@@ -51,17 +54,17 @@ class Conversation:
     Args:
         simulator: used by this client alone.
         tests: to drive.
-        report: takes one line about what happened.
+        client: its number, for lines about what happened.
 
     Attributes:
         ended: the client asked for the end.
     """
 
-    def __init__(self, simulator: Simulator, tests: ServedTests, report: Callable[[str], None]) -> None:
+    def __init__(self, simulator: Simulator, tests: ServedTests, client: int = 0) -> None:
         self.ended = False
         self._session = Session(simulator)
         self._tests = tests
-        self._report = report
+        self._client = client
         self._form = ImageFormat()
         self._road = -1
         self._frame: Observation | None = None
@@ -137,7 +140,8 @@ class Conversation:
             self._frame = self._checked(self._session.advance(command))
             run = self._session.run
             if run is not None and not self._session.driving:
-                self._report(f"{run.road.road_id}: {run.outcome.name} after {run.steps} frames")
+                outcome, steps = run.outcome.name, run.steps
+                LOG.info("client %d: %s: %s after %d frames", self._client, run.road.road_id, outcome, steps)
         return self._telemetry()
 
     def _checked(self, frame: Observation | None) -> Observation:
@@ -158,4 +162,4 @@ class Conversation:
     def _note(self, line: str) -> None:
         if line not in self._noted and len(self._noted) < 20:
             self._noted.add(line)
-            self._report(line)
+            LOG.info("client %d: %s", self._client, line)

@@ -15,10 +15,13 @@ from collections.abc import Callable
 from typing import Any
 
 from ds_base.errors import InputError
+from ds_base.progress import logger_of
 from ds_sim.donkey_protocol.conversation import SCENE, Conversation, ServedTests
 from ds_sim.donkey_protocol.messages import MessageSplitter, ProtocolError
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Simulator, SimulatorError
+
+LOG = logger_of(__name__)
 
 CHUNK = 64 * 1024
 GREETING_DELAY = 0.5
@@ -44,7 +47,6 @@ class DonkeyServer:
         most_clients: connected at the same time.
         greeting_delay: s from a connection to the first message.
         yields_after: s without a complete message after which a client gives its place to a new one.
-        report: takes one line about what happened.
     """
 
     def __init__(
@@ -56,7 +58,6 @@ class DonkeyServer:
         most_clients: int = 8,
         greeting_delay: float = GREETING_DELAY,
         yields_after: float = YIELDS_AFTER,
-        report: Callable[[str], None] = print,
     ) -> None:
         self._simulator = simulator
         self._tests = tests
@@ -64,7 +65,6 @@ class DonkeyServer:
         self._most = most_clients
         self._greeting_delay = greeting_delay
         self._yields_after = yields_after
-        self._report = report
         self._idle: list[Simulator] = []
         self._heard: dict[int, float] = {}
         """Client -> time of its last complete message, s."""
@@ -106,7 +106,7 @@ class DonkeyServer:
         """Load the first road: an unusable simulator is refused at once, and what compiles on first use is ready."""
         simulator = make_simulator(self._simulator)
         self._idle.append(simulator)
-        Conversation(simulator, self._tests, self._report).answer({"msg_type": "load_scene", "scene_name": SCENE})
+        Conversation(simulator, self._tests).answer({"msg_type": "load_scene", "scene_name": SCENE})
 
     def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.get_running_loop().create_task(self._serve_client(reader, writer))
@@ -117,21 +117,18 @@ class DonkeyServer:
         self._served += 1
         number = self._served
 
-        def report(line: str) -> None:
-            self._report(f"client {number}: {line}")
-
         if len(self._seats) >= self._most and not self._make_room():
-            report(problem := f"refused, as {self._most} clients are connected")
+            LOG.info("client %d: %s", number, problem := f"refused, as {self._most} clients are connected")
             await self._close(writer, problem)
             return
         task = asyncio.current_task()
         assert task is not None
         self._seats[number], self._heard[number] = task, time.monotonic()
-        report("connected")
+        LOG.info("client %d: connected", number)
         simulator, problem = None, ""
         try:
             simulator = self._idle.pop() if self._idle else make_simulator(self._simulator)
-            await self._converse(reader, writer, Conversation(simulator, self._tests, report), number)
+            await self._converse(reader, writer, Conversation(simulator, self._tests, number), number)
         except ProtocolError as error:
             problem = str(error)
         except (SimulatorError, ValueError) as error:
@@ -150,7 +147,7 @@ class DonkeyServer:
             self._heard.pop(number, None)
             if simulator is not None:
                 self._idle.append(simulator)
-        report(f"disconnected{': ' if problem else ''}{problem}")
+        LOG.info("client %d: disconnected%s%s", number, ": " if problem else "", problem)
         await self._close(writer, problem)
 
     def _make_room(self) -> bool:

@@ -12,16 +12,19 @@ from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from ds_analysis.comparison.sequential import BATCH
 from ds_base.installation import ds_command
+from ds_base.progress import logger_of
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
-from ds_orchestrator.engines.drive_tests import GivenDrives, Key, Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, Key, drive_tests
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.gates.gate import Gate
 from ds_sim.scenario import Scenario
+
+LOG = logger_of(__name__)
 
 Drives = Mapping[Key, Execution]
 SAME = ("siblings", "twin", "lane", "conditions", "gates", "maxitwo_compatible", "features", "migration", "search")
@@ -176,7 +179,7 @@ def compare(
     origin: Origin,
     source: str,
     out: Path,
-    progress: Progress,
+    callbacks: Callbacks,
     recheck: bool = True,
     label: str = "",
     sequential: bool = False,
@@ -190,7 +193,7 @@ def compare(
         origin: how the tests were chosen.
         source: where they come from, in words.
         out: folder for the drives; a comparison that was stopped goes on there.
-        progress: who hears of it.
+        callbacks: who hears of it.
         label: of the candidate, safe within a file name, where several share a folder and the reference's drives.
         sequential: outcomes decide when drives end, as `compare_until_sure` does.
         recheck: drive one known test again on each simulator, to find out whether drives are repeatable here.
@@ -211,9 +214,9 @@ def compare(
         for role, network, known in roles:
             if recheck and known and role not in checked:
                 checked.add(role)
-                _recheck(tests, role, network, known, out, progress)
+                _recheck(tests, role, network, known, out, callbacks)
             named = out / "drives" / f"{role}{'_' * bool(label) + label if role == 'candidate' else ''}_on_{tests.name}"
-            sides[role] = _complete(tests, role, network, known, named, progress)
+            sides[role] = _complete(tests, role, network, known, named, callbacks)
         known_excluded = {key for key, gate in tests.gates.items() if not gate.is_valid}
         excluded += len(known_excluded | sides["reference"].excluded | sides["candidate"].excluded)
         found, missing = _paired(tests, sides)
@@ -236,7 +239,14 @@ def compare(
 
 
 def compare_until_sure(
-    tests: GivenTests, reference: Network, candidate: Network, *, source: str, out: Path, progress: Progress, label: str
+    tests: GivenTests,
+    reference: Network,
+    candidate: Network,
+    *,
+    source: str,
+    out: Path,
+    callbacks: Callbacks,
+    label: str,
 ) -> Comparison:
     """Compare two networks on random roads, some more at a time, until the answer is sure or no road is left.
 
@@ -246,14 +256,14 @@ def compare_until_sure(
         candidate: the network that may replace it.
         source: where the tests come from, in words.
         out: folder for the drives.
-        progress: who hears of it.
+        callbacks: who hears of it.
         label: of the candidate.
     """
     roads = max(map(len, tests.work.values()))
     for last in [*range(BATCH, roads, BATCH), roads]:
         some = replace(tests, work={name: of[:last] for name, of in tests.work.items()})
         found = compare(
-            [some], reference, candidate, origin="random", source=source, out=out, progress=progress, label=label,
+            [some], reference, candidate, origin="random", source=source, out=out, callbacks=callbacks, label=label,
             sequential=True,
         )  # fmt: skip
         if is_sure(found) or last == roads:
@@ -264,7 +274,7 @@ def compare_until_sure(
 
 
 def _complete(
-    tests: GivenTests, role: Role, network: Network, known: Drives, folder: Path, progress: Progress
+    tests: GivenTests, role: Role, network: Network, known: Drives, folder: Path, callbacks: Callbacks
 ) -> GivenDrives:
     """Known drives, and those that are driven now."""
     missing = {name: [test for test in of if (test.test_id, name) not in known] for name, of in tests.work.items()}
@@ -277,14 +287,14 @@ def _complete(
             "compare its campaign with a network, as in `ds compare A --driver B`"
         )
     settings = replace(tests.settings, driver=network.driver)
-    progress.say(f"{role} {network.driver}: {sum(map(len, missing.values()))} drives")
-    found = drive_tests(settings, missing, folder, progress, gates=tests.gates)
+    LOG.info("%s %s: %d drives", role, network.driver, sum(map(len, missing.values())))
+    found = drive_tests(settings, missing, folder, callbacks, gates=tests.gates)
     return GivenDrives(
         executions={**known, **found.executions}, gates=found.gates, errors=found.errors
     )  # fmt: skip
 
 
-def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out: Path, progress: Progress) -> None:
+def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out: Path, callbacks: Callbacks) -> None:
     """Drive the shortest known test of each simulator again: its outcome counts only if it is repeatable here.
 
     The known outcomes of a network whose files have changed or are gone are taken as they are.
@@ -296,10 +306,10 @@ def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out
         if driven:
             work[name] = [min(driven, key=lambda test: (known[test.test_id, name].steps, test.test_id))]
     if reason := _cannot_drive(network):
-        progress.say(f"{role} {network.driver}: its known outcomes were not checked: {reason}")
+        LOG.warning("%s %s: its known outcomes were not checked: %s", role, network.driver, reason)
         return
-    progress.say(f"{role} {network.driver}: drives one known test on each simulator again, to check that it repeats")
-    found = drive_tests(settings, work, out / "drives" / f"{role}_again_{tests.name}", progress, gates=tests.gates)
+    LOG.info("%s %s: drives one known test on each simulator again, to check that it repeats", role, network.driver)
+    found = drive_tests(settings, work, out / "drives" / f"{role}_again_{tests.name}", callbacks, gates=tests.gates)
     for key, execution in found.executions.items():
         if execution.trajectory_sha256 != known[key].trajectory_sha256:
             raise ComparisonError(

@@ -12,7 +12,7 @@ from ds_base.errors import RunError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.engines.drive_tests import GivenDrives, Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
@@ -109,7 +109,7 @@ def experiments_on(data: CampaignData, groups: Groups, most: int) -> list[Experi
 
 
 def drive_experiments(
-    experiments: Sequence[Experiment], settings: DriveSettings, folder: Path, progress: Progress
+    experiments: Sequence[Experiment], settings: DriveSettings, folder: Path, callbacks: Callbacks
 ) -> GivenDrives:
     """Drive experiments, which may have drives in common; errors are those of `drive_tests`.
 
@@ -117,7 +117,7 @@ def drive_experiments(
         experiments: what to drive.
         settings: driver and engine; simulators are those of the experiments, and nothing is gated or recorded.
         folder: of the drives.
-        progress: who hears of it.
+        callbacks: who hears of it.
     """
     if not experiments:
         return GivenDrives()
@@ -128,4 +128,4 @@ def drive_experiments(
             if test not in work.setdefault(name, []):
                 work[name].append(test)
     settings = replace(settings, siblings=tuple(work), twin=None, gates="none", record="none", conditions=DEFAULT)
-    return drive_tests(settings, work, folder, progress)
+    return drive_tests(settings, work, folder, callbacks)

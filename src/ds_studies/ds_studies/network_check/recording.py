@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Indices
-from ds_base.processes import Progress, map_in_processes
+from ds_base.processes import map_in_processes
+from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
@@ -87,9 +88,10 @@ def record(simulators: Sequence[str], seed: int, progress: Progress, *, whole: b
         for way in (one, replace(one, road=one.road.reversed()))
     ]
     drives: dict[str, list[Recording]] = {}
-    for done, one in enumerate(map_in_processes(_record, jobs), start=1):
+    progress.start(len(jobs))
+    for one in map_in_processes(_record, jobs):
         drives.setdefault(one.simulator, []).append(one)
-        progress(done, len(jobs), f"the autopilot drove on {one.simulator}")
+        progress.advance(line=f"the autopilot drove on {one.simulator}")
     return [
         Recording(
             simulator=name,

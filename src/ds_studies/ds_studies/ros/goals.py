@@ -16,7 +16,7 @@ from ds_base.config_errors import read_keys
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, moved, parse_config
 from ds_orchestrator.campaign.executor import StopSwitch
 from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
-from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim.ros.conversions import conditions_from_messages, road_from_message
 from ds_sim.ros.requests import GoalServer
@@ -72,7 +72,6 @@ def run_campaign_goal(job: Job, trusted: Collection[str]) -> None:
         job.folder,
         job.listener,
         attach=attach,
-        say=job.listener.say,
         stop=job.stop,
     )
     job.result.report = str(found.report)
@@ -116,8 +115,8 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
         Test(f"given-0-{number:04d}", Scenario(road_from_message(road), conditions, seed=seed))
         for number, (road, seed) in enumerate(zip(request.roads, seeds, strict=True))
     ]
-    progress = Progress(listen=lambda: nullcontext(job.listener), say=job.listener.say, stop=job.stop)
-    found = drive_tests(settings, dict.fromkeys(names, tests), job.folder, progress)
+    callbacks = Callbacks(listen=lambda: nullcontext(job.listener), stop=job.stop)
+    found = drive_tests(settings, dict.fromkeys(names, tests), job.folder, callbacks)
     for test in tests:
         for name in names:
             key = (test.test_id, name)

@@ -78,7 +78,8 @@ class OrchestratorNode(Node):
 
     def _do(self, job: Job) -> None:
         try:
-            job.work(job, self._trusted)
+            with job.listener.hearing():
+                job.work(job, self._trusted)
         except (Stopped, KeyboardInterrupt):
             if job.stop.is_on:
                 return self._finish(job, job.goal.canceled, CampaignState.CANCELLED, f"cancelled; {_KEPT}")

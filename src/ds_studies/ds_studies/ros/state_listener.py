@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from queue import SimpleQueue
 
 from ds_interfaces.msg import CampaignState, TestOutcome
 
+from ds_base.progress import LOGGER
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.live_file import Eta
 from ds_orchestrator.store.model import Execution, Test
@@ -50,13 +53,24 @@ class StateListener(Listener):
             self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
         self.outcomes.put(outcome_message(test.test_id, simulator, execution))
 
-    def say(self, line: str) -> None:
-        """Take a line about stages after driving, or about workers."""
+    @contextmanager
+    def hearing(self) -> Iterator[None]:
+        """Make the last line of the product's loggers the state's message."""
+        handler = logging.Handler(logging.INFO)
+        handler.emit = self._heard  # type: ignore[method-assign]
+        logger = logging.getLogger(LOGGER)
+        level = logger.level
+        logger.addHandler(handler)
+        logger.setLevel(logging.INFO)
+        try:
+            yield
+        finally:
+            logger.removeHandler(handler)
+            logger.setLevel(level)
+
+    def _heard(self, record: logging.LogRecord) -> None:
         with self._lock:
-            if line.startswith("stage: "):
-                self._state.stage, self._eta = line.removeprefix("stage: "), Eta()
-            else:
-                self._state.message = line
+            self._state.message = record.getMessage()
 
     def end(self, state: int, message: str) -> None:
         """Set how the goal ended."""

@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from ds_analysis.common.table import Column, Table, Value
+from ds_base.progress import SILENT, Progress, logger_of
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.network_driver import sees_translated
 from ds_driver.networks.pilot import DriverError
@@ -90,8 +91,7 @@ class Drives:
         return found.outcome.is_failure if isinstance(found, Execution) else True
 
 
-Progress = Callable[[int, int, str], None]
-"""Called with the number of measurements done, their total number, and a line about the last one."""
+LOG = logger_of(__name__)
 Watch = Callable[["Sensitivity"], None]
 """Called with what is known after each measurement; the others are `pending`."""
 
@@ -205,9 +205,8 @@ def analyse_sensitivity(
     segments: int = SEGMENTS,
     folder: Path | None = None,
     gates: Path | None = None,
-    progress: Progress = lambda done, total, line: None,
+    progress: Progress = SILENT,
     watch: Watch = lambda found: None,
-    say: Callable[[str], None] = lambda line: None,
 ) -> Sensitivity:
     """Find for each factor on each simulator the strength at which a driver first fails.
 
@@ -220,9 +219,8 @@ def analyse_sensitivity(
         segments: segments of 25 m of each road, at most `MOST_SEGMENTS`.
         folder: keeps every finished drive, so that the same call goes on; None keeps nothing.
         gates: keeps the gates, which analyses of several drivers on the same simulators may share; in `folder` if None.
-        progress: called after each measurement.
+        progress: counts the measurements.
         watch: called with what is known after each measurement.
-        say: called with one line where something deserves attention.
 
     Raises:
         ds_orchestrator.campaign.config.ConfigError: the driver or a simulator's file has changed since the folder
@@ -234,17 +232,17 @@ def analyse_sensitivity(
     preflight(settings)
     with ExitStack() as stack:
         place = folder or Path(stack.enter_context(TemporaryDirectory(prefix="ds_sensitivity_")))
-        tested = stack.enter_context(open_drives(settings, place / TESTED, say))
+        tested = stack.enter_context(open_drives(settings, place / TESTED))
         autopilot = replace(settings, driver=AUTOPILOT)
-        gate_store = stack.enter_context(open_drives(autopilot, gates or place / GATE, say))
-        engine = stack.enter_context(running_engine(settings, logs=place / "logs", say=say))
+        gate_store = stack.enter_context(open_drives(autopilot, gates or place / GATE))
+        engine = stack.enter_context(running_engine(settings, logs=place / "logs"))
         capacity = engine.capacity or settings.workers * len(settings.simulators)
         pool = stack.enter_context(ThreadPoolExecutor(capacity))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
         drives = Drives(settings, engine, tested, gate_store)
         stack.callback(drives.stop)  # first of all, so that no thread waits for a drive
         candidates = candidate_roads(roads, seed, segments=segments)
-        chosen = _choose(drives, settings, candidates, roads, pool, say)
+        chosen = _choose(drives, settings, candidates, roads, pool)
         known = Sensitivity(
             driver=settings.driver, simulators=settings.simulators, factors=factors, needed=roads, roads=chosen,
             thresholds={},
@@ -265,7 +263,6 @@ def _choose(
     candidates: Sequence[Scenario],
     needed: int,
     pool: ThreadPoolExecutor,
-    say: Callable[[str], None],
 ) -> dict[str, list[Scenario]]:
     """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
     found = {
@@ -277,7 +274,7 @@ def _choose(
             completed = len(numbers.result())
         except DriverError as error:
             raise DriverError(f"{error}: fix it and run the same command again") from None
-        say(f"{name}: {settings.driver} completes {completed} of {needed} roads without any condition")
+        LOG.info("%s: %s completes %d of %d roads without any condition", name, settings.driver, completed, needed)
     return {name: [candidates[number] for number in numbers.result()] for name, numbers in found.items()}
 
 
@@ -313,10 +310,11 @@ def _measure(
             if measured:
                 running[pool.submit(threshold, position, name)] = position, name
     so_far(found)
-    for done, future in enumerate(as_completed(running), 1):
+    progress.start(len(running))
+    for future in as_completed(running):
         one = found[running[future]] = future.result()
         so_far(found)
-        progress(done, len(running), f"{one.factor.title} on {one.simulator}: {one.text}")
+        progress.advance(line=f"{one.factor.title} on {one.simulator}: {one.text}")
     return found
 
 

@@ -22,7 +22,7 @@ from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, moved
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
-from ds_orchestrator.engines.drive_tests import Progress, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.search.features import DEFAULT_FEATURES, feature_of
 from ds_orchestrator.store.model import Execution, Test
@@ -324,7 +324,7 @@ def settings_of_suite(suite: Suite, driver: str) -> DriveSettings:
 
 
 def run_suite(
-    suite: Suite, settings: DriveSettings, candidate: Network, folder: Path, progress: Progress, *, source: str
+    suite: Suite, settings: DriveSettings, candidate: Network, folder: Path, callbacks: Callbacks, *, source: str
 ) -> tuple[Comparison, dict[tuple[str, str], Execution]]:
     """Drive a suite, and compare its outcomes with those of the suite.
 
@@ -333,7 +333,7 @@ def run_suite(
         settings: of `settings_of_suite`, with the engine.
         candidate: the driver.
         folder: for the drives; a run that was stopped goes on there.
-        progress: who hears of it.
+        callbacks: who hears of it.
         source: where the tests come from, in words.
 
     Returns:
@@ -344,7 +344,7 @@ def run_suite(
         for number, one in enumerate(suite.tests)
     }
     work = {name: [tests[one.name] for one in suite.tests if name in one.outcomes] for name in suite.simulators}
-    found = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, progress)
+    found = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, callbacks)
     pairs, left_out, executions = [], [], {}
     for one in suite.tests:
         test = tests[one.name]

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far a piece of work is, and lines about it: who works reports, whoever called decides what is shown.
+
+Lines go to the logger `digital_siblings` of the standard library, which shows nothing below a warning unless asked:
+
+    logging.basicConfig(format="%(message)s")
+    logging.getLogger(LOGGER).setLevel(logging.INFO)
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Protocol
+
+LOGGER = "digital_siblings"
+"""Name of the logger above those of all modules."""
+
+
+def logger_of(module: str) -> logging.Logger:
+    """The logger of a module, given its `__name__`."""
+    return logging.getLogger(f"{LOGGER}.{module}")
+
+
+class Progress(Protocol):
+    """Receives how far a piece of work is, from one thread.
+
+    progress.start(len(roads))
+    for road in roads:
+        drive(road)
+        progress.advance(line=f"{road.road_id} driven")
+    """
+
+    def start(self, total: float) -> None:
+        """Begin: an `int` counts items, a `float` is an amount of work in any unit. Begin again for other work."""
+
+    def advance(self, amount: float = 1, line: str = "") -> None:
+        """Count work as done, and say something about it if there is a line."""
+
+    def describe(self, line: str) -> None:
+        """Say what is being done, or was found, while no item ends."""
+
+
+class Silent:
+    """Progress that nobody looks at."""
+
+    def start(self, total: float) -> None:
+        """Ignore it."""
+
+    def advance(self, amount: float = 1, line: str = "") -> None:
+        """Ignore it."""
+
+    def describe(self, line: str) -> None:
+        """Ignore it."""
+
+
+SILENT = Silent()

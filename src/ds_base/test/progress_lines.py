@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress whose lines tests read."""
+
+from __future__ import annotations
+
+
+class ProgressLines:
+    """Keeps what it is told.
+
+    Attributes:
+        lines: in order.
+        done: amount of work done since the last start.
+        total: amount of work since the last start.
+    """
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.done = self.total = 0.0
+
+    def start(self, total: float) -> None:
+        """Keep it."""
+        self.done, self.total = 0.0, total
+
+    def advance(self, amount: float = 1, line: str = "") -> None:
+        """Keep it."""
+        self.done += amount
+        if line:
+            self.describe(line)
+
+    def describe(self, line: str) -> None:
+        """Keep it."""
+        self.lines.append(line)
