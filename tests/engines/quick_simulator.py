@@ -6,6 +6,8 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
+import struct
+import sys
 import time
 from pathlib import Path
 
@@ -99,6 +101,23 @@ class CrashingSimulator(QuickSimulator):
                 Path(once).touch()
             os.kill(os.getpid(), signal.SIGSEGV)
         return super().step(command)
+
+
+NONSENSE = (
+    struct.pack("!i", 8) + b"nonsense",
+    struct.pack("!i", 4) + b"\x92\x7f\xc4\x00",  # an answer to a drive that nobody asked for
+    struct.pack("!i", 4) + b"\x92\x01\xc4\x00",  # an empty run
+    struct.pack("!iQ", -1, 2**40) + b"too long",
+)
+"""Frames of a connection."""
+
+
+class BabblingSimulator(QuickSimulator):
+    """Writes into its process's connection what is no answer; the seed says what."""
+
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
+        os.write(int(sys.argv[1]), NONSENSE[seed])
+        return super().load(road, seed=seed, conditions=conditions)
 
 
 class RaisingSimulator(QuickSimulator):

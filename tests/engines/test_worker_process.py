@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.engines.quick_simulator import NONSENSE
 
 from ds_driver.closed_loop import worker_process
 from ds_driver.closed_loop.drive_request import DriveRequest
@@ -111,6 +112,12 @@ def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(w
     crash = process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:CrashingSimulator"))
     assert crash.outcome is Outcome.SIM_ERROR and "signal 11" in crash.message and "\n" not in crash.message
     assert process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:QuickSimulator")).outcome.is_verdict
+
+
+@pytest.mark.parametrize("seed", range(len(NONSENSE)))
+def test_an_answer_that_makes_no_sense_ends_as_an_error(worker: Processes, seed: int) -> None:
+    run = worker().drive(DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, f"{QUICK}:BabblingSimulator"))
+    assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "its process ended 3 times: killed by signal 9")
 
 
 def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Processes) -> None:

@@ -56,6 +56,7 @@ NO_KEY = {
     "lz4": "lz4",
     "markupsafe": "markupsafe",
     "mcap": "mcap",
+    "msgspec": "msgspec",
     "numba": "numba",
     "onnx": "onnx",
     "openvino": "openvino",
@@ -66,7 +67,6 @@ NO_KEY = {
     "safetensors": "safetensors",
     "statsmodels": "statsmodels",
     "vehiclemodels": "commonroad-vehicle-models",
-    "zstandard": "zstandard",
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {

@@ -12,10 +12,12 @@ from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
 
+import msgspec
+
 from ds_base.errors import RunError
 from ds_base.processes import ChildProcesses, last_line_of, python_environment
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.drive_worker import KEY_BYTES, PhaseMemory, encoded_request
+from ds_driver.closed_loop.drive_worker import ANSWER, LARGEST_ANSWER, PhaseMemory, encoded_request
 from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
@@ -196,9 +198,9 @@ class _Process:
         while True:
             try:
                 if self._connection.poll(_POLL):
-                    self._receive(self._connection.recv_bytes())
+                    self._receive(self._connection.recv_bytes(LARGEST_ANSWER))
                     continue
-            except (EOFError, OSError, RunCodecError):
+            except (EOFError, OSError, RunCodecError, msgspec.DecodeError, KeyError):  # it ended, or talks nonsense
                 self.child.kill()
                 break
             if self.child.poll() is not None:
@@ -221,9 +223,9 @@ class _Process:
         self._memory.close()
 
     def _receive(self, message: bytes) -> None:
-        key = int.from_bytes(message[:KEY_BYTES], "little")
-        asked, answer = self._take(key)
-        answer.set_result(decode_run(message[KEY_BYTES:], asked.scenario))
+        key, encoded = ANSWER.decode(message)
+        run = decode_run(encoded, self._drives[key][0].scenario)
+        self._take(key)[1].set_result(run)
 
     def _take(self, key: int) -> tuple[DriveRequest, Future[RunRecord]]:
         with self._lock:
