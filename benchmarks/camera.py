@@ -2,10 +2,9 @@
 """Times the rendering of images, compares the twin's images with photographs, and measures the camera of `panda`.
 
 `python -m benchmarks.camera painted` times the painting camera of each simulator that has one at 320 x 160 and
-640 x 480, relative to a plain bilinear `cv2.warpPerspective`; `photographs FOLDER` compares the twin with the JPEG
-images in FOLDER; `panda [--out docs/images]` writes `panda_views.png`, and prints what loading a road and an image take
-in processor time, beside the camera of `bullet` in the same seconds, and how much the far rows of an image flicker on
-a straight drive.
+640 x 480; `photographs FOLDER` compares the twin with the JPEG images in FOLDER; `panda [--out docs/images]` writes
+`panda_views.png`, and prints what loading a road and an image take in processor time, beside the camera of `bullet` in
+the same seconds.
 """
 
 from __future__ import annotations
@@ -19,11 +18,9 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import cv2
 import numpy as np
-from benchmarks.image_statistics import image_statistics, percentiles
 from numpy.typing import NDArray
 
 from ds_road import Road, generate
@@ -31,12 +28,11 @@ from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.renderer import Camera, Sensor
 from ds_sim.registry import STANDARD, spec_of
 from ds_sim.simulator import VehicleState
-from ds_sim_panda.scene import textures, world
 from ds_sim_panda.scene.panda_scene import PandaScene
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 RNG = np.random.default_rng(0)
-ROUNDS = 10
+LOADS = 10
 
 
 def poses(seed: int) -> list[VehicleState]:
@@ -60,10 +56,15 @@ def median_ms(call: Callable[[VehicleState], object], states: list[VehicleState]
     return float(np.median(times))
 
 
-def bilinear(raster: NDArray[np.uint8], size: tuple[int, int], _: VehicleState) -> object:
-    """Baseline: one perspective warp."""
-    plain = np.array([[20.0, -3.0, 1e3], [2.0, 9.0, 1500.0], [0.001, 0.004, 1.0]])
-    return cv2.warpPerspective(raster, plain, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
+def image_statistics(image: NDArray[np.uint8]) -> tuple[float, float, float]:
+    """Brightness, contrast and sharpness of an RGB image.
+
+    They are mean and standard deviation of its luma (ITU-R BT.601), grey levels, and the standard deviation of the
+    luma's Laplacian over the contrast.
+    """
+    luma = image.astype(np.float64) @ (0.299, 0.587, 0.114)
+    edges = cv2.Laplacian(luma, cv2.CV_64F)[1:-1, 1:-1]
+    return float(luma.mean()), float(luma.std()), float(edges.std() / luma.std())
 
 
 def compare(folder: Path) -> None:
@@ -77,7 +78,7 @@ def compare(folder: Path) -> None:
         rows = image.shape[1] // 2
         top = (image.shape[0] - rows) // 2
         size = (image.shape[1], rows)
-        photographs.append(image_statistics(np.ascontiguousarray(image[top : top + rows])))  # type: ignore[arg-type]
+        photographs.append(image_statistics(np.asarray(image[top : top + rows], np.uint8)))
     spec = spec_of("donkey")
     frames = []
     for seed in range(4):
@@ -85,11 +86,11 @@ def compare(folder: Path) -> None:
         camera, sensor = Camera(spec.camera, spec.look), Sensor(spec.camera, np.random.default_rng(seed))
         for state in poses(seed)[::4]:
             frame = sensor.deliver(camera.render(ground, replace(state, roll=0.0, pitch=0.0)))
-            frames.append(image_statistics(cv2.resize(frame, size, interpolation=cv2.INTER_AREA)))  # type: ignore[arg-type]
-    of_twin, of_photographs = percentiles(frames), percentiles(photographs)
-    for name in of_twin:
-        row = "  ".join("/".join(f"{v:.2f}" for v in values) for values in (of_photographs[name], of_twin[name]))
-        print(f"{name:<15} photographs, twin: {row}")
+            resized = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
+            frames.append(image_statistics(np.asarray(resized, np.uint8)))
+    for index, name in enumerate(("brightness", "contrast", "sharpness")):
+        shares = (np.percentile([one[index] for one in images], (5, 50, 95)) for images in (photographs, frames))
+        print(f"{name:<11} photographs, twin: {'  '.join('/'.join(f'{v:.2f}' for v in values) for values in shares)}")
 
 
 def painted() -> None:
@@ -98,14 +99,11 @@ def painted() -> None:
     for name in (name for name in STANDARD if name != "panda"):
         spec = spec_of(name)
         ground = paint_ground(road, spec.look)
-        raster = np.ascontiguousarray(ground.levels[0][:, :, :3])
         for width, height in ((320, 160), (640, 480)):
             camera = Camera(replace(spec.camera, width=width, height_px=height), spec.look)
             camera.render(ground, states[0])
-            rendering = median_ms(partial(camera.render, ground), states)
-            baseline = median_ms(partial(bilinear, raster, (width, height)), states)
-            ratio = rendering / baseline
-            print(f"{name:<9} {width} x {height}: {1e3 / rendering:5.0f} frames/s, {ratio:.1f} x plain bilinear")
+            milliseconds = median_ms(partial(camera.render, ground), states)
+            print(f"{name:<9} {width} x {height}: {1e3 / milliseconds:5.0f} frames/s")
 
 
 def loaded(road: Road, spec: Any) -> PandaScene:
@@ -133,16 +131,8 @@ def views() -> NDArray[np.uint8]:
     return np.vstack(rows)
 
 
-def cpu_ms(call: Callable[[VehicleState], object], states: list[VehicleState]) -> float:
-    """Processor time of a call, mean over some states, ms."""
-    started = time.process_time()
-    for state in states:
-        call(state)
-    return 1e3 * (time.process_time() - started) / len(states)
-
-
 def speed() -> None:
-    """Print processor times by turns with the camera of bullet, medians of `ROUNDS`."""
+    """Print median processor times, beside the camera of bullet."""
     road, states, bullet = generate(np.random.default_rng(4), max_angle=60), poses(4), spec_of("bullet")
     scene, ground = loaded(road, spec_of("panda").camera), paint_ground(road, bullet.look)
     part = loaded(road, spec_of("panda").camera)
@@ -156,48 +146,21 @@ def speed() -> None:
         "panda, rows that a network sees": part.image,
         "panda, 640 x 480": large.image,
     }
-    times: dict[str, list[float]] = {name: [] for name in (*calls, "panda, load with its first image")}
-    for _ in range(ROUNDS):
-        for name, call in calls.items():
-            call(states[0])
-            times[name].append(cpu_ms(call, states[::3]))
-        started = time.process_time()
+    for name, call in calls.items():
+        call(states[0])
+        print(f"{name:<34} {median_ms(call, states):6.2f} ms")
+
+    def load(state: VehicleState) -> None:
         part.load(road, RNG)
-        part.image(states[0])
-        times["panda, load with its first image"].append(1e3 * (time.process_time() - started))
-    for name, values in times.items():
-        print(f"{name:<34} {np.median(values):6.2f} ms (least {min(values):.2f})")
+        part.image(state)
 
-
-def flicker(*, textured: bool, furnished: bool) -> float:
-    """Standard deviation over time of the least steady pixel of each far row, mean over rows, grey levels.
-
-    Args:
-        textured: whether surfaces have their textures.
-        furnished: whether something stands beside the road.
-    """
-    plain = mock.patch.object(textures, "noise", lambda size, *args, **kwargs: np.zeros(size))
-    empty = mock.patch.object(world, "place_scenery", return_value={})
-    for name in ("grass", "gravel", "asphalt", "patches"):
-        getattr(textures, name).cache_clear()
-    with plain if not textured else mock.MagicMock(), empty if not furnished else mock.MagicMock():
-        scene = loaded(STRAIGHT, spec_of("panda").camera)
-        states = [
-            VehicleState(x=127.0, y=30.0 + 0.137 * i, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
-            for i in range(24)
-        ]
-        frames = [scene.image(state)[61:75].astype(float) for state in states]
-    return float(np.std(frames, axis=0)[:, 110:210].max(axis=1).mean())
+    print(f"panda, load with its first image   {median_ms(load, states[:LOADS]):6.2f} ms")
 
 
 def panda(out: Path) -> None:
     """Write the picture of `panda`, print its measurements."""
     cv2.imwrite(str(out / "panda_views.png"), cv2.cvtColor(views(), cv2.COLOR_RGB2BGR))
     speed()
-    for textured, furnished in ((False, False), (True, False), (True, True)):
-        print(
-            f"flicker, textures {textured}, scenery {furnished}: {flicker(textured=textured, furnished=furnished):.2f}"
-        )
 
 
 def main() -> None:
