@@ -18,9 +18,8 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
-from benchmarks.recording.drives import polynomial
+from benchmarks.recording.drives import floor_camera, write_tub
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_cli.output import ScreenProgress, say
@@ -29,7 +28,7 @@ from ds_driver.data.recordings import Reading
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
-from ds_recording.floor_camera import read_camera
+from ds_recording.floor_camera import read_camera, write_camera
 from ds_recording.locate import located_of
 from ds_recording.located import COLUMNS, write_located
 from ds_recording.recording import read_views
@@ -84,35 +83,21 @@ def record(road: Road, seed: int, folder: Path) -> None:
     simulator.close()
     if seen.outcome is not Outcome.COMPLETED:
         raise SystemExit(f"road {seed}: the hand ended {seen.outcome.name}")
-    (folder / "tub/images").mkdir(parents=True)
-    rows, located = [], []
-    for k, (image, command) in enumerate(zip(images, commands, strict=True)):
-        name = f"{k}_cam_image_array_.jpg"
-        cv2.imwrite(str(folder / "tub/images" / name), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
-        rows.append({
-            "_index": k, "_timestamp_ms": 50 * k, "cam/image_array": name, "user/angle": command.steering,
-            "user/throttle": command.throttle, "user/mode": "user",
-        })  # fmt: skip
+    write_tub(
+        folder / "tub", [(FRAME_TIME * k, *pair, {}) for k, pair in enumerate(zip(images, commands, strict=True))]
+    )
+    located = []
+    for k, command in enumerate(commands):
         state = states[max(k - spec.camera.latency, 0)]  # what the image shows
         lateral, along = tracker.update(state.x, state.y)
         place = np.array([state.x, state.y, state.yaw, along, lateral]) / [SCALE, SCALE, 1.0, SCALE, SCALE]
         motion = (0.0, state.speed / SCALE, state.yaw_rate, 0.0, 0.0)
         located.append((k, FRAME_TIME * k, *place, *motion, command.steering, command.throttle))
-    index = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": []})
-    (folder / "tub/manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", index]))
-    (folder / "tub/catalog_0.catalog").write_text("\n".join(map(json.dumps, rows)))
     lines = [",".join(COLUMNS), *(",".join(f"{value:.9g}" for value in row) for row in located)]
     (folder / "located.csv").write_text("\n".join(lines) + "\n")
     track = [f"{x / SCALE:.6f},{y / SCALE:.6f},{LANE},{LANE}" for x, y in road.points.tolist()]
     (folder / "track.csv").write_text("\n".join([HEADER, *track]) + "\n")
-    camera = spec.camera
-    k3 = camera.intrinsics
-    known = {
-        "width_px": camera.width, "height_px": camera.height_px, "focal_px": float(k3[0, 0]),
-        "centre_x_px": float(k3[0, 2]), "centre_y_px": float(k3[1, 2]), "height_m": camera.height / SCALE,
-        "pitch_rad": camera.pitch, "forward_m": camera.forward / SCALE, "distortion": polynomial(camera),
-    }  # fmt: skip
-    (folder / "camera.yaml").write_text("".join(f"{key}: {value}\n" for key, value in known.items()))
+    write_camera(folder / "camera.yaml", floor_camera(spec.camera).scaled(1.0 / SCALE))
     (folder / "recording.json").write_text(json.dumps({"source": "tub", "lane_width_m": LANE}))
 
 
@@ -169,17 +154,9 @@ def main() -> None:
                 ]
                 verdicts[name] = ["?" if run is None else "F" if run.outcome.is_failure else "." for run in runs]
                 say(f"  {name:10} {''.join(verdicts[name])}")
-                rows += [
-                    (
-                        network,
-                        label,
-                        k,
-                        name,
-                        verdicts[name][k],
-                        "" if run is None else round(run.max_lateral_position, 3),
-                    )
-                    for k, run in enumerate(runs)
-                ]
+                for k, run in enumerate(runs):
+                    worst = "" if run is None else round(run.max_lateral_position, 3)
+                    rows.append((network, label, k, name, verdicts[name][k], worst))
     lines = ["network,conditions,road,simulator,verdict,max_lateral_m", *(",".join(map(str, row)) for row in rows)]
     (out / "verdicts.csv").write_text("\n".join(lines) + "\n")
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ds_driver.control.autopilot import throttle
+from ds_recording.floor_camera import FloorCamera, write_camera
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.camera.painted_scene import PaintedScene
@@ -92,15 +94,40 @@ def polynomial(camera: CameraSpec) -> list[float]:
     return [k1, k2, 0.0, 0.0, k3]
 
 
-def write_camera(path: Path, camera: CameraSpec) -> None:
-    """Write the true camera as `ds recording locate --camera` reads it."""
+def floor_camera(camera: CameraSpec) -> FloorCamera:
+    """The true camera as `ds recording locate --camera` reads it."""
     k = camera.intrinsics
-    known = {
-        "width_px": camera.width, "height_px": camera.height_px, "focal_px": float(k[0, 0]),
-        "centre_x_px": float(k[0, 2]), "centre_y_px": float(k[1, 2]), "height_m": camera.height,
-        "pitch_rad": camera.pitch, "forward_m": camera.forward, "distortion": polynomial(camera), "focal_std": 0.0,
-    }  # fmt: skip
-    path.write_text("".join(f"{key}: {value}\n" for key, value in known.items()))
+    return FloorCamera(
+        width_px=camera.width,
+        height_px=camera.height_px,
+        focal_px=float(k[0, 0]),
+        centre_x_px=float(k[0, 2]),
+        centre_y_px=float(k[1, 2]),
+        height_m=camera.height,
+        pitch_rad=camera.pitch,
+        forward_m=camera.forward,
+        distortion=tuple(polynomial(camera)),
+    )
+
+
+Row = tuple[float, NDArray[np.uint8], Command, dict[str, float]]
+"""Time, s, RGB image, command and sensor values of one frame of a tub."""
+
+
+def write_tub(folder: Path, rows: Iterable[Row]) -> None:
+    """Write a tub of JPEGs as Donkey Car 5 does."""
+    (folder / "images").mkdir(parents=True)
+    records: list[dict[str, object]] = []
+    for index, (time, image, command, sensors) in enumerate(rows):
+        name = f"{index}_cam_image_array_.jpg"
+        cv2.imwrite(str(folder / "images" / name), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
+        angles = {"user/angle": command.steering, "user/throttle": command.throttle, "user/mode": "user"}
+        records.append(
+            {"_index": index, "_timestamp_ms": round(1000 * time), "cam/image_array": name, **angles, **sensors}
+        )
+    paths = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": []})
+    (folder / "manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", paths]))
+    (folder / "catalog_0.catalog").write_text("\n".join(map(json.dumps, records)))
 
 
 def parts_of(plan: Plan) -> tuple[SimulatorSpec, Vehicle, Scene]:
@@ -232,32 +259,22 @@ def _write(
         rng.shuffle(order)
     if plan.fault == "static":
         order[:] = count // 2
-    (folder / "tub" / "images").mkdir(parents=True)
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
     truth = []
     latency = spec.camera.latency
     for index in np.flatnonzero(kept).tolist():
         image = images[order[index]]
         if blurred[index]:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.uint8)
-        name = f"{len(rows)}_cam_image_array_.jpg"
-        cv2.imwrite(str(folder / "tub" / "images" / name), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])
-        command = commands[index]
-        rows.append({
-            "_index": len(rows), "_timestamp_ms": round(1000 * float(times[index])), "cam/image_array": name,
-            "user/angle": command.steering, "user/throttle": command.throttle, "user/mode": "user",
-        })  # fmt: skip
-        if plan.sensors:
-            rows[-1] |= {"enc/speed": float(speeds[index]), "imu/gyr_z": float(turning[index])}
+        read = {"enc/speed": float(speeds[index]), "imu/gyr_z": float(turning[index])} if plan.sensors else {}
+        rows.append((float(times[index]), image, commands[index], read))
         state = states[max(index - latency, 0)]  # what the image shows
         offset, along, heading = course.place(state.x, state.y)
         turned = (state.yaw - heading + math.pi) % (2 * math.pi) - math.pi
         truth.append((len(rows) - 1, state.x, state.y, state.yaw, along, offset, turned, state.speed, state.yaw_rate))
-    paths = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": []})
-    (folder / "tub" / "manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", paths]))
-    (folder / "tub" / "catalog_0.catalog").write_text("\n".join(map(json.dumps, rows)))
+    write_tub(folder / "tub", rows)
     header = "frame,x_m,y_m,yaw_rad,along_m,lateral_m,heading_rad,speed_mps,yaw_rate_radps"
     for name, head, values in (("truth", header, truth), ("track", "x_m,y_m", course.points[::10].tolist())):
         with (folder / f"{name}.csv").open("w", newline="") as stream:
             csv.writer(stream).writerows([head.split(","), *values])
-    write_camera(folder / "camera.yaml", camera_of(spec))
+    write_camera(folder / "camera.yaml", floor_camera(camera_of(spec)))
