@@ -89,39 +89,27 @@ def sheet(name: str, only: list[str], stage: Sim2RealStage | None = None) -> NDA
     return np.vstack(rows)
 
 
-CASES = (
-    "", "line_contrast=0.4", "shadow_density=0.4", "repair_share=0.3", "visibility=60", "low_sun=5000", "lens_dirt=0.2",
-    "camera_pitch=3deg", "line_contrast=0.4,shadow_density=0.4,visibility=60,lens_dirt=0.2,low_sun=5000",
-)  # fmt: skip
-
-
 def print_costs(names: list[str], frames: int) -> None:
-    """Print one line per simulator and case."""
+    """Print one line per simulator and condition, at its middle strength."""
     road = generate(np.random.default_rng(1), max_angle=120)
-    lane = road.lane_centre
     states = [
         VehicleState(x=float(x), y=float(y), yaw=1.57, speed=5.0, yaw_rate=0.0, steering_angle=0.0)
-        for x, y in lane[:frames]
+        for x, y in road.lane_centre[:frames]
     ]
     for name in names:
         simulator = make_simulator(name)
         assert isinstance(simulator, RoadSimulator)
-        scene = simulator.scene
-        for text in CASES:
+        for text in ("", *(texts[1] for texts in STRENGTHS)):
             conditions = parse_conditions(text)
-            scene.load(road, np.random.default_rng(1), conditions)
-            scene.image(states[0])
+            simulator.scene.load(road, np.random.default_rng(1), conditions)
+            simulator.scene.image(states[0])
             begun = time.process_time()
-            scene.load(road, np.random.default_rng(1), conditions)
+            simulator.scene.load(road, np.random.default_rng(1), conditions)
             loaded = time.process_time()
             for state in states:
-                scene.image(state)
-            drawn = time.process_time()
-            frame = 1000.0 * (drawn - loaded) / len(states)
-            print(
-                f"{name:9} load {1000.0 * (loaded - begun):6.0f} ms  frame {frame:5.2f} ms  {text or 'default'}",
-                flush=True,
-            )
+                simulator.scene.image(state)
+            load, frame = loaded - begun, (time.process_time() - loaded) / len(states)
+            print(f"{name:9} load {1e3 * load:6.0f} ms  frame {1e3 * frame:5.2f} ms  {text or 'default'}", flush=True)
 
 
 def main() -> None:
