@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import gc
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -28,7 +28,6 @@ from ds_analysis.comparison.analysis import compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_analysis.paper.correlation import evaluate, paired_differences
 from ds_base.atomic_files import write_whole
-from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
@@ -166,25 +165,15 @@ def clear(split: Split | None) -> bool:
     return split is not None and split.found.is_clear
 
 
-def clear_before(split: Split | None, failed: Bools) -> bool:
-    """Whether the former rule stated it: the Jeffreys intervals of its two sides do not overlap."""
-    if split is None:
-        return False
-    harder = split.found.harder
-    ends = [jeffreys_interval(int(failed[side].sum()), int(side.sum())) for side in (harder, ~harder)]
-    return ends[0][0] > ends[1][1]
-
-
 def splits(size: int, axes: int, effect: Effect, number: int = CAMPAIGNS) -> list[Value]:
-    """Rates at which a split is stated, by today's rule and the former one, and its intervals' coverage."""
-    stated, before, covered, thresholds = 0, 0, np.zeros(2), _thresholds(size, axes, effect)
+    """Rate at which a split is stated, and its intervals' coverage."""
+    stated, covered, thresholds = 0, np.zeros(2), _thresholds(size, axes, effect)
     odds = effect.spread * np.random.default_rng(1).standard_normal(2000)
     marginal = [float(expit(logit(rate) + odds).mean()) for rate in (effect.low, effect.high)]
     every = np.concatenate([one.axes for one in bank(size, axes)], axis=1)
     names = ["curvature", "turns", *CONDITIONS]
     for searched, axis, failed, _ in campaigns(size, axes, effect, number):
         split = best_split(outcomes_of(searched, failed))
-        before += clear_before(split, failed)
         if split is None or not split.found.is_clear:
             continue
         stated += 1
@@ -194,7 +183,7 @@ def splits(size: int, axes: int, effect: Effect, number: int = CAMPAIGNS) -> lis
             low, high = share.interval
             covered[side] += low <= rate[harder == (side == 0)].mean() <= high
     shares = covered / stated if stated >= FEWEST_STATED else (None, None)
-    return ["a split is stated", effect.name, size, axes, number, stated / number, before / number, *shares]
+    return ["a split is stated", effect.name, size, axes, number, stated / number, *shares]
 
 
 FEWEST_STATED = 20
@@ -212,12 +201,12 @@ def second_splits(size: int, axes: int, second: Effect, number: int = CAMPAIGNS)
         first = best_split(outcomes)
         if first is not None and first.found.is_clear:
             stated += clear(best_split(outcomes, "road" if kind_of(first.axis) == "conditions" else "conditions"))
-    return ["a second split is stated", second.name, size, axes, number, stated / number, None, None, None]
+    return ["a second split is stated", second.name, size, axes, number, stated / number, None, None]
 
 
 def beliefs(size: int, siblings: int, follows: float, number: int = CAMPAIGNS) -> list[Value]:
     """Rate at which a sibling is to be believed: the twin follows the first one so often, and otherwise a coin."""
-    rng, stated, before = np.random.default_rng([size, siblings, int(10 * follows)]), 0, 0
+    rng, stated = np.random.default_rng([size, siblings, int(10 * follows)]), 0
     for k in range(number):
         families = bank(size, 2)[k % BANK].families
         rate = np.full(len(families), NOISE)
@@ -229,10 +218,8 @@ def beliefs(size: int, siblings: int, follows: float, number: int = CAMPAIGNS) -
             continue
         right = of_siblings[:, split] == twin[split]
         stated += bool((p_of_leads(np.where(right, 1.0, -1.0), families[split]) <= ALPHA).any())
-        before += any(jeffreys_interval(int(of.sum()), len(of))[0] > 0.5 for of in right)
     kind = "noise in families" if not follows else "clear effect"
-    return [f"one of {siblings} siblings is to be believed", kind, size, None, number, stated / number, before / number,
-            None, None]  # fmt: skip
+    return [f"one of {siblings} siblings is to be believed", kind, size, None, number, stated / number, None, None]
 
 
 def most_often(size: int, first: float, number: int = CAMPAIGNS) -> list[Value]:
@@ -245,7 +232,7 @@ def most_often(size: int, first: float, number: int = CAMPAIGNS) -> list[Value]:
         kinds = np.where(rng.random(len(families)) < 0.7, of_family, rng.choice(4, len(families), p=share))
         stated += most_frequent([str(kind) for kind in kinds], families) is not None
     kind = "noise in families" if first == 0.25 else "clear effect"
-    return ["a way of failing leads", kind, size, None, number, stated / number, 1.0, None, None]
+    return ["a way of failing leads", kind, size, None, number, stated / number, None, None]
 
 
 def _outcome(failed: bool) -> DriveOutcome:
@@ -255,7 +242,7 @@ def _outcome(failed: bool) -> DriveOutcome:
 def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
     """Rates at which `ds compare` calls a network worse or better somewhere, and at which it names a kind of road."""
     rng, found = np.random.default_rng([size, int(10 * worse)]), np.zeros(2)
-    old, new, before = Network(driver="old"), Network(driver="new"), 0
+    old, new = Network(driver="old"), Network(driver="new")
     bank(size, 2)
     gc.freeze()  # statsmodels collects garbage with each adjustment
     for k in range(number):
@@ -273,27 +260,22 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
         result = compare_networks(
             drives, reference=old, candidate=new, origin="both", source="", simulators=(*SIBLINGS, TWIN)
         )
-        alone = [replace(one, test=replace(one.test, scenario=None)) for one in drives]
-        former = compare_networks(
-            alone, reference=old, candidate=new, origin="both", source="", simulators=(*SIBLINGS, TWIN)
-        )
         said = ("worse",) if worse else ("worse", "better")
         found += [
             any(row.verdict in said for row in result.simulators), min(c.p_adjusted for c in result.cells) < ALPHA
         ]  # fmt: skip
-        before += any(row.verdict in said for row in former.simulators)
     kind = "clear effect" if worse else "noise in families"
     rows: list[list[Value]] = [
-        ["a network is worse or better", kind, size, None, number, found[0] / number, before / number, None, None]
+        ["a network is worse or better", kind, size, None, number, found[0] / number, None, None]
     ]
     if not worse:
-        rows.append(["a kind of road stands out", kind, size, None, number, found[1] / number, None, None, None])
+        rows.append(["a kind of road stands out", kind, size, None, number, found[1] / number, None, None])
     return rows
 
 
 def merged_maps(size: int, noise: Effect, number: int = CAMPAIGNS) -> list[Value]:
     """Rate at which the merged map is called better or worse than a sibling, where no map knows the twin's failures."""
-    rng, stated, before = np.random.default_rng([size, int(noise.spread)]), 0, 0
+    rng, stated = np.random.default_rng([size, int(noise.spread)]), 0
     for k in range(number):
         searched, executions = bank(size, 2)[k % BANK], list[Execution]()
         for name in (*SIBLINGS, TWIN):
@@ -308,9 +290,8 @@ def merged_maps(size: int, noise: Effect, number: int = CAMPAIGNS) -> list[Value
         differences = paired_differences(maps, SIBLINGS, TWIN, resamples=400) if allowed else []
         shown = [one for one in differences if one.value in allowed]
         stated += any(side_shown(one, len(differences)) for one in shown)
-        before += any(low > 0.0 or high < 0.0 for one in shown if one.r_interval for low, high in [one.r_interval])
     claim = "the merged map is better or worse than a sibling"
-    return [claim, noise.name, size, None, number, stated / number, before / number, None, None]
+    return [claim, noise.name, size, None, number, stated / number, None, None]
 
 
 def _execution(test: Test, name: str, failed: bool, rng: np.random.Generator) -> Execution:
@@ -323,7 +304,7 @@ def _execution(test: Test, name: str, failed: bool, rng: np.random.Generator) ->
 
 
 def rows_of_claims() -> Iterator[Sequence[Value]]:
-    """Every row of the table; the share of campaigns in which a claim is made, and what the former rule did."""
+    """Every row of the table, with the share of campaigns in which a claim is made."""
     for size in SEARCHES:
         for axes in AXES:
             yield from (splits(size, axes, noise, NOISE_CAMPAIGNS) for noise in NOISES)
@@ -344,7 +325,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of claims.csv")
     columns = [
         Column("claim"), Column("situation"), Column("tests", "count"), Column("axes", "count"),
-        Column("campaigns", "count"), Column("stated", "number"), Column("stated before", "number"),
+        Column("campaigns", "count"), Column("stated", "number"),
         Column("covered, harder side", "number"), Column("covered, other side", "number"),
     ]  # fmt: skip
     rows, out = [], parser.parse_args().out
