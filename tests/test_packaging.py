@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from distutils.core import run_setup  # setuptools provides it where Python no longer does
@@ -49,6 +50,20 @@ def test_setup_installs_type_information_under_what_the_manifest_says(
     assert f"{package.name}/py.typed" in installed
     stubs = {path.relative_to(package).as_posix() for path in package.glob("ds_*/**/*.pyi")}
     assert stubs <= installed
+
+
+def test_a_release_finds_every_place_of_the_version() -> None:
+    """As `bump-my-version` searches them: once in each file. It writes a file only where it found the text."""
+    release = tomllib.loads((ROOT / ".bumpversion.toml").read_text())["tool"]["bumpversion"]
+    assert release["current_version"] == VERSION
+    places = 0
+    for place in release["files"]:
+        wanted = place["search"].format(current_version=VERSION)
+        pattern = wanted if place.get("regex") else re.escape(wanted)
+        files = sorted(ROOT.glob(place.get("glob") or place["filename"]))
+        assert files and all(len(re.findall(pattern, file.read_text())) == 1 for file in files), place
+        places += len(files)
+    assert places >= 2 * len(PYTHON_PACKAGES) + 7
 
 
 def test_the_changelog_begins_with_the_version_of_the_project() -> None:
