@@ -3,7 +3,7 @@
 
 `python benchmarks/bags.py [--sim donkey] [--roads 5]`. A bag is written after its run, from the record that the graph
 returns, so that recording does not slow down the loop; a campaign waits for it before its next test. For levels with
-images the run is re-simulated to get them; that part is measured separately.
+images the run is re-simulated to get them.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import argparse
 import statistics
 import tempfile
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,18 +23,10 @@ from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import generate
 from ds_sim.registry import make_simulator
-from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 
 TESTS = 5000
 """Number of tests of a campaign; each is driven on two siblings and the twin."""
-
-
-def seconds_of(work: Callable[[], object]) -> float:
-    """Wall-clock time of a call, s."""
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started
 
 
 def bytes_in(folder: Path) -> int:
@@ -49,7 +40,9 @@ def costs(sim: str, runs: list[RunRecord], folder: Path) -> dict[Level, tuple[fl
     for level in LEVELS:
         sizes, times, whole = [], [], []
         for run in [runs[0], *runs]:
-            took = seconds_of(lambda run=run, level=level: write_bag(folder / level, "/ds1", sim, run, {}, level))  # type: ignore[misc]
+            started = time.perf_counter()
+            write_bag(folder / level, "/ds1", sim, run, {}, level)
+            took = time.perf_counter() - started
             frames = len(run.observations)
             sizes.append(bytes_in(folder / level) / frames)
             times.append(1e6 * took / frames)
@@ -71,18 +64,10 @@ def main() -> None:
     frames = statistics.mean(len(run.observations) for run in runs)
     console = Console()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        resimulation = statistics.median(
-            1e6 * seconds_of(lambda run=run: list(resimulate(options.sim, run))) / len(run.observations)  # type: ignore[misc]
-            for run in runs
-        )
-        table = Table(
-            "level", "kB per frame", "us per frame", "of which re-simulation", f"bag of {frames:.0f} frames, kB"
-        )
-        found = costs(options.sim, runs, folder)
+        table = Table("level", "kB per frame", "us per frame", f"bag of {frames:.0f} frames, kB")
+        found = costs(options.sim, runs, Path(scratch))
         for level, (size, took, whole) in found.items():
-            part = "" if level == "telemetry" else f"{resimulation:.0f}"
-            table.add_row(level, f"{size / 1e3:.2f}", f"{took:.0f}", part, f"{whole:.0f}")
+            table.add_row(level, f"{size / 1e3:.2f}", f"{took:.0f}", f"{whole:.0f}")
         console.print(table)
         bags = TESTS * 3
         for level, (_, _, whole) in found.items():

@@ -3,8 +3,7 @@
 
 `python -m benchmarks.physics convergence [--roads 20] [--finer 2]` drives every road with the nominal substep and with
 finer ones, and prints one row per simulator, as Markdown, with the change of fitness; `training` drives the paper's
-training set (4.2.2: 25 roads in both directions) and counts completed drives; `endurance [--minutes 60]` checks that
-the physics stay finite and bounded at full throttle and full lock, whose side changes every minute. All take
+training set (4.2.2: 25 roads in both directions) and counts completed drives. Both take
 `--sims bullet,softbody,panda,donkey`.
 """
 
@@ -15,6 +14,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from ds_driver.data.collection import CollectionPlan, roads_both_ways
 from ds_road import Road, generate
 from ds_sim.oracle import LaneTracker, Oracle
 from ds_sim.parts import Vehicle
-from ds_sim.simulator import FRAME_RATE, FRAME_TIME, AutopilotGains, Command, Outcome
+from ds_sim.simulator import FRAME_TIME, AutopilotGains, Outcome
 from ds_sim_bullet import simulator as bullet
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
@@ -76,31 +76,16 @@ class Car:
 def cars() -> dict[str, Car]:
     """The four vehicles, by name of their simulator."""
     return {
-        "bullet": Car(
-            make=_bullet,
-            gains=bullet.GAINS,
-            preview=bullet.PREVIEW_DISTANCE,
-            substep=FRAME_TIME / BulletParameters().substeps,
-        ),
-        "softbody": Car(
-            make=_softbody,
-            gains=softbody.GAINS,
-            preview=softbody.PREVIEW_DISTANCE,
-            substep=FRAME_TIME / SoftbodyParameters().frame_substeps,
-        ),
-        "panda": Car(
-            make=_panda,
-            gains=panda.GAINS,
-            preview=panda.PREVIEW_DISTANCE,
-            substep=FRAME_TIME / MultiBodyParameters().substeps,
-        ),
-        "donkey": Car(
-            make=_FinerDonkey,
-            gains=donkey.GAINS,
-            preview=donkey.PREVIEW_DISTANCE,
-            substep=FRAME_TIME / dynamics.SUBSTEPS,
-        ),
+        "bullet": _car(_bullet, bullet, BulletParameters().substeps),
+        "softbody": _car(_softbody, softbody, SoftbodyParameters().frame_substeps),
+        "panda": _car(_panda, panda, MultiBodyParameters().substeps),
+        "donkey": _car(_FinerDonkey, donkey, dynamics.SUBSTEPS),
     }
+
+
+def _car(make: Callable[[int], Vehicle], settings: Any, substeps: int) -> Car:
+    """Take gains and preview distance from the module that has them."""
+    return Car(make=make, gains=settings.GAINS, preview=settings.PREVIEW_DISTANCE, substep=FRAME_TIME / substeps)
 
 
 def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
@@ -203,46 +188,19 @@ def print_convergence(chosen: dict[str, Car], roads: list[Road], finer: int) -> 
         )
 
 
-def print_endurance(chosen: dict[str, Car], minutes: int) -> None:
-    """Print one row per simulator: pace, roll, and whether the state stays finite."""
-    print("| simulator | minutes | pace, m/s (first minute, last minute) | roll, deg (largest) | all finite |")
-    print("|---|---|---|---|---|")
-    for name, car in chosen.items():
-        vehicle = car.make(1)
-        vehicle.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
-        paces, roll, finite = [], 0.0, True
-        for minute in range(minutes):
-            command = Command(-1.0 if minute % 2 else 1.0, 1.0)
-            for _ in range(round(60 * FRAME_RATE)):
-                vehicle.advance(command)
-                state = vehicle.state()
-                roll = max(roll, abs(state.roll))
-                finite = finite and all(math.isfinite(v) for v in dataclasses.astuple(state))
-            paces.append(math.hypot(state.speed, state.lateral_speed))
-        vehicle.close()
-        print(
-            f"| {name} | {minutes} | {paces[0]:.2f}, {paces[-1]:.2f} | {math.degrees(roll):.1f} | "
-            f"{'yes' if finite else 'no'} |",
-            flush=True,
-        )
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", choices=("convergence", "training", "endurance"))
+    parser.add_argument("what", choices=("convergence", "training"))
     parser.add_argument("--roads", type=int, default=20)
     parser.add_argument("--finer", type=int, default=2)
-    parser.add_argument("--minutes", type=int, default=60)
     parser.add_argument("--sims", default=",".join(cars()))
     arguments = parser.parse_args()
     chosen = {name: cars()[name] for name in arguments.sims.split(",")}
     if arguments.what == "convergence":
         print_convergence(chosen, random_roads(arguments.roads), arguments.finer)
-    elif arguments.what == "training":
-        print_training(chosen)
     else:
-        print_endurance(chosen, arguments.minutes)
+        print_training(chosen)
 
 
 if __name__ == "__main__":
