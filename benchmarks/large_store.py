@@ -53,21 +53,22 @@ def write_campaign(folder: Path, executions: int) -> None:
         for run, sibling in product(range(runs), config.siblings):
             with db:
                 for test, drives in _rows(sibling, run, config.simulators):
-                    db.execute(f"INSERT INTO tests VALUES ({','.join('?' * 12)})", test)
+                    db.execute(f"INSERT INTO tests VALUES ({','.join('?' * len(test))})", test)
                     db.executemany(f"INSERT INTO executions VALUES ({','.join('?' * 12)})", drives)
 
 
 def _rows(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[tuple[Any, ...], list[tuple[Any, ...]]]]:
     """Rows of the tests of a run, each with those of its executions."""
-    import json
     import zlib
     from functools import cache
 
     import numpy as np
 
+    from ds_orchestrator.store.model import Origin, Test, row_of
     from ds_orchestrator.store.rows import trajectory_sha256
     from ds_road import Road, generate
     from ds_road.generation import GENES
+    from ds_sim.scenario import Scenario
 
     roots = cache(lambda number: generate(np.random.default_rng(number), max_angle=200).control_points)
     rng = np.random.default_rng([run, *sibling.encode()])
@@ -92,14 +93,11 @@ def _rows(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[tuple
             drives.append(
                 (
                     test_id, simulator, "OUT_OF_BOUNDS" if failed else "COMPLETED", "", 2.0 - largest, largest, steps,
-                    steps / 20, trajectory_sha256(trajectory), zlib.compress(trajectory.tobytes(), 1),
-                    zlib.compress(steering.tobytes(), 1), "",
+                    steps / 20, trajectory_sha256(trajectory), "", zlib.compress(trajectory.tobytes(), 1),
+                    zlib.compress(steering.tobytes(), 1),
                 )
             )  # fmt: skip
-        yield (
-            test_id, sibling, run, number, road.road_id, json.dumps(road.control_points), road.turns_count,
-            road.curvature_bin, road.curvature, number, False, "",
-        ), drives  # fmt: skip
+        yield row_of(Test(test_id, Scenario(road, seed=number), Origin(sibling, run, number))), drives
 
 
 def measure(verb: str, folder: Path) -> tuple[float, float]:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import csv
-import sqlite3
 from collections import Counter
 from contextlib import suppress
 from dataclasses import replace
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.campaign.damaged_stores import change_store
 from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
 
@@ -168,8 +168,8 @@ def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
     ("change", "named"),
     [
         ("UPDATE tests SET conditions='fog=1'", "unknown condition 'fog'"),
-        ("UPDATE gates SET state='fine'", "state is 'fine'"),
-        ("UPDATE gates SET outcome='SIM_ERROR'", "outcome is 'SIM_ERROR'"),
+        ("UPDATE gates SET state='fine'", "state: 'fine'"),
+        ("UPDATE gates SET outcome='SIM_ERROR'", "outcome: 'SIM_ERROR'"),
         ("UPDATE gates SET simulator='nonsense' WHERE simulator='donkey'", "gates of 'nonsense'"),
         ("UPDATE gates SET state='infeasible' WHERE state='valid'", "where its gate excludes it"),
         ("UPDATE gates SET test_id='donkey-0-9999' WHERE rowid=1", "gate of 'donkey-0-9999'"),
@@ -177,10 +177,7 @@ def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
 )
 def test_damaged_rows_get_one_line(tmp_path: Path, change: str, named: str) -> None:
     run(tmp_path / "a", GatedEngine())[1].close()
-    database = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
-    database.execute(change)
-    database.commit()
-    database.close()
+    change_store(tmp_path / "a" / "campaign.sqlite", change)
     with pytest.raises(StoreError, match=named) as refused:
         read_campaign(Store(tmp_path / "a" / "campaign.sqlite"))
     assert len(str(refused.value).splitlines()) == 1

@@ -41,12 +41,12 @@ def large_campaign(folder: Path, runs: int) -> Path:
     with closing(sqlite3.connect(folder / "campaign.sqlite")) as db, db:
         db.execute(
             f"INSERT INTO executions {count} SELECT {test_id}, simulator, outcome, message, fitness, "
-            "max_lateral_position, steps, simulated_seconds, trajectory_sha256, trajectory, steering, bag "
+            "max_lateral_position, steps, simulated_seconds, trajectory_sha256, bag, trajectory, steering "
             "FROM n, executions JOIN tests USING (test_id)"
         )
         db.execute(
-            f"INSERT INTO tests {count} SELECT {test_id}, sibling, n / {BUDGET}, n % {BUDGET}, road_id, "
-            "control_points, turns_count, curvature_bin, curvature, seed, maxitwo_compatible, conditions FROM n, tests"
+            f"INSERT INTO tests {count} SELECT {test_id}, sibling, n / {BUDGET}, n % {BUDGET}, road, road_id, "
+            "turns_count, curvature, seed, conditions FROM n, tests"
         )
     return folder
 

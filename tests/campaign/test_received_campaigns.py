@@ -9,17 +9,22 @@ import struct
 import sys
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from report_campaigns import make_tests
+from tests.campaign.damaged_stores import change_store, write_as_version_4
 from tests.campaign.test_unusable_folders import content, ds
 
 from ds_driver.networks.driver_name import received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
+from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
+from ds_road import Side
 
 Ds = Callable[..., tuple[int, str]]
 __all__ = ["ds"]  # a fixture
@@ -41,9 +46,7 @@ def make(folder: Path, config: CampaignConfig = CONFIG) -> Path:
 
 
 def change(folder: Path, statement: str, *values: object) -> None:
-    db = sqlite3.connect(folder / "campaign.sqlite", isolation_level=None)
-    db.execute(statement, values)
-    db.close()
+    change_store(folder / "campaign.sqlite", statement, *values)
 
 
 @pytest.fixture
@@ -105,13 +108,13 @@ def packed(*numbers: float) -> bytes:
 
 
 IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
-    "text for a number": ("UPDATE executions SET fitness='far'", (), "fitness is text, expected a finite number"),
-    "infinity": ("UPDATE executions SET fitness=9e999", (), "fitness is inf"),
-    "a blob for text": ("UPDATE executions SET message=x'00'", (), "message is a blob"),
+    "text for a number": ("UPDATE executions SET fitness='far'", (), "fitness: far, expected a number"),
+    "infinity": ("UPDATE executions SET fitness=9e999", (), "fitness: .inf, expected a finite number"),
+    "a blob for text": ("UPDATE executions SET message=x'00'", (), "message: !!binary"),
     "text that is not UTF-8": ("UPDATE executions SET message=CAST(x'ff' AS TEXT)", (), "is damaged"),
-    "negative steps": ("UPDATE executions SET steps=-1", (), "steps is -1"),
-    "too many steps": ("UPDATE executions SET steps=2000000000", (), "steps is 2000000000"),
-    "unknown outcome": ("UPDATE executions SET outcome='WON'", (), "outcome is 'WON', expected one of COMPLETED"),
+    "negative steps": ("UPDATE executions SET steps=-1", (), "steps: -1, expected at least 0"),
+    "too many steps": ("UPDATE executions SET steps=2000000000", (), "steps: 2000000000, expected at most 1e+06"),
+    "unknown outcome": ("UPDATE executions SET outcome='WON'", (), "outcome: 'WON', expected one of COMPLETED"),
     "an error as outcome": ("UPDATE executions SET outcome='SIM_ERROR'", (), "expected one of COMPLETED"),
     "another trajectory": (
         "UPDATE executions SET trajectory_sha256=?",
@@ -121,7 +124,7 @@ IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
     "a digest that is a number": (
         "UPDATE executions SET trajectory_sha256=1.5",
         (),
-        "expected 64 hexadecimal digits",
+        "trajectory_sha256: '1.5', expected text",
     ),
     "a trajectory of NaN": (
         "UPDATE executions SET steps=0, simulated_seconds=0, steering=?, trajectory=?, trajectory_sha256=?",
@@ -135,7 +138,11 @@ IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
         "max_lateral_position does not match",
     ),
     "another time": ("UPDATE executions SET simulated_seconds=1e9", (), "simulated_seconds is 1e+09"),
-    "a bag elsewhere": ("UPDATE executions SET bag='bags/../../../etc'", (), "expected a folder in bags"),
+    "a bag elsewhere": (
+        "UPDATE executions SET bag='bags/../../../etc'",
+        (),
+        "etc, expected text like",
+    ),
     "another simulator": (
         "UPDATE executions SET simulator='bullet' WHERE rowid=1",
         (),
@@ -143,11 +150,15 @@ IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
     ),
     "no test": ("DELETE FROM tests WHERE rowid=1", (), "a test that does not exist"),
     "another road": ("UPDATE tests SET road_id='0123456789ab'", (), "road_id does not match"),
-    "no road": ("UPDATE tests SET control_points='[[1e400, 0]]'", (), "is damaged (the test"),
-    "brackets": ("UPDATE tests SET control_points=?", ("[" * 100_000,), "control_points is not JSON"),
+    "no road": ("UPDATE tests SET road='[[1e400, 0]]'", (), "is damaged (the test"),
+    "brackets": ("UPDATE tests SET road=?", ("[" * 100_000,), "road is not JSON"),
     "a path as id": ("UPDATE tests SET test_id='../x-0-0000' WHERE number=0", (), "a test that does not exist"),
     "seconds that are none": ("INSERT INTO about VALUES ('seconds search', 'long')", (), "expected seconds"),
-    "an unknown kind of error": ("INSERT INTO errors VALUES ('a','b',0,'COMPLETED','')", (), "outcome is 'COMPLETED'"),
+    "an unknown kind of error": (
+        "INSERT INTO errors VALUES ('a','b',0,'COMPLETED','')",
+        (),
+        "outcome: 'COMPLETED'",
+    ),
     "no configuration": ("UPDATE about SET value='[' WHERE key='config'", (), "is not JSON"),
     "nested configuration": ("UPDATE about SET value=? WHERE key='config'", ("[" * 100_000,), "is not JSON"),
     "a trigger": ("CREATE TRIGGER t AFTER INSERT ON tests BEGIN DELETE FROM about; END", (), "not a campaign's store"),
@@ -164,6 +175,35 @@ def test_content_that_no_campaign_wrote_is_refused_in_one_line(tmp_path: Path, d
     status, said = ds("report", folder)
     assert status == 2 and reason in said and len(said.splitlines()) == 1 and len(said) < 400, said
     assert content(folder) == before
+
+
+@pytest.mark.parametrize("lane", ["right", "left"])
+def test_a_campaign_of_an_earlier_version_is_read_as_it_is_and_rewritten_when_it_is_continued(
+    tmp_path: Path, lane: Side, ds: Ds
+) -> None:
+    config = CONFIG.model_copy(update={"lane": lane})
+    (tmp_path / "new").mkdir()
+    with closing(Store(tmp_path / "new" / "campaign.sqlite", config=config.identity())) as store:
+        for test, executions in make_tests(config, 2):
+            scenario = replace(test.scenario, road=test.road.in_lane(lane))
+            store.add_test(replace(test, scenario=scenario))
+            for execution in executions:
+                store.add_execution(execution)
+    (tmp_path / "old").mkdir()
+    write_as_version_4(tmp_path / "new" / "campaign.sqlite", tmp_path / "old" / "campaign.sqlite")
+    before = content(tmp_path / "old")
+
+    def read(name: str) -> tuple[object, ...]:
+        with closing(open_store(tmp_path / name)) as store:
+            data = read_campaign(store)
+            drives = [(one.trajectory_sha256, one.trajectory.tobytes(), one.outcome) for one in data.executions]
+            return data.tests, drives, data.cells, data.config
+
+    assert read("old") == read("new") and content(tmp_path / "old") == before
+    assert ds("report", tmp_path / "old")[0] == 0 and content(tmp_path / "old") != before
+    assert read("old") == read("new")
+    with closing(sqlite3.connect(tmp_path / "old" / "campaign.sqlite")) as db:
+        assert db.execute("PRAGMA user_version").fetchone() == (5,)
 
 
 def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path, ds: Ds) -> None:

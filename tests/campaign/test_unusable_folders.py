@@ -114,7 +114,7 @@ def folder_instead(folder: Path) -> None:
 SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
     "another version": (
         lambda f: change(f, "PRAGMA user_version=99"),
-        "was written by another version of ds (schema 99, expected 4)",
+        "was written by another version of ds (schema 99, expected 5)",
     ),
     "foreign": (foreign, "is not a campaign's store"),
     "a table is missing": (lambda f: change(f, "DROP TABLE given_up"), "is not a campaign's store"),

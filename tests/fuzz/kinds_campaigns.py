@@ -7,11 +7,13 @@ import json
 import sqlite3
 import zlib
 from collections.abc import Callable
+from contextlib import closing, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tests.campaign.damaged_stores import lax_tables
 from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_json, replace_with_no_file
 from tests.fuzz.harness import Kind
 
@@ -106,15 +108,12 @@ def _damage_store(path: Path, rng: Rng) -> None:
     elif chance < 0.2:
         path.write_bytes(damaged_bytes(path.read_bytes(), rng))
     else:
-        db = sqlite3.connect(path, isolation_level=None)
-        db.execute("PRAGMA foreign_keys=OFF")
         tables = ["about", "tests", "executions", "errors", "given_up", "searches", "results", "gates", "conditions"]
-        try:
-            for _ in range(int(rng.integers(1, 4))):
-                _change_store(db, tables[int(rng.integers(len(tables)))], rng)
-        except (sqlite3.IntegrityError, sqlite3.OperationalError, OverflowError):
-            pass  # SQLite refuses this value
-        db.close()
+        with lax_tables(path), closing(sqlite3.connect(path, isolation_level=None)) as db:
+            db.execute("PRAGMA ignore_check_constraints=ON")
+            with suppress(sqlite3.IntegrityError, sqlite3.OperationalError, OverflowError):  # SQLite refuses the value
+                for _ in range(int(rng.integers(1, 4))):
+                    _change_store(db, tables[int(rng.integers(len(tables)))], rng)
 
 
 def _change_store(db: sqlite3.Connection, table: str, rng: Rng) -> None:

@@ -16,6 +16,8 @@ _EXPECTED: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "int_type": lambda _: "a whole number",
     "int_from_float": lambda _: "a whole number",
     "float_type": lambda _: "a number",
+    "finite_number": lambda _: "a finite number",
+    "string_pattern_mismatch": lambda context: f"text like {context['pattern']}",
     "bool_type": lambda _: "true or false",
     "string_type": lambda _: "text",
     "list_type": lambda _: "a list, as in [a, b]",
@@ -56,6 +58,11 @@ def problems(error: ValidationError, model: type[BaseModel]) -> str:
     found = error.errors(include_url=False)
     more = [f"and {len(found) - MOST} more"] if len(found) > MOST else []
     return "; ".join([*(_problem(dict(one), model) for one in found[:MOST]), *more])
+
+
+def first_problem(error: ValidationError, name: str) -> str:
+    """Describe the first of some validation errors in one line, as that of a value with a name."""
+    return _problem({**error.errors(include_url=False)[0], "loc": (name,)}, BaseModel)
 
 
 def _problem(error: Mapping[str, Any], model: type[BaseModel]) -> str:

@@ -313,7 +313,7 @@ def test_the_server_answers_only_reading_requests_of_this_machine(tmp_path: Path
         assert bytes_of(tmp_path) == before
         store.close()
         with sqlite3.connect(tmp_path / "campaign.sqlite") as db:
-            db.execute("UPDATE tests SET seed = 'x', rowid = rowid + 100")
+            db.execute("UPDATE tests SET road = '', rowid = rowid + 100")
         deadline = time.monotonic() + 30
         while "problem" not in (state := server.state()) and time.monotonic() < deadline:
             time.sleep(0.2)

@@ -238,6 +238,10 @@ class Road:
         """Whether the road can be driven (paper 3.1.3)."""
         return check_surface(self.left_edge, self.right_edge)
 
+    def remember(self, *, turns_count: int, curvature: float) -> None:
+        """Take properties that were computed for this road before, instead of computing them again."""
+        vars(self).update(turns_count=turns_count, curvature=curvature)
+
     def reversed(self) -> Road:
         """Road with the same centre line, driven in the opposite direction, in the lane of the same name.
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,11 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_orchestrator.search.features import Drive
-from ds_orchestrator.store import rows as check
-from ds_orchestrator.store.sqlite_file import Row, SqliteFile
-from ds_road import Road, Side
-from ds_road.road import MAX_POINTS
-from ds_sim.conditions.text import parse_conditions
+from ds_orchestrator.store.rows import (
+    ExecutionRow,
+    RowError,
+    TestRow,
+    pack_numbers,
+    unpack_numbers,
+    unpack_trajectory,
+)
+from ds_orchestrator.store.sqlite_file import SqliteFile
+from ds_road import road_from_json, road_to_json
+from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
@@ -85,7 +92,7 @@ class DriveArrays:
 
 
 NO_DRIVE = DriveArrays(np.empty((0, 5)), np.empty(0))
-_NOT_KEPT = check.pack_numbers(NO_DRIVE.trajectory)
+_NOT_KEPT = pack_numbers(NO_DRIVE.trajectory)
 """Frames of an execution that was restored from a table of outcomes."""
 
 
@@ -130,80 +137,73 @@ class Execution:
         return self.drive.steering
 
 
-VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
-TEST_COLUMNS = (
-    "test_id, sibling, run, number, control_points, seed, maxitwo_compatible, road_id, conditions, turns_count, "
-    "curvature"
-)  # fmt: skip
-EXECUTION_COLUMNS = (
-    "test_id, simulator, outcome, message, fitness, max_lateral_position, steps, simulated_seconds, trajectory_sha256, "
-    "bag, rowid"
-)
 _conditions_of = lru_cache(maxsize=1024)(parse_conditions)  # most tests of a campaign have the same
-_LARGEST_CURVATURE = 1e6
-"""1/m; chosen: the inverse of a micrometre, so that no axis has more bins than memory."""
 _TOLERANCE = 1e-6
 """m and s, between a stored value and the value derived from other columns."""
 
 
-def test_of(row: Row, lane: Side) -> Test:
+def row_of(test: Test) -> TestRow:
+    """Convert a test to the form in which the store keeps it."""
+    origin, road = test.origin or NO_ORIGIN, test.road
+    return TestRow(
+        test_id=test.test_id,
+        sibling=origin.sibling,
+        run=origin.run,
+        number=origin.number,
+        road=json.dumps(road_to_json(road)),
+        road_id=road.road_id,
+        turns_count=road.turns_count,
+        curvature=road.curvature,
+        seed=test.seed,
+        conditions=format_conditions(test.conditions),
+    )
+
+
+def test_of(row: TestRow) -> Test:
     """Make a test.
 
-    Args:
-        row: values of `TEST_COLUMNS`.
-        lane: lane in which all roads of the campaign are driven.
-
     Raises:
-        RowError: no campaign can have written the row; the message names test and column.
+        RowError: no campaign can have written the row.
     """
-    test_id, sibling, run, number, points, seed, maxitwo_compatible, road_id, conditions, turns, curvature = row
+    origin = Origin(row.sibling, row.run, row.number)
     try:
-        origin = Origin(check.text(sibling, "sibling"), check.whole(run, "run"), check.whole(number, "number"))
-        if not check.file_name(test_id, "test_id").endswith(f"-{run}-{number:04d}") and origin != NO_ORIGIN:
-            raise check.RowError(f"test_id does not end in -{run}-{number:04d}")
-        quirk = bool(check.whole(maxitwo_compatible, "maxitwo_compatible", high=1))
-        road = Road(check.control_points(points), maxitwo_compatible=quirk, lane=lane)
-        if road.road_id != road_id:
-            raise check.RowError("road_id does not match the control points")
-        # Computed when the test was stored; again they would take most of the time of reading a campaign.
-        vars(road).update(
-            turns_count=check.whole(turns, "turns_count", high=MAX_POINTS),
-            curvature=check.real(curvature, "curvature", low=0.0, high=_LARGEST_CURVATURE),
-        )
-        under = _conditions_of(check.text(conditions, "conditions"))
-        scenario = Scenario(road, under, seed=check.whole(seed, "seed"))
-        return Test(test_id, scenario, None if origin == NO_ORIGIN else origin)
+        if not row.test_id.endswith(f"-{row.run}-{row.number:04d}") and origin != NO_ORIGIN:
+            raise RowError(f"test_id does not end in -{row.run}-{row.number:04d}")
+        try:
+            road = road_from_json(json.loads(row.road))
+        except (RecursionError, json.JSONDecodeError):
+            raise RowError("road is not JSON") from None
+        if road.road_id != row.road_id:
+            raise RowError("road_id does not match the road")
+        road.remember(turns_count=row.turns_count, curvature=row.curvature)
+        scenario = Scenario(road, _conditions_of(row.conditions), seed=row.seed)
     except ValueError as error:
-        raise check.RowError(f"the test {test_id!r:.60}: {error}") from None
+        raise RowError(f"the test {row.test_id}: {error}") from None
+    return Test(row.test_id, scenario, None if origin == NO_ORIGIN else origin)
 
 
-def execution_of(row: Row, file: SqliteFile) -> Execution:
-    """Make an execution of the values of `EXECUTION_COLUMNS`; its trajectory stays in the file until it is asked for.
+def execution_of(row: ExecutionRow, file: SqliteFile) -> Execution:
+    """Make an execution, whose trajectory stays in the file until it is asked for.
 
     Raises:
-        RowError: no campaign can have written the row; the message names test, simulator and column.
+        RowError: no campaign can have written the row.
     """
-    try:
-        steps = check.whole(row[6], "steps", high=check.MOST_STEPS)
-        test_id, simulator = check.text(row[0], "test_id"), sys.intern(check.text(row[1], "simulator"))
-        execution = Execution(
-            test_id=test_id,
-            simulator=simulator,
-            outcome=Outcome[check.one_of(row[2], "outcome", VERDICTS)],
-            message=check.text(row[3], "message"),
-            fitness=check.real(row[4], "fitness"),
-            max_lateral_position=check.real(row[5], "max_lateral_position"),
-            steps=steps,
-            simulated_seconds=check.real(row[7], "simulated_seconds"),
-            trajectory_sha256=check.sha256(row[8], "trajectory_sha256"),
-            drive=StoredDrive(file, test_id, simulator, row[5], steps, row[8], row[10]),
-            bag=check.bag_folder(row[9]),
-        )
-        if abs(execution.simulated_seconds - steps * FRAME_TIME) > _TOLERANCE:
-            raise check.RowError(f"simulated_seconds is {execution.simulated_seconds:g} for {steps} steps")
-        return execution
-    except check.RowError as error:
-        raise _unreadable(row[0], row[1], error) from None
+    if abs(row.simulated_seconds - row.steps * FRAME_TIME) > _TOLERANCE:
+        raise _unreadable(row.test_id, row.simulator, f"simulated_seconds is {row.simulated_seconds:g}")
+    simulator, digest = sys.intern(row.simulator), row.trajectory_sha256
+    return Execution(
+        test_id=row.test_id,
+        simulator=simulator,
+        outcome=Outcome[row.outcome],
+        message=row.message,
+        fitness=row.fitness,
+        max_lateral_position=row.max_lateral_position,
+        steps=row.steps,
+        simulated_seconds=row.simulated_seconds,
+        trajectory_sha256=digest,
+        drive=StoredDrive(file, row.test_id, simulator, row.max_lateral_position, row.steps, digest, row.rowid),
+        bag=row.bag,
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -240,20 +240,20 @@ class StoredDrive:
 
     def read(self) -> DriveArrays:
         """Read every frame; there are none where a campaign was restored from a table of outcomes."""
-        found = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (self.rowid,))
+        rows = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (self.rowid,))
         try:
-            if not found:
-                raise check.RowError("it was replaced meanwhile")
-            if found[0][0] == _NOT_KEPT:
+            if not rows:
+                raise RowError("it was replaced meanwhile")
+            if rows[0][0] == _NOT_KEPT:
                 return NO_DRIVE
-            trajectory = check.unpack_trajectory(found[0][0], self.sha256, steps=self.steps)
-            steering = check.unpack_numbers(found[0][1], "steering", count=self.steps)
+            trajectory = unpack_trajectory(rows[0][0], self.sha256, steps=self.steps)
+            steering = unpack_numbers(rows[0][1], "steering", count=self.steps)
             lateral = np.abs(trajectory[:, 4])
             if lateral.size and abs(lateral.max() - self.max_lateral_position) > _TOLERANCE:
-                raise check.RowError("max_lateral_position does not match the trajectory")
+                raise RowError("max_lateral_position does not match the trajectory")
             if np.abs(steering).max(initial=0.0) > 1.0:
-                raise check.RowError("steering leaves [-1, 1]")
-        except check.RowError as error:
+                raise RowError("steering leaves [-1, 1]")
+        except RowError as error:
             raise self.file.damaged(str(_unreadable(self.test_id, self.simulator, error))) from None
         return DriveArrays(trajectory, steering)
 
@@ -263,5 +263,5 @@ def _arrays_of(drive: StoredDrive) -> DriveArrays:
     return drive.read()
 
 
-def _unreadable(test_id: object, simulator: object, error: check.RowError) -> check.RowError:
-    return check.RowError(f"the run of {test_id!s:.60} on {simulator!s:.60} cannot be read: {error}")
+def _unreadable(test_id: str, simulator: str, error: object) -> RowError:
+    return RowError(f"the run of {test_id:.60} on {simulator:.60} cannot be read: {error}")

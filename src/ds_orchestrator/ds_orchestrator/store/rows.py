@@ -1,114 +1,179 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks rows of a campaign's store: SQLite enforces no column types, and a received file may hold anything."""
+"""Records of the tables of a campaign's store, and their checks: a received file may hold anything."""
 
 from __future__ import annotations
 
 import hashlib
-import json
-import math
-import re
 import zlib
-from collections.abc import Collection
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Annotated, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field, TypeAdapter, ValidationError
 
+from ds_base.config_errors import first_problem
 from ds_base.errors import InputError
+from ds_road.road import MAX_POINTS
+from ds_sim.gates.gate import GateState
+from ds_sim.simulator import Outcome
 
-LONGEST_TEXT = 10_000
-"""Characters of a message, name or fact; chosen: far above the longest one that a campaign writes."""
-LONGEST_ROAD = 200_000
-"""Characters of a road's control points as JSON; chosen: four times 1000 points with all digits."""
 MOST_STEPS = 1_000_000
 """Frames of one run; chosen: 500 times the limit of the built-in oracle."""
+VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
+_ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
 _COLUMNS = 5
-_SHA256 = 64
 
 
 class RowError(InputError):
-    """Value that no campaign can have written; the message names the column."""
+    """Value that no campaign can have written; the message names table, row and column."""
 
 
-def text(value: object, name: str, *, longest: int = LONGEST_TEXT) -> str:
-    """Check that a value is text of bounded length."""
-    if not isinstance(value, str):
-        raise RowError(f"{name} is {_kind(value)}, expected text")
-    if len(value) > longest:
-        raise RowError(f"{name} has {len(value)} characters, expected at most {longest}")
-    return value
+def _one_of(*words: str) -> Callable[[str], str]:
+    def check(value: str) -> str:
+        if value not in words:
+            raise ValueError(f"{value!r:.60}, expected one of {', '.join(words)}")
+        return value
+
+    return check
 
 
-def one_of(value: object, name: str, known: Collection[str]) -> str:
-    """Check that a value is one of the known words."""
-    if text(value, name) not in known:
-        raise RowError(f"{name} is {value!r:.60}, expected one of {', '.join(known)}")
-    return str(value)
+Text = Annotated[str, Field(strict=True, max_length=10_000)]
+"""Message or name; chosen: far longer than the longest one that a campaign writes."""
+Document = Annotated[str, Field(strict=True, max_length=2**20)]
+"""JSON; chosen: a road of 1000 points with all digits takes 50 kB."""
+FileName = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_.-]{1,200}$")]
+Digest = Annotated[str, Field(strict=True, pattern="^[0-9a-f]{64}$")]
+Bag = Annotated[str, Field(strict=True, max_length=260, pattern=r"^(bags/\.*[A-Za-z0-9_-][A-Za-z0-9_.-]*)?$")]
+Count = Annotated[int, Field(strict=True, ge=0)]
+Real = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Verdict = Annotated[Text, AfterValidator(_one_of(*VERDICTS))]
 
 
-def file_name(value: object, name: str) -> str:
-    """Check that a value is text that is safe within a file name."""
-    if not re.fullmatch(r"[A-Za-z0-9_.-]{1,200}", text(value, name)):
-        raise RowError(f"{name} is {value!r:.60}, expected letters, digits, _, - and .")
-    return str(value)
+class FactRow(NamedTuple):
+    """Row of `about`."""
+
+    key: Text
+    value: Document
 
 
-def whole(value: object, name: str, *, low: int = 0, high: int = 2**63 - 1) -> int:
-    """Check that a value is a whole number within bounds."""
-    if not isinstance(value, int):
-        raise RowError(f"{name} is {_kind(value)}, expected a whole number")
-    if not low <= value <= high:
-        raise RowError(f"{name} is {value}, expected {low} to {high}")
-    return value
+class TestRow(NamedTuple):
+    """Row of `tests`; turns and curvature follow from the road, but take most of the time of reading a campaign.
+
+    The curvature is bounded, so that no axis has more bins than memory.
+    """
+
+    test_id: FileName
+    sibling: Text
+    run: Count
+    number: Count
+    road: Document
+    road_id: Text
+    turns_count: Annotated[int, Field(strict=True, ge=0, le=MAX_POINTS)]
+    curvature: Annotated[float, Field(strict=True, ge=0.0, le=1e6)]
+    seed: Count
+    conditions: Text
 
 
-def real(value: object, name: str, *, low: float = -math.inf, high: float = math.inf) -> float:
-    """Check that a value is a finite number within bounds; SQLite stores NaN as NULL."""
-    if not isinstance(value, int | float) or not math.isfinite(value):
-        shown = value if isinstance(value, float) else _kind(value)
-        raise RowError(f"{name} is {shown}, expected a finite number")
-    if not low <= value <= high:
-        raise RowError(f"{name} is {value}, expected {low:g} to {high:g}")
-    return float(value)
+class ExecutionRow(NamedTuple):
+    """Row of `executions` without its frames."""
+
+    test_id: Text
+    simulator: Text
+    outcome: Verdict
+    message: Text
+    fitness: Real
+    max_lateral_position: Real
+    steps: Annotated[int, Field(strict=True, ge=0, le=MOST_STEPS)]
+    simulated_seconds: Real
+    trajectory_sha256: Digest
+    bag: Bag
+    rowid: int = 0
 
 
-def seconds(value: str, name: str) -> float:
-    """Parse a duration in seconds that is stored as text."""
+class GateRow(NamedTuple):
+    """Row of `gates`."""
+
+    test_id: Text
+    simulator: Text
+    state: Annotated[Text, AfterValidator(_one_of(*GateState))]
+    message: Text
+    outcome: Annotated[Text, AfterValidator(_one_of("", *VERDICTS))]
+    visible_contrast: Real
+    hidden_share: Real
+
+
+class ErrorRow(NamedTuple):
+    """Attempt that ended in an error."""
+
+    test_id: Text
+    simulator: Text
+    attempt: Count
+    outcome: Annotated[Text, AfterValidator(_one_of(*_ERRORS))]
+    message: Text
+
+
+class SearchRow(NamedTuple):
+    """Run of a search."""
+
+    sibling: Text
+    run: Count
+    method: Text
+    seed: Count
+
+
+class ResultRow(NamedTuple):
+    """Result, and the number of executions and gates from which it was computed."""
+
+    stage: Text
+    executions: Annotated[int, Field(strict=True)]
+
+
+class IdRow(NamedTuple):
+    """Row of `given_up`."""
+
+    test_id: Text
+
+
+class BagRow(NamedTuple):
+    """Bag of an execution."""
+
+    bag: Bag
+
+
+class DriveCount(NamedTuple):
+    """Number of executions on a simulator of tests of one search run, by outcome."""
+
+    sibling: Text
+    run: Count
+    simulator: Text
+    outcome: Verdict
+    executions: Count
+
+
+Record = TypeVar(
+    "Record", FactRow, TestRow, ExecutionRow, GateRow, ErrorRow, SearchRow, ResultRow, IdRow, BagRow, DriveCount
+)
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(list[kind])
+
+
+def check_rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> list[Record]:
+    """Check rows, and name their columns.
+
+    Raises:
+        RowError: no campaign can have written a row.
+    """
     try:
-        found = float(value) if len(value) < 30 else math.nan
-    except ValueError:
-        found = math.nan
-    if not math.isfinite(found) or found < 0:
-        raise RowError(f"{name!r:.60} is {value!r:.60}, expected seconds")
-    return found
-
-
-def sha256(value: object, name: str) -> str:
-    """Check that a value is a SHA-256 digest, hexadecimal."""
-    if not re.fullmatch(f"[0-9a-f]{{{_SHA256}}}", text(value, name)):
-        raise RowError(f"{name} is {value!r:.60}, expected {_SHA256} hexadecimal digits")
-    return str(value)
-
-
-def bag_folder(value: object) -> str:
-    """Check that a value names a bag in the campaign's folder `bags`, or is ""."""
-    path = text(value, "bag")
-    if path and not re.fullmatch(r"bags/(?!\.+$)[A-Za-z0-9_.-]{1,255}", path):
-        raise RowError(f"bag is {path!r:.60}, expected a folder in bags")
-    return path
-
-
-def control_points(value: object) -> list[Any]:
-    """Parse a road's control points; checks only that they are a JSON list."""
-    try:
-        points = json.loads(text(value, "control_points", longest=LONGEST_ROAD))
-    except RowError:
-        raise
-    except (ValueError, RecursionError):
-        raise RowError("control_points is not JSON") from None
-    if not isinstance(points, list):
-        raise RowError("control_points is not a list")
-    return points
+        return cast("list[Record]", _adapter(cast(Any, kind)).validate_python(rows))
+    except ValidationError as error:
+        row, column = error.errors(include_url=False)[0]["loc"][:2]
+        key = ", ".join(f"{value!r:.60}" for value in rows[int(row)][:2])
+        raise RowError(f"the row of {key}: {first_problem(error, kind._fields[int(column)])}") from None
 
 
 def pack_numbers(values: NDArray[np.float64]) -> bytes:
@@ -128,7 +193,7 @@ def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float
         RowError: the value is damaged, holds another number of values, or one that is not finite.
     """
     if not isinstance(packed, bytes):
-        raise RowError(f"{name} is {_kind(packed)}, expected bytes")
+        raise RowError(f"{name} is no blob")
     expected = 8 * count
     unpacker = zlib.decompressobj()
     try:
@@ -169,9 +234,3 @@ def trajectory_sha256(trajectory: NDArray[np.float64]) -> str:
         trajectory: (n, 4 or more); further columns are ignored.
     """
     return hashlib.sha256(np.ascontiguousarray(trajectory[:, :4], dtype="<f8").tobytes()).hexdigest()
-
-
-def _kind(value: object) -> str:
-    return {type(None): "empty", bytes: "a blob", str: "text", float: "a fraction", int: "a whole number"}.get(
-        type(value), type(value).__name__
-    )

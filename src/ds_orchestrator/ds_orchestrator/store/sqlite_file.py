@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sqlite3
 import stat
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,40 +16,53 @@ from urllib.parse import quote
 
 from ds_base.folder_files import StoreError
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 SCHEMA = """
-CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE about (key TEXT PRIMARY KEY, value TEXT NOT NULL) STRICT;
 CREATE TABLE tests (
-    test_id TEXT PRIMARY KEY, sibling TEXT NOT NULL, run INTEGER NOT NULL, number INTEGER NOT NULL,
-    road_id TEXT NOT NULL, control_points TEXT NOT NULL, turns_count INTEGER NOT NULL, curvature_bin INTEGER NOT NULL,
-    curvature REAL NOT NULL, seed INTEGER NOT NULL, maxitwo_compatible INTEGER NOT NULL,
-    conditions TEXT NOT NULL);
+    test_id TEXT PRIMARY KEY, sibling TEXT NOT NULL, run INTEGER NOT NULL CHECK (run >= 0),
+    number INTEGER NOT NULL CHECK (number >= 0), road TEXT NOT NULL, road_id TEXT NOT NULL,
+    turns_count INTEGER NOT NULL, curvature REAL NOT NULL, seed INTEGER NOT NULL CHECK (seed >= 0),
+    conditions TEXT NOT NULL) STRICT;
 CREATE TABLE executions (
     test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, outcome TEXT NOT NULL, message TEXT NOT NULL,
-    fitness REAL NOT NULL, max_lateral_position REAL NOT NULL, steps INTEGER NOT NULL,
-    simulated_seconds REAL NOT NULL, trajectory_sha256 TEXT NOT NULL, trajectory BLOB NOT NULL, steering BLOB NOT NULL,
-    bag TEXT NOT NULL,
-    PRIMARY KEY (test_id, simulator));
+    fitness REAL NOT NULL, max_lateral_position REAL NOT NULL, steps INTEGER NOT NULL CHECK (steps >= 0),
+    simulated_seconds REAL NOT NULL, trajectory_sha256 TEXT NOT NULL CHECK (length(trajectory_sha256) = 64),
+    bag TEXT NOT NULL, trajectory BLOB NOT NULL, steering BLOB NOT NULL,
+    PRIMARY KEY (test_id, simulator)) STRICT;
 CREATE TABLE errors (
     test_id TEXT NOT NULL, simulator TEXT NOT NULL, attempt INTEGER NOT NULL, outcome TEXT NOT NULL,
-    message TEXT NOT NULL);
-CREATE TABLE given_up (test_id TEXT PRIMARY KEY);
+    message TEXT NOT NULL) STRICT;
+CREATE TABLE given_up (test_id TEXT PRIMARY KEY) STRICT;
 CREATE TABLE searches (
     sibling TEXT NOT NULL, run INTEGER NOT NULL, method TEXT NOT NULL, seed INTEGER NOT NULL,
-    PRIMARY KEY (sibling, run));
-CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL);
+    PRIMARY KEY (sibling, run)) STRICT;
+CREATE TABLE results (stage TEXT PRIMARY KEY, executions INTEGER NOT NULL) STRICT;
 CREATE TABLE gates (
     test_id TEXT NOT NULL REFERENCES tests, simulator TEXT NOT NULL, state TEXT NOT NULL, message TEXT NOT NULL,
     outcome TEXT NOT NULL, visible_contrast REAL NOT NULL, hidden_share REAL NOT NULL,
-    PRIMARY KEY (test_id, simulator));
+    PRIMARY KEY (test_id, simulator)) STRICT;
 """
+_OLD_VERSION = 4
+_OLD_TABLES = "9b6805715490a19c6694f51bf88ca296416fada1ca03c21b204b6caae79b763a"
+"""Digest of the tables of `_OLD_VERSION`, as `_digest` computes it."""
+_OLD_TESTS = """
+test_id, sibling, run, number, '{"control_points": ' || control_points
+    || ', "maxitwo_compatible": ' || iif(maxitwo_compatible, 'true', 'false') || ', "lane": "'
+    || (SELECT iif(json_valid(value), coalesce(value ->> 'lane', 'right'), 'right') FROM about WHERE key = 'config')
+    || '"}' AS road, road_id, turns_count, curvature, seed, conditions FROM main.
+"""
+"""Columns of `tests` in a file of `_OLD_VERSION`, which kept no road whole, as a part of a SELECT."""
 LARGEST_FILE = 64 * 2**30
 """Bytes; chosen: three million executions of the usual length."""
 LARGEST_VALUE = 64 * 2**20
 """Bytes of one value or row; chosen: a run of `rows.MOST_STEPS` frames fits."""
-_TABLES = {" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()}
+_DAMAGED = ("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_CONSTRAINT")
 _JOURNAL_MAGIC = bytes.fromhex("d9d505f920a163d7")
 """Ends a rollback journal that names a super-journal, which SQLite would delete (SQLite file format, 3)."""
+_OLDEST_SQLITE = (3, 38)
+"""For STRICT tables, and `->>`."""
+_SETTINGS = ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0", "synchronous=NORMAL", "temp_store=MEMORY")
 Row = tuple[Any, ...]
 
 
@@ -81,6 +95,11 @@ class SqliteFile:
         self._closed = False
         self._again: SqliteFile | None = None
         folder = path.parent
+        if sqlite3.sqlite_version_info < _OLDEST_SQLITE:
+            raise StoreError(
+                f"SQLite {sqlite3.sqlite_version} cannot hold campaigns, expected {'.'.join(map(str, _OLDEST_SQLITE))} "
+                "or later: use a newer Python"
+            )
         if begin is None and not path.exists():
             raise StoreError(f"no campaign in {folder}: run one there first")
         self._check_file()
@@ -92,19 +111,23 @@ class SqliteFile:
         try:
             # With a write-ahead log, NORMAL keeps what is committed when the process is killed. A power cut may cost
             # the last runs, as it may cost their bags: they are driven again. FULL would wait for the disk after each.
-            for setting in ("trusted_schema=OFF", "cell_size_check=ON", "mmap_size=0", "synchronous=NORMAL"):
+            for setting in _SETTINGS:
                 self.ask(f"PRAGMA {setting}")
-            tables = self._tables()
-            found = self.ask("PRAGMA user_version")[0][0]
-            if not tables and found == 0:  # new, or its process was killed before it created the tables
+            tables, version = self._tables(), self.ask("PRAGMA user_version")[0][0]
+            if not tables and version == 0:  # new, or its process was killed before it created the tables
                 if begin is None:
                     raise StoreError(f"no campaign in {folder}: it was stopped before it started, run it again")
                 self._begin(begin)
-            elif found == 0 or (found == SCHEMA_VERSION and tables != _TABLES):
+            elif version == _OLD_VERSION and _digest(tables) == _OLD_TABLES:
+                if read_only:
+                    self.ask(f"CREATE TEMP VIEW tests AS SELECT rowid, {_OLD_TESTS}tests")
+                else:
+                    self._migrate()
+            elif version == 0 or (version == SCHEMA_VERSION and tables != set(_statements())):
                 raise StoreError(f"{path} is not a campaign's store: choose another --out")
-            elif found != SCHEMA_VERSION:
+            elif version != SCHEMA_VERSION:
                 raise StoreError(
-                    f"{path} was written by another version of ds (schema {found}, expected {SCHEMA_VERSION}): "
+                    f"{path} was written by another version of ds (schema {version}, expected {SCHEMA_VERSION}): "
                     "use that version, or choose another --out"
                 )
             elif begin is not None:
@@ -145,8 +168,8 @@ class SqliteFile:
 
     def _tables(self) -> set[str]:
         """Read the SQL of every schema entry that SQLite did not create itself, whitespace normalised."""
-        rows = self.ask("SELECT type, name, sql FROM sqlite_master")
-        return {" ".join(str(sql).split()) for kind, name, sql in rows if not (kind == "index" and sql is None)}
+        rows = self.ask("SELECT sql FROM sqlite_master WHERE NOT (type = 'index' AND sql IS NULL)")
+        return {" ".join(str(sql).split()) for (sql,) in rows}
 
     def _connect(self, flags: str) -> sqlite3.Connection:
         name = quote(os.fsencode(self.path.absolute()))
@@ -159,9 +182,24 @@ class SqliteFile:
 
     def _begin(self, facts: Mapping[str, str]) -> None:
         """Write tables, version and facts, all or nothing."""
-        statements: list[tuple[str, Row]] = [(s, ()) for s in SCHEMA.split(";") if s.strip()]
-        statements.append((f"PRAGMA user_version={SCHEMA_VERSION}", ()))
-        self.change(*statements, *(("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()))
+        tables = [(statement, ()) for statement in _statements()]
+        about = [("INSERT INTO about VALUES (?, ?)", fact) for fact in facts.items()]
+        self.change(*tables, (f"PRAGMA user_version={SCHEMA_VERSION}", ()), *about)
+
+    def _migrate(self) -> None:
+        """Copy a file of `_OLD_VERSION` into the present tables, all or nothing."""
+        names = [statement.split()[2] for statement in _statements()]
+        columns = {name: ", ".join(row[1] for row in self.ask(f"PRAGMA table_info({name})")) for name in names}
+        copies = [f"INSERT INTO {name} ({columns[name]}) SELECT * FROM old_{name}" for name in names if name != "tests"]
+        statements = [
+            *(f"ALTER TABLE {name} RENAME TO old_{name}" for name in names),
+            *_statements(),
+            *copies,
+            f"INSERT INTO tests SELECT {_OLD_TESTS}old_tests",
+            *(f"DROP TABLE old_{name}" for name in reversed(names)),
+            f"PRAGMA user_version={SCHEMA_VERSION}",
+        ]
+        self.change(*((statement, ()) for statement in statements))
 
     def ask(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
         """Run one statement, which may write, and return its rows.
@@ -216,7 +254,10 @@ class SqliteFile:
         if name.startswith("SQLITE_FULL"):
             return StoreError(f"{self.path} cannot grow, the disk is full: make room, and give the same command again")
         text = "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:200]
-        if name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG")) or "decode" in text:
+        if (
+            name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_CONSTRAINT"))
+            or "decode" in text
+        ):
             return self.damaged(text)
         if name.startswith("SQLITE_BUSY"):
             return StoreError(f"{self.path} is locked by another process: end it, and give the same command again")
@@ -235,6 +276,15 @@ class SqliteFile:
                 self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
         self._db.close()
         self._closed = True
+
+
+def _statements() -> list[str]:
+    """Statements that create the tables, in order, whitespace normalised."""
+    return [" ".join(statement.split()) for statement in SCHEMA.split(";") if statement.strip()]
+
+
+def _digest(tables: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(sorted(tables)).encode()).hexdigest()
 
 
 def _state_of(path: Path) -> tuple[int, ...]:

@@ -4,31 +4,35 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Mapping, Sequence
-from functools import cached_property, partial
+import re
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ds_base.folder_files import StoreError
-from ds_orchestrator.store import rows as check
-from ds_orchestrator.store.model import (
-    EXECUTION_COLUMNS,
-    TEST_COLUMNS,
-    VERDICTS,
-    Execution,
-    Test,
-    execution_of,
-    test_of,
+from ds_orchestrator.store.model import Execution, Test, execution_of, row_of, test_of
+from ds_orchestrator.store.rows import (
+    BagRow,
+    DriveCount,
+    ErrorRow,
+    ExecutionRow,
+    FactRow,
+    GateRow,
+    IdRow,
+    Record,
+    ResultRow,
+    RowError,
+    SearchRow,
+    TestRow,
+    check_rows,
+    pack_numbers,
 )
-from ds_orchestrator.store.rows import pack_numbers
-from ds_orchestrator.store.sqlite_file import Row, SqliteFile
-from ds_road import Side
-from ds_sim.conditions.text import format_conditions
+from ds_orchestrator.store.sqlite_file import SqliteFile
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
 
 _SECONDS = "seconds "
-_ERRORS = tuple(outcome.name for outcome in Outcome if outcome.is_error)
 
 
 class Store:
@@ -69,13 +73,10 @@ class Store:
     @property
     def config(self) -> str:
         """The campaign's configuration as JSON text."""
-        found = self._file.ask("SELECT value FROM about WHERE key='config'")
-        if not found:
+        facts = self._rows(FactRow, "about WHERE key='config'")
+        if not facts:
             raise self._file.damaged("it has no configuration")
-        try:
-            return check.text(found[0][0], "config", longest=2**20)
-        except check.RowError as error:
-            raise self._file.damaged(str(error)) from None
+        return facts[0].value
 
     def note(self, key: str, value: str) -> str:
         """Store a fact about the campaign, such as a version, unless it is known; returns the stored value."""
@@ -92,16 +93,11 @@ class Store:
 
     def notes(self) -> dict[str, str]:
         """Every fact about the campaign."""
-        found = {}
-        for key, value in self._file.ask("SELECT key, value FROM about ORDER BY key"):
-            longest = 2**20 if key == "config" else check.LONGEST_TEXT
-            try:
-                found[check.text(key, "a fact's name")] = check.text(value, f"fact {key!r:.60}", longest=longest)
-                if str(key).startswith(_SECONDS):
-                    check.seconds(value, str(key))
-            except check.RowError as error:
-                raise self._file.damaged(str(error)) from None
-        return found
+        facts = dict(self._rows(FactRow, "about ORDER BY key"))
+        for key, value in facts.items():
+            if key.startswith(_SECONDS) and not re.fullmatch(r"[0-9]{1,15}(\.[0-9]+)?", value):
+                raise self._file.damaged(f"{key!r:.60} is {value!r:.60}, expected seconds")
+        return facts
 
     def add_test(self, test: Test) -> None:
         """Store a test unless it is known.
@@ -109,15 +105,11 @@ class Store:
         Raises:
             StoreError: a test with this id is known with another road or other conditions.
         """
-        road, conditions = test.road, format_conditions(test.conditions)
-        row = (
-            test.test_id, test.sibling, test.run, test.number, road.road_id, json.dumps(road.control_points),
-            road.turns_count, road.curvature_bin, road.curvature, test.seed, road.maxitwo_compatible, conditions,
-        )  # fmt: skip
-        self._file.ask("INSERT OR IGNORE INTO tests VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
+        row = row_of(test)
+        self._insert("INSERT OR IGNORE INTO tests", row)
         known = self._file.ask("SELECT road_id, conditions FROM tests WHERE test_id=?", (test.test_id,))[0]
-        if known != (road.road_id, conditions):
-            what = "another road" if known[0] != road.road_id else "other conditions"
+        if known != (row.road_id, row.conditions):
+            what = "another road" if known[0] != row.road_id else "other conditions"
             raise StoreError(
                 f"test {test.test_id} has {what} than when this campaign started: resume with the version of ds that "
                 "started it, or choose another --out"
@@ -126,7 +118,9 @@ class Store:
     def add_gate(self, test_id: str, simulator: str, gate: Gate) -> None:
         """Store what the gates say of a test on one simulator; only a valid test can become an excluded one."""
         outcome = "" if gate.outcome is None else gate.outcome.name
-        row = (test_id, simulator, gate.state.value, gate.message, outcome, gate.visible_contrast, gate.hidden_share)
+        row = GateRow(
+            test_id, simulator, gate.state.value, gate.message, outcome, gate.visible_contrast, gate.hidden_share
+        )
         self._file.ask(
             "INSERT INTO gates VALUES (?,?,?,?,?,?,?) ON CONFLICT(test_id, simulator) DO UPDATE SET "
             f"state = excluded.state, message = excluded.message WHERE state = '{GateState.VALID}'",
@@ -142,37 +136,28 @@ class Store:
         return self._gates()
 
     def _gates(self, where: str = "", values: tuple[str, ...] = ()) -> dict[tuple[str, str], Gate]:
-        found = self._checked(
-            "SELECT test_id, simulator, state, message, outcome, visible_contrast, hidden_share FROM gates "
-            f"{where} ORDER BY simulator, test_id",
-            check.text, check.text, partial(check.one_of, known=tuple(GateState)), check.text,
-            partial(check.one_of, known=("", *VERDICTS)), check.real, check.real, values=values,
-        )  # fmt: skip
         return {
-            (test_id, simulator): Gate(
-                state=GateState(state),
-                message=message,
-                outcome=Outcome[outcome] if outcome else None,
-                visible_contrast=contrast,
-                hidden_share=hidden,
+            (row.test_id, row.simulator): Gate(
+                state=GateState(row.state),
+                message=row.message,
+                outcome=Outcome[row.outcome] if row.outcome else None,
+                visible_contrast=row.visible_contrast,
+                hidden_share=row.hidden_share,
             )
-            for test_id, simulator, state, message, outcome, contrast, hidden in found
+            for row in self._rows(GateRow, f"gates {where} ORDER BY simulator, test_id", values)
         }
 
     def add_execution(self, execution: Execution) -> None:
         """Store an execution; call it after its bag is written, so that a stored execution is complete."""
-        row = (
-            execution.test_id, execution.simulator, execution.outcome.name, execution.message, execution.fitness,
-            execution.max_lateral_position, execution.steps, execution.simulated_seconds,
-            execution.trajectory_sha256, pack_numbers(execution.trajectory), pack_numbers(execution.steering),
-            execution.bag,
-        )  # fmt: skip
-        self._file.ask("INSERT OR REPLACE INTO executions VALUES (?,?,?,?,?,?,?,?,?,?,?,?)", row)
+        values = {name: getattr(execution, name) for name in ExecutionRow._fields[:-1]}
+        frames = pack_numbers(execution.trajectory), pack_numbers(execution.steering)
+        self._insert(
+            "INSERT OR REPLACE INTO executions", (*(values | {"outcome": execution.outcome.name}).values(), *frames)
+        )
 
     def add_error(self, test_id: str, simulator: str, attempt: int, outcome: Outcome, message: str) -> None:
         """Store an attempt that ended in an error."""
-        row = (test_id, simulator, attempt, outcome.name, message)
-        self._file.ask("INSERT INTO errors VALUES (?,?,?,?,?)", row)
+        self._insert("INSERT INTO errors", ErrorRow(test_id, simulator, attempt, outcome.name, message))
 
     def take_back(self, test_ids: Sequence[str]) -> None:
         """Delete tests without an outcome except the first, which is tried again."""
@@ -187,52 +172,42 @@ class Store:
 
     def give_up(self, test_id: str) -> None:
         """Store that the search continued without the outcome of a test."""
-        self._file.ask("INSERT OR IGNORE INTO given_up VALUES (?)", (test_id,))
+        self._insert("INSERT OR IGNORE INTO given_up", IdRow(test_id))
 
     def given_up(self) -> set[str]:
         """Tests whose search continued without their outcome; they may have one by now."""
-        return {str(row[0]) for row in self._checked("SELECT test_id FROM given_up", check.text)}
+        return {row.test_id for row in self._rows(IdRow, "given_up")}
 
     def add_search(self, sibling: str, run: int, method: str, seed: int) -> None:
         """Store method and seed of one run of a search."""
-        self._file.ask("INSERT OR IGNORE INTO searches VALUES (?,?,?,?)", (sibling, run, method, seed))
+        self._insert("INSERT OR IGNORE INTO searches", SearchRow(sibling, run, method, seed))
 
-    def searches(self) -> list[tuple[str, int, str, int]]:
-        """Every run of a search: sibling, run, method, seed."""
-        statement = "SELECT sibling, run, method, seed FROM searches ORDER BY sibling, run"
-        found = self._checked(statement, check.text, check.whole, check.text, check.whole)
-        return [(sibling, run, method, seed) for sibling, run, method, seed in found]
+    def searches(self) -> list[SearchRow]:
+        """Every run of a search."""
+        return self._rows(SearchRow, "searches ORDER BY sibling, run")
 
     def set_result(self, stage: str, executions: int) -> None:
         """Store the number of executions from which a result was computed."""
-        self._file.ask("INSERT OR REPLACE INTO results VALUES (?,?)", (stage, executions))
+        self._insert("INSERT OR REPLACE INTO results", ResultRow(stage, executions))
 
     def results(self) -> dict[str, int]:
         """Result -> number of executions from which it was computed."""
-        found = self._checked("SELECT stage, executions FROM results", check.text, partial(check.whole, low=-1))
-        return dict(found)
+        return dict(self._rows(ResultRow, "results"))
 
-    def errors(self) -> list[tuple[str, str, int, str, str]]:
-        """Attempts that ended in an error: test, simulator, attempt, outcome, message."""
-        columns = "test_id, simulator, attempt, outcome, message"
-        found = self._checked(
-            f"SELECT {columns} FROM errors ORDER BY test_id, simulator, attempt",
-            check.text, check.text, check.whole, partial(check.one_of, known=_ERRORS), check.text,
-        )  # fmt: skip
-        return [(test, simulator, attempt, outcome, message) for test, simulator, attempt, outcome, message in found]
+    def errors(self) -> list[ErrorRow]:
+        """Attempts that ended in an error."""
+        return self._rows(ErrorRow, "errors ORDER BY test_id, simulator, attempt")
 
-    def _checked(self, statement: str, *checks: Callable[..., object], values: Sequence[object] = ()) -> list[Row]:
-        """Run a SELECT and check every value with the function of its column."""
-        found = self._file.ask(statement, values)
-        columns = [name.strip() for name in statement.removeprefix("SELECT ").partition(" FROM ")[0].split(",")]
-        for row in found:
-            for checked, value, column in zip(checks, row, columns, strict=True):
-                try:
-                    checked(value, column)
-                except check.RowError as error:
-                    table = statement.partition(" FROM ")[2].split()[0]
-                    raise self._file.damaged(f"a row of {table}: {error}") from None
-        return found
+    def _insert(self, how: str, values: Sequence[object]) -> None:
+        self._file.ask(f"{how} VALUES ({','.join('?' * len(values))})", values)
+
+    def _rows(self, kind: type[Record], source: str, values: Sequence[object] = ()) -> list[Record]:
+        """Read and check rows of a table, or of a SELECT in brackets."""
+        rows = self._file.ask(f"SELECT {', '.join(kind._fields)} FROM {source}", values)
+        try:
+            return check_rows(kind, rows)
+        except RowError as error:
+            raise self._file.damaged(f"{source.split()[0].strip('(')}, {error}") from None
 
     def tests(self, *, after: int = 0) -> list[Test]:
         """Tests, ordered by sibling, run and number.
@@ -240,24 +215,11 @@ class Store:
         Args:
             after: number of a row; only tests that were stored later; see `last_rows`.
         """
-        rows = self._file.ask(
-            f"SELECT {TEST_COLUMNS} FROM tests WHERE rowid > ? ORDER BY sibling, run, number",
-            (after,),
-        )
-        lane = self._lane
+        rows = self._rows(TestRow, "tests WHERE rowid > ? ORDER BY sibling, run, number", (after,))
         try:
-            return [test_of(row, lane) for row in rows]
-        except check.RowError as error:
+            return [test_of(row) for row in rows]
+        except RowError as error:
             raise self._file.damaged(str(error)) from None
-
-    @cached_property
-    def _lane(self) -> Side:
-        """Lane in which all roads of the campaign are driven, from its configuration."""
-        try:
-            configured = json.loads(self.config).get("lane", "right")
-            return "left" if check.one_of(configured, "lane", ("right", "left")) == "left" else "right"
-        except (ValueError, RecursionError, AttributeError):
-            raise self._file.damaged("its configuration has no lane, expected right or left") from None
 
     def check(self, siblings: Collection[str], simulators: Collection[str], *, runs: int, budget: int) -> None:
         """Refuse rows that a campaign over these simulators cannot have, before they are used.
@@ -339,23 +301,20 @@ class Store:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
-    def outcome_counts(self) -> dict[tuple[str, str], int]:
+    def outcome_counts(self) -> Counter[tuple[str, str]]:
         """Simulator and name of the outcome -> number of executions, in the order of `executions`."""
-        found = self._checked(
-            "SELECT simulator, outcome, count(*) FROM executions GROUP BY simulator, outcome "
-            "ORDER BY simulator, min(test_id)",
-            check.text, partial(check.one_of, known=VERDICTS), check.whole,
-        )  # fmt: skip
-        return {(simulator, outcome): count for simulator, outcome, count in found}
+        counts: Counter[tuple[str, str]] = Counter()
+        for row in self.group_counts():
+            counts[row.simulator, row.outcome] += row.executions
+        return counts
 
-    def group_counts(self) -> list[tuple[str, int, str, str, int]]:
-        """Number of executions by sibling and run of their test's search, simulator, and name of the outcome."""
-        found = self._checked(
-            "SELECT sibling, run, simulator, outcome, count(*) FROM executions JOIN tests USING (test_id) "
-            "GROUP BY sibling, run, simulator, outcome",
-            check.text, check.whole, check.text, partial(check.one_of, known=VERDICTS), check.whole,
-        )  # fmt: skip
-        return [(sibling, run, simulator, outcome, count) for sibling, run, simulator, outcome, count in found]
+    def group_counts(self) -> list[DriveCount]:
+        """Number of executions by sibling and run of their test's search, simulator, and outcome."""
+        return self._rows(
+            DriveCount,
+            "(SELECT sibling, run, simulator, outcome, count(*) AS executions, min(test_id) AS first FROM executions "
+            "JOIN tests USING (test_id) GROUP BY sibling, run, simulator, outcome) ORDER BY simulator, first",
+        )
 
     def count_excluded(self) -> dict[tuple[str, int, str], int]:
         """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
@@ -372,21 +331,17 @@ class Store:
 
     def bags(self) -> list[str]:
         """Bags of all executions, in their order."""
-        statement = "SELECT bag FROM executions WHERE bag != '' ORDER BY simulator, test_id"
-        return [bag for (bag,) in self._checked(statement, lambda value, _: check.bag_folder(value))]
+        return [row.bag for row in self._rows(BagRow, "executions WHERE bag != '' ORDER BY simulator, test_id")]
 
     def count_results(self) -> int:
         """Number of executions and gates, from which maps, evaluation and report are made."""
         return self.count_executions() + int(self._file.ask("SELECT count(*) FROM gates")[0][0])
 
     def _executions(self, where: str, values: tuple[str | int, ...]) -> list[Execution]:
-        rows = self._file.ask(
-            f"SELECT {EXECUTION_COLUMNS} FROM executions {where} ORDER BY simulator, test_id",
-            values,
-        )
+        rows = self._rows(ExecutionRow, f"executions {where} ORDER BY simulator, test_id", values)
         try:
             return [execution_of(row, self._file) for row in rows]
-        except check.RowError as error:
+        except RowError as error:
             raise self._file.damaged(str(error)) from None
 
     def close(self) -> None:
