@@ -29,7 +29,7 @@ from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim.camera.look import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
-from ds_sim.parts import AdjustableVehicle, Vehicle
+from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_studies.explanation.experiment import Experiment, drive_experiments
@@ -54,15 +54,16 @@ SEGMENTS = 3
 """Segments of 25 m of a road; chosen: a straight one and two bends, to save time."""
 
 
-class ChangedVehicle:
+class ChangedVehicle(Vehicle):
     """Vehicle on worse tyres, or whose steering follows with a first-order lag."""
+
+    conditions = VEHICLE_CONDITIONS
 
     def __init__(self, vehicle: Vehicle, grip: float = 1.0, lag: float = 0.0) -> None:
         self._vehicle, self._grip, self._lag, self._steering = vehicle, grip, lag, 0.0
 
     def adjust(self, *, friction: float, payload: float) -> None:
         """Change grip and load for the runs to come."""
-        assert isinstance(self._vehicle, AdjustableVehicle)
         self._vehicle.adjust(friction=self._grip * friction, payload=payload)
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
@@ -87,6 +88,8 @@ class ChangedVehicle:
 
 class LateVehicle(ChangedVehicle):
     """Vehicle that receives its commands late by whole frames."""
+
+    delays_commands = True
 
     def __init__(self, vehicle: Vehicle, seconds: float) -> None:
         super().__init__(vehicle)

@@ -9,6 +9,7 @@ import numpy as np
 
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.parts import Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, SimulatorSpec, VehicleState
 
@@ -26,7 +27,7 @@ SUBSTEPS = 10
 """Chosen: 5 ms, a twentieth of the steering lag."""
 
 
-class BicycleVehicle:
+class BicycleVehicle(Vehicle):
     """Two wheels in line that roll where they point; the vehicle's centre is midway between them."""
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
@@ -56,9 +57,6 @@ class BicycleVehicle:
             yaw_rate=self._yaw_rate(),
             steering_angle=self._angle,
         )
-
-    def close(self) -> None:
-        """Do nothing: the model holds no resources."""
 
     def _slip(self) -> float:
         """Angle from the heading to the direction of motion of the centre, rad."""

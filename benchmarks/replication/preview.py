@@ -16,7 +16,7 @@ from ds_driver.closed_loop.simulation import drive_road
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.data.collection import roads_both_ways
 from ds_sim.registry import make_simulator
-from ds_sim.simulator import AutopilotGains, Command, DrawsRows, Observation, Outcome, Simulator
+from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, Simulator
 
 SIMULATORS = ("bullet", "softbody", "donkey")
 DERIVATIVE = 20.0
@@ -42,8 +42,7 @@ def main() -> None:
     """Drive, and print the page's table."""
     for name in SIMULATORS:
         simulator = make_simulator(name)
-        if isinstance(simulator, DrawsRows):
-            simulator.draw_rows(*ROWS_SEEN)
+        simulator.draw_rows(*ROWS_SEEN)
         gains = simulator.spec.autopilot
         damped = replace(gains, derivative=DERIVATIVE * gains.proportional)
         ways = ((gains, True), (gains, False), (damped, False))

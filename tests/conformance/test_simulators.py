@@ -12,7 +12,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import SIMULATORS, STANDARD, UnknownSimulatorError, make_simulator
-from ds_sim.simulator import Command, CommandError, DrawsRows, Observation, Outcome
+from ds_sim.simulator import Command, CommandError, Observation, Outcome
 from ds_sim.testing import CHECKS, STRAIGHT, SimulatorCheckError, check_simulator, drive, missing_because, run_check
 from ds_sim_softbody.simulator import SoftbodySimulator
 
@@ -102,8 +102,7 @@ def test_a_mirrored_road_is_driven_in_mirror_image(simulator_name: str) -> None:
     """
     road = generate(np.random.default_rng(8), max_angle=150)
     simulator = make_simulator(simulator_name)
-    if isinstance(simulator, DrawsRows):
-        simulator.draw_rows(0, 1)  # nobody looks
+    simulator.draw_rows(0, 1)  # nobody looks
     runs = []
     for one in (road, road.mirrored()):
         pilot, seen = Autopilot(simulator.spec.autopilot), [simulator.load(one, seed=1)]

@@ -17,16 +17,27 @@ from ds_driver.networks.pilot import Frame
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of
-from ds_sim.simulator import FRAME_TIME, HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import (
+    FRAME_TIME,
+    HALF_LANE,
+    Command,
+    LaneState,
+    Observation,
+    Outcome,
+    Simulator,
+    SimulatorSpec,
+    VehicleState,
+)
 
 FRAMES = 8
 
 
-class QuickSimulator:
+class QuickSimulator(Simulator):
     """Moves along the lane by 1 m a frame, off its centre by what seed and commands make of it."""
 
-    def __init__(self) -> None:
-        self.spec = dataclasses.replace(spec_of("donkey"), name="quick", conditions=())
+    @property
+    def spec(self) -> SimulatorSpec:
+        return dataclasses.replace(spec_of("donkey"), name="quick", conditions=())
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         self._road, self._rng, self._step, self._lateral = road, np.random.default_rng(seed), 0, 0.0
@@ -36,8 +47,6 @@ class QuickSimulator:
         self._step += 1
         self._lateral += float(self._rng.normal(0.0, 0.5)) + 0.1 * command.steering
         return self._observe()
-
-    def close(self) -> None: ...
 
     def _observe(self) -> Observation:
         x, y = self._road.lane_centre[self._step].tolist()

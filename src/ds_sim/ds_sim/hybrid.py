@@ -15,7 +15,7 @@ from ds_road import Road
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import DelayedVehicle, Scene
+from ds_sim.parts import Scene
 from ds_sim.registry import make_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Command, Observation, Simulator
@@ -77,8 +77,8 @@ class HybridSimulator(RoadSimulator):
             )
         scene: Scene = camera.scene if whole else PaintedScene(replace(spec.camera, latency=0), spec.look)
         super().__init__(spec, vehicle.vehicle, scene=scene, limits=vehicle.limits)
-        self._dead_time = dead_time_of(delays)
-        if isinstance(self.vehicle, DelayedVehicle):
+        self._dead_time = delays.vehicle.command_delay
+        if self.vehicle.delays_commands:
             self.vehicle.command_delay, self._dead_time = self._dead_time, 0.0
         self._sent: Actuation | None = None
         self._latency = 0 if whole else spec.camera.latency
@@ -148,11 +148,6 @@ def whole_scene(simulator: RoadSimulator) -> bool:
     return type(simulator.scene) is not PaintedScene
 
 
-def dead_time_of(simulator: RoadSimulator) -> float:
-    """Dead time from a command to the vehicle, s."""
-    return simulator.vehicle.command_delay if isinstance(simulator.vehicle, DelayedVehicle) else 0.0
-
-
 def differing_parts(one: RoadSimulator, other: RoadSimulator) -> Sequence[tuple[str, ...]]:
     """Parts in which two simulators differ, each as one or more of `PARTS` that can be exchanged only together.
 
@@ -164,7 +159,7 @@ def differing_parts(one: RoadSimulator, other: RoadSimulator) -> Sequence[tuple[
         "camera": (replace(a.camera, **sensor), a.crop_top, a.crop_bottom) != (b.camera, b.crop_top, b.crop_bottom),
         "look": (a.look, *(getattr(a.camera, f) for f in SENSOR_LOOK)) != (b.look, *(sensor[f] for f in SENSOR_LOOK)),
         "vehicle": True,
-        "delays": (a.camera.latency, dead_time_of(one)) != (b.camera.latency, dead_time_of(other)),
+        "delays": (a.camera.latency, one.vehicle.command_delay) != (b.camera.latency, other.vehicle.command_delay),
     }
     if whole_scene(one) or whole_scene(other):
         return [("camera", "look"), *((part,) for part in PARTS[2:] if differ[part])]

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interfaces of the two parts of a simulator: a vehicle's physics, and the scene that its camera sees."""
+"""Base classes of the two parts of a simulator: a vehicle's physics, and the scene that its camera sees."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +17,24 @@ from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import Command, VehicleState
 
+VEHICLE_CONDITIONS = frozenset({"friction", "payload"})
+"""Conditions that `Vehicle.adjust` realises."""
 
-class Vehicle(Protocol):
-    """Vehicle on an infinite flat plane, advanced step by step."""
 
+class Vehicle(ABC):
+    """Vehicle on an infinite flat plane, advanced step by step.
+
+    Attributes:
+        conditions: conditions that `adjust` realises, `VEHICLE_CONDITIONS` or none.
+        delays_commands: whether the model has a dead time of its own, `command_delay`, which may be set.
+        command_delay: dead time from a command to the actuators in the runs to come, s.
+    """
+
+    conditions: ClassVar[frozenset[str]] = frozenset()
+    delays_commands: ClassVar[bool] = False
+    command_delay: float = 0.0
+
+    @abstractmethod
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Build the physics from scratch with the vehicle at rest.
 
@@ -31,24 +46,14 @@ class Vehicle(Protocol):
             yaw: heading, rad, counter-clockwise from +x.
             rng: source of all random numbers.
         """
-        ...
 
+    @abstractmethod
     def advance(self, command: Command) -> None:
         """Advance by one step of 1/20 s with the command held; the model chooses its substeps."""
-        ...
 
+    @abstractmethod
     def state(self) -> VehicleState:
         """Current state in road metres, whatever the model's own scale."""
-        ...
-
-    def close(self) -> None:
-        """Release the model's resources; `reset` may follow."""
-        ...
-
-
-@runtime_checkable
-class AdjustableVehicle(Protocol):
-    """Vehicle whose physics take conditions of a test; any other has the default ones."""
 
     def adjust(self, *, friction: float, payload: float) -> None:
         """Change the vehicle for the runs to come; (1, 0) is the vehicle as it was made, bit for bit.
@@ -57,18 +62,11 @@ class AdjustableVehicle(Protocol):
             friction: factor on the tyres' grip on a dry road.
             payload: load over the mass of the vehicle, spread like that mass.
         """
-        ...
+        return
 
-
-@runtime_checkable
-class DelayedVehicle(Protocol):
-    """Vehicle with a dead time of its own from a command to its actuators; any other has none.
-
-    Attributes:
-        command_delay: the dead time of the runs to come, s; it may be set.
-    """
-
-    command_delay: float
+    def close(self) -> None:
+        """Release the model's resources; `reset` may follow."""
+        return
 
 
 def check_ranges(
@@ -90,18 +88,16 @@ def check_ranges(
             raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 
 
-VEHICLE_CONDITIONS = frozenset({"friction", "payload"})
-"""Conditions that an `AdjustableVehicle` realises."""
+class Scene(ABC):
+    """World of one road, as the camera of one vehicle sees it; images are (rows, columns, 3) uint8 RGB.
 
+    Attributes:
+        conditions: names of the conditions that it realises.
+    """
 
-class Scene(Protocol):
-    """World of one road, as the camera of one vehicle sees it; images are (rows, columns, 3) uint8 RGB."""
+    conditions: ClassVar[frozenset[str]] = frozenset()
 
-    @property
-    def conditions(self) -> frozenset[str]:
-        """Names of the conditions that it realises."""
-        ...
-
+    @abstractmethod
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Build the world of a road from scratch.
 
@@ -112,12 +108,12 @@ class Scene(Protocol):
             rng: source of all random numbers of the run, such as sensor noise.
             conditions: of the test, as `Conditions.for_scene` returns them.
         """
-        ...
 
+    @abstractmethod
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Deliver the next camera image, read-only; called once a frame, as a sensor may have noise and latency."""
-        ...
 
+    @abstractmethod
     def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Take one image from any pose in the loaded world, without latency; a run in progress is not affected.
 
@@ -125,15 +121,18 @@ class Scene(Protocol):
             state: pose and motion of the vehicle.
             rng: source of sensor noise; None for an image without noise, of which all rows are drawn.
         """
-        ...
 
     def draw_rows(self, top: int, bottom: int) -> None:
-        """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
-        ...
+        """Allow it to draw only some rows of the images of the runs to come; see `Simulator.draw_rows`."""
+        return
+
+    def unload(self) -> None:
+        """Forget the road once its run has ended, so that other scenes use its memory."""
+        return
 
     def close(self) -> None:
         """Release the scene's resources; `load` may follow."""
-        ...
+        return
 
 
 def check_rows(top: int, bottom: int, camera: CameraSpec) -> None:

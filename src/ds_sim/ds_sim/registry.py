@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 
 from ds_base.errors import InputError
-from ds_sim.simulator import DrawsRows, Simulator, SimulatorSpec
+from ds_sim.simulator import Simulator, SimulatorSpec
 
 SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
@@ -205,8 +205,7 @@ def simulator_of_process(name: str) -> Simulator:
     `make_simulator` does.
     """
     simulator = _kept(name)
-    if isinstance(simulator, DrawsRows):  # the run before may have drawn fewer
-        simulator.draw_rows(0, simulator.spec.camera.height_px)
+    simulator.draw_rows(0, simulator.spec.camera.height_px)  # the run before may have drawn fewer
     return simulator
 
 

@@ -14,13 +14,14 @@ from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS, Actuation, actuation_of
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
-from ds_sim.parts import VEHICLE_CONDITIONS, AdjustableVehicle, Scene, Vehicle
+from ds_sim.parts import Scene, Vehicle
 from ds_sim.simulator import (
     FRAME_TIME,
     Command,
     LaneState,
     Observation,
     Outcome,
+    Simulator,
     SimulatorError,
     SimulatorSpec,
 )
@@ -33,8 +34,8 @@ def start_of(road: Road) -> tuple[float, float, float]:
     return float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0])
 
 
-class RoadSimulator:
-    """Implements `ds_sim.simulator.Simulator`, `DrawsRows` and `TakesStills` for any vehicle model.
+class RoadSimulator(Simulator):
+    """Implements `ds_sim.simulator.Simulator` for any vehicle model.
 
     Args:
         spec: description of the simulator; `conditions` is filled in from what vehicle and scene realise.
@@ -42,6 +43,8 @@ class RoadSimulator:
         scene: what the camera sees; a `PaintedScene` of the spec's camera and look if omitted.
         limits: thresholds that end a run; the defaults of `OracleLimits` if omitted.
     """
+
+    takes_stills = True
 
     def __init__(
         self,
@@ -53,8 +56,7 @@ class RoadSimulator:
     ) -> None:
         self.vehicle = vehicle
         self.scene = scene or PaintedScene(spec.camera, spec.look)
-        adjustable = VEHICLE_CONDITIONS if isinstance(vehicle, AdjustableVehicle) else frozenset()
-        realised = COMMAND_CONDITIONS | adjustable | self.scene.conditions
+        realised = COMMAND_CONDITIONS | vehicle.conditions | self.scene.conditions
         self._spec = replace(spec, conditions=tuple(name for name in FIELDS if name in realised))
         self.limits = limits or OracleLimits()
         self._run: _Run | None = None
@@ -65,11 +67,11 @@ class RoadSimulator:
         return self._spec
 
     def draw_rows(self, top: int, bottom: int) -> None:
-        """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
+        """Draw only some rows of the images of the runs to come; see `Simulator.draw_rows`."""
         self.scene.draw_rows(top, bottom)
 
     def still(self) -> NDArray[np.uint8]:
-        """Take an image without noise and latency; see `TakesStills.still`."""
+        """Take an image without noise and latency; see `Simulator.still`."""
         return self.scene.still(self.vehicle.state())
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
@@ -79,8 +81,7 @@ class RoadSimulator:
         if not road.validity.valid:
             raise RoadError(f"road {road.road_id} is not valid: {road.validity.reason}")
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
-        if isinstance(self.vehicle, AdjustableVehicle):
-            self.vehicle.adjust(friction=conditions.friction, payload=conditions.payload)
+        self.vehicle.adjust(friction=conditions.friction, payload=conditions.payload)
         self.vehicle.reset(*start_of(road), np.random.default_rng(vehicle_seed))
         tracker = LaneTracker(road.lane_centre)
         self.scene.load(road, np.random.default_rng(sensor_seed), conditions.for_scene(self.scene.conditions))
@@ -109,10 +110,9 @@ class RoadSimulator:
         return self._observe(run)
 
     def unload(self) -> None:
-        """Forget the road once its run has ended, so that other simulators use its memory."""
+        """Forget the road; see `Simulator.unload`."""
         self._run = None
-        if isinstance(self.scene, PaintedScene):
-            self.scene.unload()
+        self.scene.unload()
 
     def close(self) -> None:
         """Release the simulator's resources."""

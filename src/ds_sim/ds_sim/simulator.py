@@ -9,9 +9,10 @@ counter-clockwise from +x (REP-103). Steering is the one exception, as in the pa
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Protocol, runtime_checkable
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,14 +247,36 @@ class AutopilotGains:
     min_speed: float = 15.0
 
 
-class Simulator(Protocol):
-    """Simulates a vehicle with a camera on a road; a run depends on (road, seed, conditions, commands) alone."""
+class Simulator(ABC):
+    """Simulates a vehicle with a camera on a road; a run depends on (road, seed, conditions, commands) alone.
+
+    Attributes:
+        needs_file: whether it is nothing without the file or folder after `@`, which a class method `from_file` gets.
+        is_external: whether it is another program, which has one vehicle however often it is made here, and commands
+            whatever listens to it.
+        takes_stills: whether it has `still`.
+    """
+
+    needs_file: ClassVar[bool] = False
+    is_external: ClassVar[bool] = False
+    takes_stills: ClassVar[bool] = False
+
+    @classmethod
+    def missing(cls) -> str:
+        """Say what must be installed before it can be made, one line with what to type; "" if nothing is missing."""
+        return ""
+
+    @classmethod
+    def depends_on(cls) -> dict[str, str]:
+        """Versions of what, beside code and common libraries, determines the bits of a drive: name -> value."""
+        return {}
 
     @property
+    @abstractmethod
     def spec(self) -> SimulatorSpec:
         """Description of this simulator."""
-        ...
 
+    @abstractmethod
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch, with the vehicle at rest at the start of the driven lane.
 
@@ -269,27 +292,17 @@ class Simulator(Protocol):
             ds_road.RoadError: the road is not valid.
             ds_sim.NotApplicableError: it cannot realise a condition.
         """
-        ...
 
+    @abstractmethod
     def step(self, command: Command) -> Observation:
         """Advance by one step of 1/20 s simulated time with the command held.
 
         Raises:
             SimulatorError: no road is loaded, the run has ended, or the physics diverged.
         """
-        ...
-
-    def close(self) -> None:
-        """Release the simulator's resources; `load` may follow."""
-        ...
-
-
-@runtime_checkable
-class DrawsRows(Protocol):
-    """Simulator that can leave out rows of its images that nobody looks at."""
 
     def draw_rows(self, top: int, bottom: int) -> None:
-        """Draw only some rows of the images of the runs to come; the other rows are zero.
+        """Allow it to draw only some rows of the images of the runs to come; the other rows are zero, or drawn too.
 
         A row that is drawn holds the same bits as without this call, which holds until the next one. A run in progress
         goes on as it began.
@@ -301,20 +314,23 @@ class DrawsRows(Protocol):
         Raises:
             ValueError: not 0 <= top < bottom <= rows of the image.
         """
-        ...
-
-
-@runtime_checkable
-class TakesStills(Protocol):
-    """Simulator that can take an image for measurements beside those of its camera."""
+        return
 
     def still(self) -> NDArray[np.uint8]:
         """Take an image of the present state, without sensor noise and latency; the run is not affected.
 
         Returns:
-            (rows, columns, 3) uint8 RGB, of which all rows are drawn, whatever `DrawsRows.draw_rows` says.
+            (rows, columns, 3) uint8 RGB, of which all rows are drawn, whatever `draw_rows` says.
 
         Raises:
-            SimulatorError: no road is loaded.
+            SimulatorError: no road is loaded, or it takes no stills.
         """
-        ...
+        raise SimulatorError(f"{self.spec.name} takes no stills")
+
+    def unload(self) -> None:
+        """Forget the road once its run has ended, so that other simulators use its memory."""
+        return
+
+    def close(self) -> None:
+        """Release the simulator's resources; `load` may follow."""
+        return

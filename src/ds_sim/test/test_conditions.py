@@ -18,7 +18,7 @@ from ds_sim.registry import make_simulator, simulator_of_process, spec_of
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
-from ds_sim.simulator import FRAME_TIME, Command, DrawsRows, Observation, Outcome, SimulatorSpec
+from ds_sim.simulator import FRAME_TIME, Command, Observation, Outcome, SimulatorSpec
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 
@@ -176,7 +176,6 @@ def test_a_sent_run_is_that_of_its_conditions() -> None:
 
 def test_a_kept_simulator_draws_all_rows_again() -> None:
     kept = simulator_of_process("bullet")
-    assert isinstance(kept, DrawsRows)
     kept.draw_rows(0, 1)
     assert not kept.load(STRAIGHT, seed=1).image[1:].any()
     assert simulator_of_process("bullet") is kept

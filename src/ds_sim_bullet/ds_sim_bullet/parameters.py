@@ -118,7 +118,7 @@ class BulletParameters:
         check_ranges(self, _LIMITS)
 
     def adjusted(self, *, friction: float, payload: float) -> BulletParameters:
-        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
+        """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
             return self
         mass = self.mass * (1.0 + payload)

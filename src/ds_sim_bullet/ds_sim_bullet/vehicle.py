@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.world import build_world
@@ -54,7 +55,7 @@ class Suspension:
         return forces
 
 
-class BulletVehicle:
+class BulletVehicle(Vehicle):
     """Small rear-wheel-drive electric car of rigid bodies in PyBullet, on an infinite plane.
 
     Body, hubs, knuckles and wheels form one multibody. Springs, dampers, anti-roll bars and motor are forces on its
@@ -77,6 +78,8 @@ class BulletVehicle:
         SimulatorError: PyBullet has no free physics client.
     """
 
+    conditions = VEHICLE_CONDITIONS
+
     def __init__(self, parameters: BulletParameters | None = None) -> None:
         self._nominal = self.parameters = parameters or BulletParameters()
         self._bullet = _import_bullet()
@@ -85,7 +88,7 @@ class BulletVehicle:
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `Vehicle.adjust`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
         if parameters != self.parameters:
             self.parameters = parameters

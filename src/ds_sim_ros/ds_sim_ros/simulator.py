@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import check_rows
+from ds_sim.parts import Scene, Vehicle, check_rows
 from ds_sim.registry import UnknownSimulatorError
 from ds_sim.road_simulator import RoadSimulator, start_of
 from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, SimulatorError, SimulatorSpec, VehicleState
@@ -40,7 +40,7 @@ LOOK = Look(asphalt=(90, 90, 90), grass=(90, 120, 70))
 NOT_REPEATABLE = "real time: runs are not deterministic"
 
 
-class RosWorld:
+class RosWorld(Vehicle, Scene):
     """Vehicle and scene of another simulator: `ds_sim.parts.Vehicle` and `ds_sim.parts.Scene` on one connection.
 
     Args:
@@ -48,8 +48,6 @@ class RosWorld:
         camera: of the images.
         folder: folder of the description.
     """
-
-    conditions: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
         self._settings, self._camera, self._folder = settings, camera, folder

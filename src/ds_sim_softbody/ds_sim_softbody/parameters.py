@@ -178,7 +178,7 @@ class SoftbodyParameters:
             )
 
     def adjusted(self, *, friction: float, payload: float) -> SoftbodyParameters:
-        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
+        """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
             return self
         grown = 1.0 + payload

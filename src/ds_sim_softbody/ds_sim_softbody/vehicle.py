@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.machine_code import load, values
+from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import Command, SimulatorError, VehicleState
 from ds_sim_softbody.lattice import ENGINE_FUNCTIONS, Blueprint, CornerNodes, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
@@ -80,7 +81,7 @@ def _wheel_at_rest(p: SoftbodyParameters, corner: CornerNodes, nodes: NDArray[np
     return wheel
 
 
-class SoftbodyVehicle:
+class SoftbodyVehicle(Vehicle):
     """Car of nodes and beams on an infinite plane.
 
     The physics run in the car's axes at the start, so that a run does not depend on where it starts.
@@ -88,6 +89,8 @@ class SoftbodyVehicle:
     Args:
         parameters: parameters of the car; nominal values if omitted.
     """
+
+    conditions = VEHICLE_CONDITIONS
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
         self._nominal = self._parameters = parameters or SoftbodyParameters()
@@ -101,7 +104,7 @@ class SoftbodyVehicle:
         return self._parameters
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `Vehicle.adjust`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
         if parameters != self._parameters:
             self._parameters, self._plan = parameters, blueprint(parameters)

@@ -73,7 +73,7 @@ class TorcsParameters:
         check_ranges(self, _LIMITS)
 
     def adjusted(self, *, friction: float, payload: float) -> TorcsParameters:
-        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
+        """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
             return self
         return dataclasses.replace(

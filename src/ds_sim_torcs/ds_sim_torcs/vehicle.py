@@ -8,6 +8,7 @@ import struct
 
 import numpy as np
 
+from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import Command, VehicleState
 from ds_sim_torcs.host import Kind, TorcsHost
 from ds_sim_torcs.parameters import CAR, SETTLING, SUBSTEPS, TorcsParameters
@@ -19,7 +20,7 @@ _AT_REST = (0.0,) * 12
 FIRST_GEAR = 1
 
 
-class TorcsVehicle:
+class TorcsVehicle(Vehicle):
     """Saloon with four-wheel drive in TORCS's own physics, simuv2.
 
     The host always starts at the origin of its plane and heads along +x, where single precision is finest, so a run is
@@ -30,6 +31,8 @@ class TorcsVehicle:
         parameters: parameters of the car; nominal values if omitted.
     """
 
+    conditions = VEHICLE_CONDITIONS
+
     def __init__(self, host: TorcsHost, parameters: TorcsParameters | None = None) -> None:
         self._host = host
         self.nominal = self.parameters = parameters or TorcsParameters()
@@ -38,7 +41,7 @@ class TorcsVehicle:
         self._yaw = 0.0
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change the car for the runs to come; see `AdjustableVehicle.adjust`."""
+        """Change the car for the runs to come; see `Vehicle.adjust`."""
         self.parameters = self.nominal.adjusted(friction=friction, payload=payload)
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:

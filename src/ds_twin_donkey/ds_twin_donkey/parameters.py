@@ -137,7 +137,7 @@ class DonkeyParameters:
         check_ranges(self, _LIMITS)
 
     def adjusted(self, *, friction: float, payload: float) -> DonkeyParameters:
-        """Copy as `ds_sim.parts.AdjustableVehicle.adjust` has it; springs and dampers stay those of the car."""
+        """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
             return self
         grown = 1.0 + payload

@@ -8,17 +8,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import Command, VehicleState
 from ds_twin_donkey.dynamics import CarModel, CarState, Pulse
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 
 
-class DonkeyVehicle:
+class DonkeyVehicle(Vehicle):
     """Donkey Car on an infinite floor.
 
     Args:
         parameters: parameters of the car; nominal values if omitted.
     """
+
+    conditions = VEHICLE_CONDITIONS
+    delays_commands = True
 
     def __init__(self, parameters: DonkeyParameters | None = None) -> None:
         self._nominal = parameters or DonkeyParameters()
@@ -42,7 +46,7 @@ class DonkeyVehicle:
         self._nominal = replace(self._nominal, command_delay=seconds)
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `Vehicle.adjust`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
         if parameters != self._model.parameters:
             self._model = CarModel(parameters)
@@ -72,9 +76,6 @@ class DonkeyVehicle:
             roll=s.roll,
             pitch=s.pitch,
         )
-
-    def close(self) -> None:
-        """Do nothing: the model holds no resources."""
 
     def _centre_of_mass_ahead(self) -> float:
         """Distance of the centre of mass ahead of the midpoint between the axles, model metres."""

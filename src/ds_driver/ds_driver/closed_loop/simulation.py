@@ -15,10 +15,9 @@ from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
 from ds_sim.registry import make_simulator
-from ds_sim.road_simulator import RoadSimulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, DrawsRows, Observation, Outcome, Simulator, SimulatorSpec, TakesStills
+from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
@@ -52,8 +51,8 @@ def drive_road(
 ) -> RunRecord:
     """Drive a road until the run ends; failures of simulator or driver end the run as an error.
 
-    A probed run measures the contrast of the lines (`ds_sim.gates`), on whole images unless the simulator satisfies
-    `ds_sim.simulator.TakesStills`.
+    A probed run measures the contrast of the lines (`ds_sim.gates`), on whole images unless the simulator takes
+    stills.
 
     Raises:
         ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no run then.
@@ -163,8 +162,7 @@ class InterleavedDrives:
 
     def _keep(self, name: str, simulator: Simulator) -> None:
         """Keep a simulator for the next drive; close the one that has been idle longest if there are many."""
-        if isinstance(simulator, RoadSimulator):
-            simulator.unload()
+        simulator.unload()
         self._idle[name] = [*self._idle.pop(name, []), simulator]
         if sum(map(len, self._idle.values())) > MOST_IDLE:
             oldest = next(name for name, idle in self._idle.items() if idle)
@@ -179,10 +177,8 @@ def _network(driver: str) -> NetworkDriver:
 
 
 def _draw_seen_rows(simulator: Simulator, rows: tuple[int, int] | None, *, probed: bool) -> None:
-    """Draw only the rows that the driver, None for all, or the probe of the lines looks at, if the simulator can."""
-    if not isinstance(simulator, DrawsRows):
-        return
-    if probed and not isinstance(simulator, TakesStills):
+    """Draw only the rows that the driver, None for all, or the probe of the lines looks at."""
+    if probed and not simulator.takes_stills:
         rows = None  # the contrast is measured on whole images
     simulator.draw_rows(*(rows or (0, simulator.spec.camera.height_px)))
 

@@ -100,9 +100,6 @@ class PhotoScene(RenderedScene):
             horizontal_fov=1.0, height=self._spec.height, forward=self._spec.forward, pitch=camera.pitch_rad or 0.0
         )
 
-    def close(self) -> None:
-        """Do nothing: photographs are read when they are shown."""
-
     def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
         self.unseen = 0.0
 

@@ -27,14 +27,14 @@ from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import check_rows
+from ds_sim.parts import Scene, check_rows
 from ds_sim.simulator import SimulatorError, VehicleState
 
 _SPARE: list[AtlasMemory] = []
 """Memory of unloaded scenes, some 60 MB each: a process needs it for each drive at a time, not for each simulator."""
 
 
-class PaintedScene:
+class PaintedScene(Scene):
     """Implements `ds_sim.parts.Scene` for any camera and look.
 
     Args:
@@ -58,7 +58,7 @@ class PaintedScene:
         self._whole: _View | None = None
 
     def draw_rows(self, top: int, bottom: int) -> None:
-        """Draw only some rows of the images of the runs to come; see `DrawsRows.draw_rows`."""
+        """Draw only some rows of the images of the runs to come; see `Scene.draw_rows`."""
         check_rows(top, bottom, self._spec)
         self._rows = (top, bottom)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -27,7 +27,7 @@ from ds_sim.camera.optics import (
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import check_rows
+from ds_sim.parts import Scene, check_rows
 from ds_sim.simulator import VehicleState
 
 CAMERA_CONDITIONS = LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
@@ -38,7 +38,7 @@ Axes = tuple[Vector, Vector, Vector]
 _UNSUPPORTED = {"lens": "pinhole", "gain": 1.0, "gamma": 1.0, "exposure": 0.0, "blur": 0.0, "noise": 0.0, "latency": 0}
 
 
-class RenderedScene(ABC):
+class RenderedScene(Scene):
     """Implements `ds_sim.parts.Scene` but for the world itself and its pictures.
 
     The world belongs to the road: the same road always looks alike, whatever the seed of the run, which conditions
@@ -82,10 +82,6 @@ class RenderedScene(ABC):
     @abstractmethod
     def _sun(self, conditions: Conditions) -> Vector:
         """Direction of the sun, a unit vector in the road frame."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Release the world; `load` may follow."""
 
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Build the world of a road from scratch; `rng` is used by conditions alone."""

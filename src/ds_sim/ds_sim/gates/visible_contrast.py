@@ -14,7 +14,7 @@ from ds_sim.camera.optics import decode, mounted
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import PROBE_EVERY
 from ds_sim.session import RunRecord
-from ds_sim.simulator import MAX_SPEED, Observation, Simulator, SimulatorSpec, TakesStills, VehicleState
+from ds_sim.simulator import MAX_SPEED, Observation, Simulator, SimulatorSpec, VehicleState
 
 PREVIEW_TIME = 1.8
 """Least time that a driver must see road markings ahead, s (COST 331, Requirements for Horizontal Road
@@ -126,7 +126,7 @@ class ContrastProbe:
 
     Args:
         run: record of the run; observations are seen as they are added to it.
-        simulator: drives; one that does not satisfy `ds_sim.simulator.TakesStills` is judged by its camera's images.
+        simulator: drives; one that takes no stills is judged by its camera's images.
     """
 
     def __init__(self, run: RunRecord, simulator: Simulator) -> None:
@@ -137,7 +137,7 @@ class ContrastProbe:
         """Measure an observation if it is one in `PROBE_EVERY`."""
         if observation is None or observation.step % PROBE_EVERY:
             return
-        if isinstance(self._simulator, TakesStills):
+        if self._simulator.takes_stills:
             exposed, image = observation, self._simulator.still()
         else:  # the image is that of a moment ago
             latency = self._simulator.spec.camera.latency

@@ -20,7 +20,7 @@ from ds_road import Road
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.messages import MessageBuilder
 from ds_sim.ros.conversions import frame_to_message, message_builder
-from ds_sim.simulator import FRAME_TIME, DrawsRows, Observation, Simulator, SimulatorSpec, VehicleState
+from ds_sim.simulator import FRAME_TIME, Observation, Simulator, SimulatorSpec, VehicleState
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -129,7 +129,7 @@ class DrawnRows:
     """Leaves out rows that only the driver in the simulator's own process would get, and does not look at.
 
     Args:
-        simulator: any simulator; one that does not satisfy `DrawsRows` draws all rows.
+        simulator: any simulator.
         frames: publishers of its frames.
     """
 
@@ -150,7 +150,7 @@ class DrawnRows:
 
     def choose(self) -> None:
         """Choose the rows of the run that begins; a subscriber that comes during a run gets whole images after it."""
-        if self._seen is None or not isinstance(self._simulator, DrawsRows):
+        if self._seen is None:
             return
         whole = (0, self._simulator.spec.camera.height_px)
         watched = self._frames.viewers > self._own

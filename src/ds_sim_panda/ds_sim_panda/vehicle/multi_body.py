@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_panda.vehicle import published as model
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
@@ -16,7 +17,7 @@ SETTLING_FRAMES = 200
 """Frames at rest in which the car settles on its springs; chosen: 10 s, fifteen periods of the body."""
 
 
-class MultiBodyVehicle:
+class MultiBodyVehicle(Vehicle):
     """Car with 29 states on an infinite plane.
 
     The model runs in the car's axes at the start, so that a run does not depend on where it starts.
@@ -27,6 +28,8 @@ class MultiBodyVehicle:
     Raises:
         ImportError: Numba or the package of the model is not installed.
     """
+
+    conditions = VEHICLE_CONDITIONS
 
     def __init__(self, parameters: MultiBodyParameters | None = None) -> None:
         model.check_version()
@@ -40,7 +43,7 @@ class MultiBodyVehicle:
         self._start = (0.0, 0.0, 0.0)
 
     def adjust(self, *, friction: float, payload: float) -> None:
-        """Change grip and load for the runs to come; see `ds_sim.parts.AdjustableVehicle`."""
+        """Change grip and load for the runs to come; see `Vehicle.adjust`."""
         if (friction, payload) != self._adjusted:
             self._adjusted = (friction, payload)
             self._settle()
