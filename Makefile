@@ -13,7 +13,7 @@ setup:  ## create the virtual environment and build the colcon workspace, once
 demo: setup  ## run the whole method, small, into demo/ (ARGS="..." for `ds demo`)
 	@./ds demo --out demo $(ARGS)
 
-torcs:  ## build the host of the simulator torcs (docs/torcs.md says what it needs)
+torcs:  ## build and install the simulator torcs of plugins/ (docs/torcs.md says what it needs)
 	@./tools/torcs.sh
 
 test:  ## run the linters and the tests (ARGS="..." for pytest)

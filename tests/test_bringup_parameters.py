@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from ds_sim.registry import NEED_FILE, SIMULATORS
+from ds_sim.registry import STANDARD
 
 FOLDER = Path(__file__).resolve().parents[1] / "src/ds_bringup/config/simulators"
 
@@ -23,7 +23,7 @@ def parameters(name: str) -> dict[str, dict[str, Any]]:
 
 
 def test_every_simulator_has_a_file_and_every_file_a_simulator() -> None:
-    assert {file.stem for file in FOLDER.glob("*.yaml")} == SIMULATORS.keys() - NEED_FILE
+    assert {file.stem for file in FOLDER.glob("*.yaml")} == set(STANDARD)
 
 
 def test_the_one_driver_of_all_asks_every_simulator() -> None:
@@ -32,7 +32,7 @@ def test_the_one_driver_of_all_asks_every_simulator() -> None:
     assert driver == {"network": "dave2_short", "namespaces": ["/ds1", "/ds2", "/twin"]}
 
 
-@pytest.mark.parametrize("name", sorted(SIMULATORS.keys() - NEED_FILE))
+@pytest.mark.parametrize("name", STANDARD)
 def test_a_file_names_its_simulator_and_repeats_nothing_that_drivers_ask_for(name: str) -> None:
     nodes = parameters(name)
     assert set(nodes) == {"simulator"}

@@ -21,7 +21,7 @@ FLOORS = (
     {"ds_base"},
     {"ds_road"},
     {"ds_sim"},
-    {"ds_bags", "ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody", "ds_sim_torcs"},
+    {"ds_bags", "ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody"},
     {"ds_driver", "ds_twin_donkey"},
     {"ds_orchestrator", "ds_sim_ros", "ds_recording"},  # searches, drives, remembers, maps; speaks drivers' messages
     {"ds_analysis"},  # reads, never drives
@@ -107,7 +107,7 @@ import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.closed_loop
 import ds_orchestrator.campaign.runner, ds_studies.whole_campaign
 import ds_report.html_report, ds_report.build, ds_cli.application
 from ds_sim.registry import STANDARD, make_simulator
-import ds_sim_ros.simulator, ds_sim_torcs.simulator, ds_recording.sibling.simulator
+import ds_sim_ros.simulator, ds_recording.sibling.simulator
 for name in STANDARD: make_simulator(name)
 app = ds_cli.application.make_app()
 for verb in app.list_commands(None): app.get_command(None, verb)

@@ -31,7 +31,7 @@ from ds_driver.sim2real.stage import FOLDER, shipped_set_of
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_road import Road
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import STANDARD
 from ds_sim.simulator import Outcome
 from ds_studies.same_roads import drive_same_roads
 
@@ -186,8 +186,8 @@ def _offline(found: Mapping[str, Answers]) -> dict[str, dict[str, float]]:
 
 def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[str, float]]:
     """Share of the roads that a driver completes on each simulator, by direction (paper 4.2.2)."""
-    settings = DriveSettings(siblings=tuple(SIMULATORS), driver=driver, gates="none")
-    rates: dict[str, dict[str, float]] = {name: {} for name in SIMULATORS}
+    settings = DriveSettings(siblings=STANDARD, driver=driver, gates="none")
+    rates: dict[str, dict[str, float]] = {name: {} for name in STANDARD}
     for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
         for name, found in drive_same_roads(settings, driven, seed, None, Callbacks()).items():
             completed = [one.outcome is Outcome.COMPLETED for one in found if one.outcome.is_verdict]

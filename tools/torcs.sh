@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Build the host of the simulator `torcs` into build/torcs, against the installed TORCS and the headers of its source,
-# which no package has: they are taken from Debian's source package, 394 MB that are read once and not kept.
+# Install the simulator `torcs`: build its host into build/torcs and install plugins/ds_sim_torcs into .venv; `host` as
+# argument only builds. The host is built against the installed TORCS and the headers of its source, which no package
+# has: they are taken from Debian's source package, 394 MB that are read once and not kept.
 set -euo pipefail
 cd "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/.."
 version=1.3.7 # the layout of its structures is compiled in
@@ -10,7 +11,7 @@ mirror=${DS_DEBIAN_MIRROR:-http://deb.debian.org/debian}
 packages="torcs libplib-dev libegl-dev libgl-dev g++ curl xz-utils"
 headers=('*/src/interfaces/*.h' '*/src/libs/*/*.h' '*/src/linux/*.h')
 folder=build/torcs
-host=src/ds_sim_torcs/host/torcs_host.cpp
+host=plugins/ds_sim_torcs/host/torcs_host.cpp
 
 stop() {
   echo "torcs: $1" >&2
@@ -44,19 +45,27 @@ for program in g++ curl xz; do
 done
 mkdir -p $folder
 [ -d $folder/headers ] || fetch_headers
-[ $folder/torcs_host -nt $host ] && exit 0
-system=$(dirname "$lib")
-includes=("-I$folder/headers")
-for part in interfaces libs/tgf libs/robottools libs/portability libs/tgfclient linux; do
-  includes+=("-I$folder/headers/$part")
-done
-source=$(sha256sum $host)
-# Debian has no links of libraries without their development packages: the libraries themselves are named.
-g++ -O2 -std=c++17 -w "-DSOURCE=\"${source:0:12}\"" "${includes[@]}" -o $folder/torcs_host.partial $host \
-  -rdynamic -Wl,--no-as-needed \
-  -L"$lib/lib" -Wl,-rpath,"$lib/lib" -ltgf -ltxml -ltgfclient -lrobottools \
-  -lplibssgaux -lplibssg -lplibsg -lplibul -lplibjs -lGL -lEGL \
-  "$(ls "$system"/libGLU.so.1* | head -n 1)" "$(ls "$system"/libglut.so.3* | head -n 1)" \
-  "$system/libpng16.so.16" "$system/libz.so.1" "$system/libX11.so.6" "$system/libXrandr.so.2" -ldl
-mv $folder/torcs_host.partial $folder/torcs_host
-echo "torcs: $folder/torcs_host"
+
+build() {
+  system=$(dirname "$lib")
+  includes=("-I$folder/headers")
+  for part in interfaces libs/tgf libs/robottools libs/portability libs/tgfclient linux; do
+    includes+=("-I$folder/headers/$part")
+  done
+  source=$(sha256sum $host)
+  # Debian has no links of libraries without their development packages: the libraries themselves are named.
+  g++ -O2 -std=c++17 -w "-DSOURCE=\"${source:0:12}\"" "${includes[@]}" -o $folder/torcs_host.partial $host \
+    -rdynamic -Wl,--no-as-needed \
+    -L"$lib/lib" -Wl,-rpath,"$lib/lib" -ltgf -ltxml -ltgfclient -lrobottools \
+    -lplibssgaux -lplibssg -lplibsg -lplibul -lplibjs -lGL -lEGL \
+    "$(ls "$system"/libGLU.so.1* | head -n 1)" "$(ls "$system"/libglut.so.3* | head -n 1)" \
+    "$system/libpng16.so.16" "$system/libz.so.1" "$system/libX11.so.6" "$system/libXrandr.so.2" -ldl
+  mv $folder/torcs_host.partial $folder/torcs_host
+  echo "torcs: $folder/torcs_host"
+}
+
+[ $folder/torcs_host -nt $host ] || build
+[ "${1:-}" != host ] || exit 0
+[ -x .venv/bin/python ] || stop ".venv is not there yet: make setup, then make torcs again"
+.venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable "${host%/host/*}"
+echo "torcs: installed; ./ds doctor lists it"

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from ds_sim.registry import NEED_FILE, SIMULATORS, STANDARD
+from ds_sim.registry import STANDARD, simulator_class, simulators
 from ds_sim.testing import missing_because
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -47,8 +47,11 @@ def _if_there(name: str) -> Any:
 
 
 def _reason_to_skip(name: str) -> str:
-    return missing_because(name) if name in SIMULATORS and name not in STANDARD else ""
+    return missing_because(name) if name in simulators() and name not in STANDARD else ""
 
 
 def _names(config: pytest.Config) -> list[str]:
-    return config.getoption("simulator") or [*sorted(SIMULATORS.keys() - NEED_FILE), EXAMPLE]
+    return config.getoption("simulator") or [
+        *(name for name in sorted(simulators()) if not simulator_class(name).needs_file),
+        EXAMPLE,
+    ]

@@ -11,7 +11,7 @@ import pytest
 from ds_driver.control.autopilot import Autopilot
 from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.registry import SIMULATORS, STANDARD, UnknownSimulatorError, make_simulator
+from ds_sim.registry import STANDARD, UnknownSimulatorError, make_simulator, simulators
 from ds_sim.simulator import Command, CommandError, Observation, Outcome
 from ds_sim.testing import CHECKS, STRAIGHT, SimulatorCheckError, check_simulator, drive, missing_because, run_check
 from ds_sim_softbody.simulator import SoftbodySimulator
@@ -72,7 +72,7 @@ def test_an_unknown_simulator_is_named(name: str) -> None:
 def test_the_simulators_differ() -> None:
     """Same road, same commands, as many trajectories: complementary, not copies."""
     ends = []
-    for name in (name for name in sorted(SIMULATORS) if name in STANDARD or not missing_because(name)):
+    for name in (name for name in sorted(simulators()) if name in STANDARD or not missing_because(name)):
         simulator = make_simulator(name)
         end = drive(simulator, STRAIGHT, lambda o: Command(0.05 if o.time > 2.0 else 0.0, 0.7), steps=80)[-1]
         ends.append((end.vehicle.x, end.vehicle.y))

@@ -43,12 +43,12 @@ def drive() -> dict[str, Any]:
     from ds_road import generate
     from ds_sim.conditions.model import Conditions
     from ds_sim.gates.visible_contrast import ContrastProbe
-    from ds_sim.registry import SIMULATORS, STANDARD, make_simulator
+    from ds_sim.registry import STANDARD, make_simulator, simulators
     from ds_sim.session import Session
     from ds_sim.testing import missing_because
 
     road, digests = generate(np.random.default_rng(2)), {}
-    for name in (name for name in SIMULATORS if name in STANDARD or not missing_because(name)):
+    for name in (name for name in simulators() if name in STANDARD or not missing_because(name)):
         simulator = make_simulator(name)
         for driver, values in (("dave2_short", {}), ("autopilot", WET), ("dave2_short", WORN)):
             conditions = Conditions(**{k: v for k, v in values.items() if k in simulator.spec.conditions})

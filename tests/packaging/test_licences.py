@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 SUFFIXES = {".py", ".pyi", ".sh", ".in", ".cpp", ".js", ".css", ".j2"}
-OF_TORCS = "src/ds_sim_torcs/host/"
+OF_TORCS = "plugins/ds_sim_torcs/host/"
 """Folder of the program that links against TORCS, which is under the GPL."""
 
 

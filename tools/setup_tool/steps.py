@@ -28,7 +28,6 @@ USED_MODULES = (
     *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
     *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
     *(
-        "ds_sim_torcs.simulator",
         "ds_sim_ros.simulator",
         "ds_studies.whole_campaign",
         "ds_orchestrator.graph.client",

@@ -33,8 +33,8 @@ def start(module: str, *arguments: str) -> None:
 
 simulator = partial(start, "ds_sim.ros.simulator_node")
 """Hosts the simulator that the parameter `simulator` names."""
-bullet, panda, softbody, donkey, torcs, ros = (
-    partial(simulator, name) for name in ("bullet", "panda", "softbody", "donkey", "torcs", "ros")
+bullet, panda, softbody, donkey, ros = (
+    partial(simulator, name) for name in ("bullet", "panda", "softbody", "donkey", "ros")
 )
 """Host this simulator unless the parameter names another one; `ros` needs one that names a file, `ros@FILE`."""
 

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import os
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
 from ds_base.errors import InputError
@@ -33,6 +35,19 @@ def installed(group: Group) -> Mapping[str, EntryPoint]:
     from importlib.metadata import entry_points  # would delay every help text
 
     return {entry.name: entry for entry in entry_points(group=f"digital_siblings.{group}")}
+
+
+def plugin_of(part: str, group: Group) -> str:
+    """Folder of this checkout, such as `plugins/ds_sim_mine`, whose package adds a part; "" without one.
+
+    Args:
+        part: name of the part.
+        group: kind of part.
+    """
+    for file in sorted(Path(__file__).resolve().parents[3].glob("plugins/*/pyproject.toml")):
+        if part in tomllib.loads(file.read_text())["project"]["entry-points"].get(f"digital_siblings.{group}", ()):
+            return f"plugins/{file.parent.name}"
+    return ""
 
 
 def is_extension(name: str) -> bool:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launches one simulator and the adapter for a driver with standard messages (docs/drivers.md).
 
-ros2 launch ds_bringup adapter.launch.py [sim:=bullet|softbody|panda|donkey|torcs] [namespace:=ds1]
+ros2 launch ds_bringup adapter.launch.py [sim:=bullet|softbody|panda|donkey] [namespace:=ds1]
                                          [message:=twist_stamped|twist|ackermann|servo|autoware]
                                          [sync:=lockstep|realtime]
 """

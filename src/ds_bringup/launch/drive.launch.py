@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launches one simulator and one driver.
 
-ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|panda|donkey|torcs] [namespace:=ds1]
+ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|panda|donkey] [namespace:=ds1]
                                        [driver:=dave2|autopilot|PATH] [sync:=lockstep|first|realtime]
 
 For your own simulator: sim:=module:Class parameters:=FILE, with FILE like those in config/simulators.

@@ -19,7 +19,7 @@ import sysconfig
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 WHEEL = "digital-siblings"
 """Name of the wheel that holds all packages."""
@@ -32,10 +32,6 @@ _SET_UP = "make setup"
 _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
 _RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
-TORCS = Path("/usr/lib/x86_64-linux-gnu/torcs")
-"""Where Debian puts TORCS's libraries."""
-TORCS_PACKAGES = "torcs libplib-dev libegl-dev libgl-dev g++ curl xz-utils"
-"""Debian's packages with which the host of the simulator `torcs` is built."""
 EXTRAS = {
     "openvino": ("openvino", "--backend openvino, openvino-bf16 and openvino-int8, and for .tflite files"),
     "distributed": ("dask", "--engine dask"),
@@ -67,6 +63,20 @@ for distribution, module in json.loads(sys.argv[1]).items():
         found[distribution] = ["", (str(error) or repr(error)).splitlines()[0]]
 print()
 print(json.dumps(found))
+"""
+_PARTS = """
+import importlib.metadata as metadata, json
+listed = []
+for group in ("simulators", "drivers", "features", "operators"):
+    for entry in metadata.entry_points(group="digital_siblings." + group):
+        try:
+            part = entry.load()
+            problem = part.missing() if group == "simulators" else ""
+        except Exception as error:
+            problem = (str(error) or repr(error)).splitlines()[0]
+        listed.append([group[:-1], entry.name, entry.dist.name + " " + entry.dist.version, problem])
+print()
+print(json.dumps(listed))
 """
 
 
@@ -114,7 +124,7 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
         *check_libraries(pins, found),
         *check_extras(extras, found),
         check_renderer(),
-        check_torcs(root),
+        *check_parts(python),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
     ]
 
@@ -157,7 +167,7 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
     weights = check_weights(Path(__file__).parents[1] / "ds_driver/models/dave2.safetensors")
     if weights.fix:
         weights = weights._replace(fix="python -m pip install --force-reinstall --no-deps WHEEL.whl")
-    return [*checks, check_renderer(), check_torcs(None), weights]
+    return [*checks, check_renderer(), *check_parts(Path(sys.executable)), weights]
 
 
 def module_of(distribution: str) -> str:
@@ -256,31 +266,30 @@ def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) 
 
 
 def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:
-    """Check for the libraries with which the simulator `panda` renders; everything else works without them."""
+    """Check for the libraries with which some simulators render; everything else works without them."""
     try:
         for library in ("libEGL.so.1", "libEGL_mesa.so.0"):
             load(library)
     except OSError as error:
-        detail = f"{' '.join(str(error).split())}; optional, for the simulator panda: {_RENDERER}"
+        detail = f"{' '.join(str(error).split())}; optional, for simulators that render with Mesa: {_RENDERER}"
         return Check("renderer (optional)", True, detail, "")
     return Check("renderer (optional)", True, "Mesa's EGL", "")
 
 
-def check_torcs(root: Path | None, libraries: Path = TORCS) -> Check:
-    """Check for TORCS and its host, with which the simulator `torcs` drives; everything else works without them.
+def check_parts(python: Path) -> list[Check]:
+    """List the parts that installed packages add, and check that each can be imported and has what it needs.
 
     Args:
-        root: the repository; None in an installed wheel, where only a variable names a host.
-        libraries: where Debian's package puts TORCS's libraries.
+        python: the interpreter, in a process of its own.
     """
-    named = os.environ.get("DS_TORCS_HOST") or (root / "build/torcs/torcs_host" if root else "")
-    there, built = (libraries / "modules/simu/simuv2.so").is_file(), bool(named) and os.access(named, os.X_OK)
-    if there and built:
-        return Check("torcs (optional)", True, str(named), "")
-    lacks = "its host is not built" if there else "not installed"
-    needs = "make torcs" if there else f"{_apt(TORCS_PACKAGES)} && make torcs"
-    where = needs if root else f"{needs} in a checkout, and name its build/torcs/torcs_host in DS_TORCS_HOST"
-    return Check("torcs (optional)", True, f"{lacks}; optional, for the simulator torcs: {where}", "")
+    try:
+        listed = _answer(python, _PARTS)
+    except LookUpError as error:
+        return [Check("installed parts", False, str(error), _SET_UP)]
+    return [
+        Check(f"{group} {name}", not problem, f"of {package}" + (f": {problem}" if problem else ""), "")
+        for group, name, package, problem in listed
+    ]
 
 
 def check_weights(file: Path) -> Check:
@@ -320,19 +329,35 @@ def look_up(python: Path, modules: Mapping[str, str], *, imports: bool = False) 
     Returns:
         For each distribution its version and "", or "" and why it cannot be used.
     """
-    command = [str(python), "-c", _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else [])]
     try:
-        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=IMPORT_TIME)
-    except subprocess.TimeoutExpired:
-        return dict.fromkeys(modules, ("", f"the interpreter was still importing after {IMPORT_TIME:g} s"))
-    except OSError as error:
-        return dict.fromkeys(modules, ("", f"the interpreter does not start: {error.strerror}"))
-    try:
-        found = json.loads(answer.stdout.splitlines()[-1])
-    except (IndexError, ValueError):
-        reason = f"the interpreter ended with status {answer.returncode} while importing"
-        return dict.fromkeys(modules, ("", reason))
+        found = _answer(python, _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else []))
+    except LookUpError as error:
+        return dict.fromkeys(modules, ("", str(error)))
     return {name: (version, problem) for name, (version, problem) in found.items()}
+
+
+class LookUpError(Exception):
+    """The interpreter that looks things up gives no answer."""
+
+
+def _answer(python: Path, script: str, *arguments: str) -> Any:
+    """Run a script in an interpreter and parse the last line that it prints as JSON.
+
+    Raises:
+        LookUpError: there is none; one line with the reason.
+    """
+    try:
+        done = subprocess.run(
+            [str(python), "-c", script, *arguments], capture_output=True, text=True, check=False, timeout=IMPORT_TIME
+        )
+    except subprocess.TimeoutExpired:
+        raise LookUpError(f"the interpreter was still importing after {IMPORT_TIME:g} s") from None
+    except OSError as error:
+        raise LookUpError(f"the interpreter does not start: {error.strerror}") from None
+    try:
+        return json.loads(done.stdout.splitlines()[-1])
+    except (IndexError, ValueError):
+        raise LookUpError(f"the interpreter ended with status {done.returncode} while importing") from None
 
 
 def to_json(checks: Iterable[Check]) -> str:

@@ -168,7 +168,7 @@ def _recorder(executor: GraphClient, request: DriveOptions) -> Iterator[ImageRec
     from ds_sim.session import RunRecord
 
     bag, sim = request.bag, request.sim
-    foreign = request.attach or not SimulatorName.parse(sim).is_shipped
+    foreign = request.attach or not SimulatorName.parse(sim).runs_no_foreign_code
     if bag is None or request.level == "telemetry" or not foreign:
         yield None
         return

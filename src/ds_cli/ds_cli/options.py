@@ -11,21 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 import typer
 
 from ds_base.extension import confirm
+from ds_sim.registry import simulators
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.cluster import ClusterOptions
 
-SHIPPED_SIMULATORS = ("bullet", "softbody", "panda", "donkey", "torcs", "recording", "ros")
-"""Names for tab completion; a test compares them with the registry, whose import would delay every help text."""
-
 ALL = "all"
 """Name that stands for every simulator that set-up installs."""
 
 
 def _complete_simulator(incomplete: str) -> list[str]:
-    return [name for name in SHIPPED_SIMULATORS if name.startswith(incomplete)]
+    return [name for name in simulators() if name.startswith(incomplete)]
 
 
 def complete_driver(incomplete: str) -> list[str]:
@@ -67,8 +65,8 @@ Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas."
 Simulator = Annotated[
     str,
     typer.Option(
-        help="Simulator: bullet, softbody, panda, donkey, torcs, donkey@FILE (fitted), recording@FOLDER, ros@FILE, or "
-        "module:Class.",
+        help="Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted), recording@FOLDER, ros@FILE, one of an "
+        "installed package, or module:Class.",
         autocompletion=_complete_simulator,
     ),
 ]

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -10,7 +11,6 @@ import pytest
 
 from ds_cli import doctor
 from ds_cli.doctor import Check
-from ds_sim_torcs import host
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -61,20 +61,22 @@ def test_a_missing_renderer_is_no_problem_but_named() -> None:
     assert found.ok and "libEGL.so.1" in found.detail and "apt-get install -y libegl1" in found.detail
 
 
-def test_a_missing_torcs_is_no_problem_but_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DS_TORCS_HOST", raising=False)
-    absent = doctor.check_torcs(tmp_path, tmp_path)
-    assert absent.ok and "not installed; optional" in absent.detail and absent.detail.endswith("&& make torcs")
-    (tmp_path / "modules/simu").mkdir(parents=True)
-    (tmp_path / "modules/simu/simuv2.so").touch()
-    unbuilt = doctor.check_torcs(tmp_path, tmp_path)
-    assert unbuilt.ok and unbuilt.detail.endswith(
-        "its host is not built; optional, for the simulator torcs: make torcs"
+def test_parts_of_installed_packages_are_listed_with_what_they_lack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "theirs.py").write_text(
+        "class Simulator:\n    @staticmethod\n    def missing():\n        return 'no engine: apt-get install engine'\n"
     )
-    assert "DS_TORCS_HOST" in doctor.check_torcs(None, tmp_path).detail
-    monkeypatch.setenv("DS_TORCS_HOST", sys.executable)
-    assert doctor.check_torcs(None, tmp_path).detail == sys.executable
-    assert (doctor.TORCS, doctor.TORCS_PACKAGES) == (host.LIBRARIES, host.PACKAGES)
+    about = tmp_path / "theirs-1.2.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.2\n")
+    (about / "entry_points.txt").write_text(
+        "[digital_siblings.simulators]\nmine = theirs:Simulator\n[digital_siblings.operators]\nmax = theirs:MAX\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    checks = by_name(doctor.check_parts(Path(sys.executable)))
+    assert checks["simulator mine"].detail == "of theirs 1.2: no engine: apt-get install engine"
+    assert not checks["simulator mine"].ok and "no attribute 'MAX'" in checks["operator max"].detail
 
 
 def test_a_healthy_environment_passes() -> None:

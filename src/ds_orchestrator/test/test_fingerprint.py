@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from ds_orchestrator.engines import fingerprint as module
 from ds_orchestrator.engines.fingerprint import PROCESSOR_FEATURES, differences, fingerprint
-from ds_sim.registry import UnknownSimulatorError, spec_of
-from ds_sim.simulator import SimulatorError, SimulatorSpec
-from ds_sim_panda.scene import graphics
+from ds_sim.simulator import SimulatorError
+from ds_sim_panda import simulator
 
 
 def test_the_renderer_counts_where_panda_drives(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -22,21 +20,19 @@ def test_the_renderer_counts_where_panda_drives(monkeypatch: pytest.MonkeyPatch)
     def missing() -> str:
         raise SimulatorError("libEGL.so.1 is missing")
 
-    monkeypatch.setattr(graphics, "renderer_name", missing)
+    monkeypatch.setattr(simulator, "renderer_name", missing)
     assert differences(here, fingerprint("", ("panda",))) == f"renderer absent there, {here['renderer']} here"
     assert not {"renderer", "panda3d"} & set(fingerprint("onnx", ("bullet", "donkey")))
 
 
-def test_torcs_and_its_renderer_count_where_it_drives(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> SimulatorSpec:
-        raise UnknownSimulatorError(f"there is no host of {name}")
-
-    monkeypatch.setattr(module, "spec_of", missing)
-    assert fingerprint("", ("torcs",))["TORCS"] == "absent" and "TORCS" not in fingerprint("", ("bullet", "panda"))
-    engine = replace(spec_of("bullet"), engine="TORCS 1.3.7 on Mesa")
-    monkeypatch.setattr(module, "spec_of", lambda name: engine)
-    there = fingerprint("", ("ds_sim_torcs.simulator:TorcsSimulator",))
-    assert there["TORCS"] == "TORCS 1.3.7 on Mesa"
+def test_code_that_is_not_shipped_counts_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "own_car.py"
+    file.write_text("from ds_sim_softbody.simulator import SoftbodySimulator\n\nclass Car(SoftbodySimulator): ...\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    here = fingerprint("", ("own_car:Car", "bullet"))
+    file.write_text(file.read_text() + "# changed\n")
+    assert differences(here, fingerprint("", ("own_car:Car", "bullet"))).startswith("code of own_car ")
+    assert fingerprint("", ("nobody:Car",))["simulator nobody:Car"] == "absent"
 
 
 def test_a_difference_in_processor_features_names_only_what_one_side_lacks() -> None:

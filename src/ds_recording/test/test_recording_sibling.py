@@ -189,5 +189,5 @@ def test_a_broken_folder_is_one_line(folder: Path, tmp_path: Path, name: str, te
 
 
 def test_without_a_folder_it_says_what_it_needs() -> None:
-    with pytest.raises(UnknownSimulatorError, match="needs a located recording: recording@FOLDER"):
+    with pytest.raises(UnknownSimulatorError, match="needs a file or folder: recording@PATH"):
         make_simulator("recording")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes simulators by name: one of `SIMULATORS`, or any class given as `module:Class`."""
+"""Makes simulators by name: a shipped one, one of an installed package, or any class given as `module:Class`."""
 
 from __future__ import annotations
 
@@ -10,26 +10,25 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ds_base.errors import InputError
-from ds_sim.simulator import Simulator, SimulatorSpec
+from ds_base.extension import installed, plugin_of
+
+if TYPE_CHECKING:
+    from ds_sim.simulator import Simulator, SimulatorSpec  # NumPy would delay every help text
 
 SIMULATORS = {
     "bullet": "ds_sim_bullet.simulator:BulletSimulator",
     "softbody": "ds_sim_softbody.simulator:SoftbodySimulator",
     "panda": "ds_sim_panda.simulator:PandaSimulator",
     "donkey": "ds_twin_donkey.simulator:DonkeySimulator",
-    "torcs": "ds_sim_torcs.simulator:TorcsSimulator",
     "recording": "ds_recording.sibling.simulator:RecordingSimulator",
     "ros": "ds_sim_ros.simulator:RosSimulator",
 }
-"""Name on the command line -> `module:Class`, a class without constructor arguments but for `ros` and `recording`."""
+"""Shipped simulators: name -> `module:Class`. Installed packages add others, see `simulators`."""
 STANDARD = ("bullet", "softbody", "panda", "donkey")
-"""Simulators that set-up installs; `torcs` needs Debian's TORCS and a build, so nothing takes it unasked."""
-NEED_FILE = frozenset({"recording", "ros"})
-"""Simulators that are nothing without the file or folder after `@`."""
-FOREIGN = frozenset({"ros", SIMULATORS["ros"]})
-"""Bases of names whose simulator is another program, which commands reach through ROS."""
+"""Simulators that drive any road without a file; `all` stands for them."""
 MAX_LABEL_LENGTH = 100
 """Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 
@@ -39,7 +38,7 @@ class SimulatorName:
     """A simulator's name, `BASE` or `BASE@FILE`, parsed.
 
     Attributes:
-        base: key of `SIMULATORS`, or `module:Class`.
+        base: one of `simulators`, or `module:Class`.
         file: parameter file; "" where the name has none.
 
     Examples:
@@ -64,19 +63,31 @@ class SimulatorName:
         return replace(self, file=path_moved(self.file, start, end)) if self.file else self
 
     @property
-    def is_shipped(self) -> bool:
-        """Whether all of the simulator's code is part of this project, whatever file it is given."""
-        return (self.base in SIMULATORS or self.base in SIMULATORS.values()) and not self.is_foreign
+    def exists(self) -> bool:
+        """Whether the name is a registered one, or has the form of a class, which may still be missing."""
+        return self.base in simulators() or ":" in self.base
 
     @property
-    def is_foreign(self) -> bool:
-        """Whether the simulator is another program, which has one vehicle however often it is made here."""
-        return self.base in FOREIGN
+    def is_external(self) -> bool:
+        """Whether it is another program, see `Simulator.is_external`; False where its class cannot be imported."""
+        try:
+            return simulator_class(self.base).is_external
+        except UnknownSimulatorError:
+            return False
 
     @property
-    def could_exist(self) -> bool:
-        """Whether the name is of a known form; its class may still be missing."""
-        return self.base in SIMULATORS or ":" in self.base
+    def runs_no_foreign_code(self) -> bool:
+        """Whether a received file may name it: code that is shipped or was installed, and no other program.
+
+        A shipped simulator reads one file of bounded size, in which nothing can run; of others that is not known.
+        """
+        shipped = self.base in SIMULATORS or self.base in SIMULATORS.values()
+        return (shipped or (self.base in installed("simulators") and not self.file)) and not self.is_external
+
+
+def simulators() -> list[str]:
+    """Names of all registered simulators: the shipped ones, then those of installed packages."""
+    return [*SIMULATORS, *(name for name in installed("simulators") if name not in SIMULATORS)]
 
 
 def path_moved(path: str, start: Path, end: Path) -> str:
@@ -146,28 +157,69 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
         'their_lab:Simulator'
     """
     if not isinstance(name, str):
-        raise UntrustedSimulatorError(f"simulator is a {type(name).__name__}, expected one of {', '.join(SIMULATORS)}")
-    if SimulatorName.parse(name).is_shipped or name in confirmed:
+        raise UntrustedSimulatorError(
+            f"simulator is a {type(name).__name__}, expected one of {', '.join(simulators())}"
+        )
+    parsed = SimulatorName.parse(name)
+    if parsed.runs_no_foreign_code or name in confirmed:
         return name
     shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
-    if SimulatorName.parse(name).is_foreign:
-        raise UntrustedSimulatorError(
-            f"simulator {shown} sends commands to whatever listens to its topics, which a received file must not "
-            f"decide: if you trust it, name it yourself with {option} {shown}"
+    if not parsed.exists:
+        raise UntrustedSimulatorError(f"unknown simulator {shown}: expected one of {', '.join(simulators())}")
+    if parsed.base in simulators() or parsed.base in SIMULATORS.values():
+        what = (
+            "sends commands to whatever listens to its topics" if parsed.is_external else "opens a file of its own kind"
         )
-    if ":" not in name:
-        raise UntrustedSimulatorError(f"unknown simulator {shown}: expected one of {', '.join(SIMULATORS)}")
+        reason = f"{what}, which a received file must not decide"
+    else:
+        reason = "is Python code that is not shipped, and a received file must not run code"
     raise UntrustedSimulatorError(
-        f"simulator {shown} is Python code that is not shipped, and a received file must not run code: if you trust "
-        f"it, name it yourself with {option} {shown}"
+        f"simulator {shown} {reason}: if you trust it, name it yourself with {option} {shown}"
     )
+
+
+def simulator_class(base: str) -> type[Simulator]:
+    """Import the class of a simulator.
+
+    Args:
+        base: one of `simulators`, or `module:Class`.
+
+    Raises:
+        UnknownSimulatorError: no simulator has this name, or its class cannot be imported.
+    """
+    from ds_sim.simulator import Simulator
+
+    plugin = installed("simulators").get(base)
+    target = SIMULATORS.get(base) or (plugin.value if plugin else base)
+    module, _, attribute = target.partition(":")
+    if not attribute:
+        raise UnknownSimulatorError(unknown_simulator(base))
+    try:
+        kind = getattr(import_module(module), attribute)
+    except (ImportError, AttributeError) as error:
+        raise UnknownSimulatorError(_cannot_be_loaded(base, error)) from None
+    if not (isinstance(kind, type) and issubclass(kind, Simulator)):
+        raise UnknownSimulatorError(f"{target} is no subclass of ds_sim.Simulator: docs/add_a_simulator.md")
+    return kind
+
+
+def unknown_simulator(name: str) -> str:
+    """Say in one line that there is no such simulator, which there are, and how one of this checkout is installed."""
+    names = f"unknown simulator {name!r}: expected one of {', '.join(simulators())}, or module:Class"
+    folder = plugin_of(name, "simulators")
+    return f"{names}; {folder} of this checkout has it: type make {name}" if folder else names
+
+
+def _cannot_be_loaded(name: str, error: Exception) -> str:
+    advice = ": check module:Class" if ":" in name else ""
+    return f"simulator {name!r} cannot be loaded ({error}){advice}"
 
 
 def make_simulator(name: str) -> Simulator:
     """Make a simulator by name.
 
     Args:
-        name: key of `SIMULATORS`, or `module:Class`. `NAME@FILE` passes a parameter file to the class's `from_file`.
+        name: one of `simulators`, or `module:Class`. `NAME@FILE` passes a parameter file to the class's `from_file`.
 
     Raises:
         UnknownSimulatorError: no simulator has this name, its class cannot be imported, or it takes no file.
@@ -180,22 +232,16 @@ def make_simulator(name: str) -> Simulator:
         ('softbody', 320)
     """
     parsed = SimulatorName.parse(name)
-    name, file = parsed.base, parsed.file
-    target = SIMULATORS.get(name, name)
-    module, _, attribute = target.partition(":")
-    if not attribute:
-        raise UnknownSimulatorError(
-            f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
-        )
+    kind = simulator_class(parsed.base)
+    if parsed.file and not hasattr(kind, "from_file"):
+        raise UnknownSimulatorError(f"simulator {parsed.base!r} takes no parameter file: leave out @{parsed.file}")
+    if kind.needs_file and not parsed.file:
+        raise UnknownSimulatorError(f"simulator {parsed.base!r} needs a file or folder: {parsed.base}@PATH")
     try:
-        kind = getattr(import_module(module), attribute)
-        if file and not hasattr(kind, "from_file"):
-            raise UnknownSimulatorError(f"simulator {name!r} takes no parameter file: leave out @{file}")
-        simulator: Simulator = kind.from_file(Path(file)) if file else kind()
+        made: Simulator = kind.from_file(Path(parsed.file)) if parsed.file else kind()  # type: ignore[attr-defined]
     except (ImportError, AttributeError) as error:
-        advice = "" if name in SIMULATORS else ": check module:Class"
-        raise UnknownSimulatorError(f"simulator {name!r} cannot be loaded ({error}){advice}") from None
-    return simulator
+        raise UnknownSimulatorError(_cannot_be_loaded(parsed.base, error)) from None
+    return made
 
 
 def simulator_of_process(name: str) -> Simulator:

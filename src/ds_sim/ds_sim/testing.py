@@ -81,7 +81,7 @@ def check_simulator(make: Factory | str, *, skip: Collection[str] = ()) -> None:
 
 @cache
 def missing_because(name: str) -> str:
-    """Why a simulator cannot be made here, one line, such as `torcs` where it is not built; "" if it can."""
+    """Why a simulator cannot be made here, one line, such as an engine that is not installed; "" if it can."""
     try:
         make_simulator(name).close()
     except (UnknownSimulatorError, SimulatorError) as error:

@@ -6,15 +6,17 @@ from __future__ import annotations
 import math
 from importlib.metadata import version
 
+from ds_base.installation import versions
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.simulator import SimulatorSpec
+from ds_sim.simulator import SimulatorError, SimulatorSpec
 from ds_sim_panda.scene.graphics import renderer_name
 from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import GAINS, PREVIEW_DISTANCE, MultiBodyParameters
 
+LIBRARIES = ("panda3d", "commonroad-vehicle-models")
 CAMERA = CameraSpec(
     # Chosen: the wide angle of a dashboard camera, at which a pinhole image is stretched by sqrt(2) at its sides.
     horizontal_fov=math.radians(90.0),
@@ -38,6 +40,15 @@ class PandaSimulator(RoadSimulator):
         ImportError: a library of this simulator is not installed.
         ds_sim.simulator.SimulatorError: EGL or Mesa's software renderer is missing.
     """
+
+    @classmethod
+    def depends_on(cls) -> dict[str, str]:
+        """Versions of the libraries that move the car and draw; the renderer is "absent" where it cannot draw."""
+        try:
+            renderer = renderer_name()
+        except (ImportError, SimulatorError):
+            renderer = "absent"
+        return {**{name: versions()[name] for name in LIBRARIES}, "renderer": renderer}
 
     def __init__(self, parameters: MultiBodyParameters | None = None) -> None:
         p = parameters or MultiBodyParameters()

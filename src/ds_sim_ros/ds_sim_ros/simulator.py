@@ -17,7 +17,6 @@ from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene, Vehicle, check_rows
-from ds_sim.registry import UnknownSimulatorError
 from ds_sim.road_simulator import RoadSimulator, start_of
 from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, SimulatorError, SimulatorSpec, VehicleState
 from ds_sim_ros.readings import OdometryReader, image_of
@@ -192,14 +191,12 @@ class RosSimulator(RoadSimulator):
     Args:
         settings: description of the simulator.
         folder: folder for the relative paths in it.
-
-    Raises:
-        UnknownSimulatorError: no description is given.
     """
 
-    def __init__(self, settings: RosSettings | None = None, folder: Path = Path()) -> None:
-        if settings is None:
-            raise UnknownSimulatorError("simulator 'ros' needs a file that describes it: ros@my_sim.yaml")
+    needs_file = True
+    is_external = True
+
+    def __init__(self, settings: RosSettings, folder: Path = Path()) -> None:
         geometry = settings.camera or CameraSettings()
         camera = CameraSpec(**geometry.model_dump())
         gains = settings.autopilot.model_dump()

@@ -86,7 +86,7 @@ def test_a_file_that_is_no_mapping_is_one_line(tmp_path: Path, text: str, line: 
 def test_a_missing_file_and_no_file_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(RosSettingsError, match=r"cannot be read \(No such file or directory\): check the path"):
         make_simulator(f"ros@{tmp_path / 'absent.yaml'}")
-    with pytest.raises(UnknownSimulatorError, match="simulator 'ros' needs a file that describes it: ros@my_sim.yaml"):
+    with pytest.raises(UnknownSimulatorError, match="simulator 'ros' needs a file or folder: ros@PATH"):
         make_simulator("ros")
 
 

@@ -16,7 +16,7 @@ from ds_bags.layout import BagError, printable
 from ds_bags.reader import STATE, BagReader, states_and_commands
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import simulators
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
 
@@ -148,7 +148,7 @@ def _read_bag(path: Path) -> Log:
     try:
         with BagReader(path) as bag:
             simulator = bag.facts.get("simulator", "")
-            if simulator in SIMULATORS and simulator != "donkey":
+            if simulator in simulators() and simulator != "donkey":
                 raise LogError(
                     f"{path}: a drive of {simulator}, which is not a 1:16 car: give drives of the car that is fitted"
                 )

@@ -24,7 +24,6 @@ from ds_cli.campaign.compare_results import (
     unmet_in_campaign,
 )
 from ds_cli.options import (
-    SHIPPED_SIMULATORS,
     AttachFlag,
     Cluster,
     EngineName,
@@ -43,6 +42,7 @@ from ds_cli.options import (
     with_engine,
 )
 from ds_cli.output import Interrupted, Result, duration, end, of_networks, say, warning
+from ds_sim import registry
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
@@ -54,7 +54,7 @@ DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
 
 SimulatorsOfTemplate = Annotated[
     str,
-    typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(SHIPPED_SIMULATORS)}; or none."),
+    typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(registry.SIMULATORS)}; or none."),
 ]
 SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
 SensitivityFolder = Annotated[

@@ -26,7 +26,7 @@ from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import,
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of_file, rgb_of_message
 from ds_driver.networks.pilot import NOT_SIMULATED, Frame
 from ds_sim.camera.encodings import jpeg
-from ds_sim.registry import SIMULATORS, label_of, received_simulator, spec_of
+from ds_sim.registry import label_of, received_simulator, simulators, spec_of
 
 NEAR = 0.1
 """Largest time between an image and its steering value in other bags, s; chosen: two frames at 20 Hz."""
@@ -100,7 +100,7 @@ class RecordedFrame:
     def seen(self, crop: Crop) -> Frame:
         """Return what a driver gets of an image that can be read; the first begins a run."""
         assert self.image is not None
-        spec = spec_of(self.simulator) if self.simulator in SIMULATORS else None
+        spec = spec_of(self.simulator) if self.simulator in simulators() else None
         return Frame(
             image=self.image,
             speed=self.speed,
@@ -302,9 +302,9 @@ def import_recordings(recordings: list[Recording], out: Path, name: str, progres
         DatasetError: the name is taken, an image is damaged, or nothing has a label.
         ds_bags.layout.BagError: a recording is damaged.
     """
-    if name in SIMULATORS or name != label_of(name) or not name.strip("."):
+    if name in simulators() or name != label_of(name) or not name.strip("."):
         raise DatasetError(
-            f"name {name!r}: expected one without {', '.join(SIMULATORS)}, slashes and spaces: choose another --name"
+            f"name {name!r}: expected one without {', '.join(simulators())}, slashes and spaces: choose another --name"
         )
     if (out / name).exists():
         raise DatasetError(f"{out / name} is there already: choose another --name, or delete it")

@@ -16,7 +16,7 @@ from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_driver.sim2real.generator import Sim2RealError, resize
 from ds_driver.sim2real.settings import HELD_OUT
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import simulators
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 LARGEST_WIDTH = 640
@@ -109,7 +109,7 @@ def camera_images(source: Path, simulator: str, count: int) -> list[NDArray[np.u
         return [decode(samples[i].jpeg) for i in evenly(len(samples), count)]
     if (source / "metadata.yaml").exists() or source.suffix in (".mcap", ".db3", ".bag"):
         group = open_recording(source, Reading()).group
-        if group in SIMULATORS and group != simulator:
+        if group in simulators() and group != simulator:
             raise Sim2RealError(
                 f"the generator translates images of {simulator}, {source} is of {group}: choose the one of {group}"
             )

@@ -30,7 +30,7 @@ from ds_orchestrator.search.features import DEFAULT_FEATURES, FEATURES, VISIBLE_
 from ds_road import Side
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
-from ds_sim.registry import SIMULATORS, SimulatorName
+from ds_sim.registry import SimulatorName, unknown_simulator
 
 MOST_WORKERS = 64
 """Chosen: each worker is four processes or more."""
@@ -212,10 +212,8 @@ class CampaignConfig(_Strict):
         if value in (None, "none"):
             return None
         for name in value if isinstance(value, list) else [value]:
-            if name is not None and not SimulatorName.parse(name).could_exist:
-                raise ValueError(
-                    f"unknown simulator {name!r}: expected one of {', '.join(SIMULATORS)}, or module:Class"
-                )
+            if name is not None and not SimulatorName.parse(name).exists:
+                raise ValueError(unknown_simulator(name))
         return value
 
     @model_validator(mode="before")

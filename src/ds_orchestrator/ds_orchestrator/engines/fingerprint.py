@@ -13,18 +13,12 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ds_base.installation import CPUINFO, processor_flags, versions
-from ds_sim.registry import SimulatorName, UnknownSimulatorError, spec_of
-from ds_sim.simulator import SimulatorError
+from ds_sim.registry import SIMULATORS, SimulatorName, UnknownSimulatorError, simulator_class
 
-CODE = (
-    "ds_base", "ds_road", "ds_sim", "ds_driver", "ds_sim_bullet", "ds_sim_softbody", "ds_sim_panda", "ds_sim_torcs",
-    "ds_sim_ros", "ds_twin_donkey", "ds_recording",
-)  # fmt: skip
+CODE = ("ds_base", "ds_road", "ds_sim", "ds_driver", *(target.partition(".")[0] for target in SIMULATORS.values()))
 """Packages whose code takes part in a drive."""
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "shapely")
 """Libraries that take part in every drive."""
-LIBRARIES_OF_PANDA = ("panda3d", "commonroad-vehicle-models")
-"""Libraries that take part in drives with the simulator `panda`."""
 BACKENDS = {"onnxruntime": ("onnx", "openvino-int8"), "openvino": ("openvino",), "torch": ("torch",)}
 """Library -> beginnings of the back ends that compute with it; ONNX Runtime also quantises."""
 PROCESSOR_FEATURES = "processor features"
@@ -45,18 +39,12 @@ def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
         simulators: names of the simulators.
     """
     known = versions()
-    with_panda, with_torcs = _drives("panda", simulators), _drives("torcs", simulators)
-    libraries = [
-        *LIBRARIES,
-        *(name for name, of in BACKENDS.items() if backend.startswith(of)),
-        *(LIBRARIES_OF_PANDA if with_panda else ()),
-    ]
+    libraries = [*LIBRARIES, *(name for name, of in BACKENDS.items() if backend.startswith(of))]
     return {
         "code of Digital Siblings": code_sha256()[:12],
         "python": ".".join(known["python"].split(".")[:2]),
         **{name: known[name] for name in libraries},
-        **({"renderer": _renderer()} if with_panda else {}),
-        **({"TORCS": _torcs()} if with_torcs else {}),
+        **{name: value for simulator in simulators for name, value in _of_simulator(simulator).items()},
         "machine": known["machine"],
         PROCESSOR_FEATURES: _processor_features(backend),
     }
@@ -79,41 +67,33 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
     return "; ".join(found)
 
 
-def _drives(name: str, simulators: Collection[str]) -> bool:
-    """Whether a shipped simulator is among some, by its name or its class."""
-    return any(SimulatorName.parse(one).base == name or f"ds_sim_{name}" in one for one in simulators)
-
-
-def _torcs() -> str:
-    """Versions of TORCS and of the library that draws for it; "absent" where it is not built."""
+def _of_simulator(name: str) -> dict[str, str]:
+    """What the bits of a simulator's drives depend on, with its code unless that is in `CODE`."""
+    base = SimulatorName.parse(name).base
     try:
-        return spec_of("torcs").engine
-    except (UnknownSimulatorError, SimulatorError):
-        return "absent"
+        kind = simulator_class(base)
+    except UnknownSimulatorError:
+        return {f"simulator {base}": "absent"}
+    package = kind.__module__.partition(".")[0]
+    code = {} if package in CODE else {f"code of {package}": code_sha256([package])[:12]}
+    return {**code, **kind.depends_on()}
 
 
-def _renderer() -> str:
-    """Version of the library that draws the images of `panda`; "absent" where it cannot draw."""
-    from ds_sim_panda.scene.graphics import renderer_name
-
-    try:
-        return renderer_name()
-    except (ImportError, SimulatorError):
-        return "absent"
-
-
-def code_sha256() -> str:
-    """Digest of the source code of every package in `CODE`, and of the images by which networks are quantised."""
+def code_sha256(packages: Collection[str] = CODE) -> str:
+    """Digest of the source code of packages, and of the images by which networks are quantised."""
     digest = hashlib.sha256()
-    for package in CODE:
+    for package in dict.fromkeys(packages):
         spec = find_spec(package)
         if spec is None or spec.origin is None:
             digest.update(f"{package} is missing".encode())
             continue
-        folder = Path(spec.origin).parent
-        for path in sorted([*folder.rglob("*.py"), *folder.glob("models/calibration/*")]):
-            digest.update(f"{package}/{path.relative_to(folder)}\n".encode())
-            digest.update(path.read_bytes())
+        path = Path(spec.origin)
+        files = [path]
+        if spec.submodule_search_locations:
+            files = sorted([*path.parent.rglob("*.py"), *path.parent.glob("models/calibration/*")])
+        for file in files:
+            digest.update(f"{package}/{file.relative_to(path.parent)}\n".encode())
+            digest.update(file.read_bytes())
     return digest.hexdigest()
 
 

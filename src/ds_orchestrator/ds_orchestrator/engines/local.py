@@ -44,8 +44,8 @@ class LocalEngine:
         Raises:
             ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
         """
-        foreign = SimulatorName.parse(request.simulator).is_foreign
-        with self._vehicles[request.simulator] if foreign else nullcontext():
+        external = SimulatorName.parse(request.simulator).is_external
+        with self._vehicles[request.simulator] if external else nullcontext():
             return self._drive(request)
 
     def _drive(self, request: DriveRequest) -> RunRecord:

@@ -89,7 +89,7 @@ class GraphEngine:
         self._free: dict[str, SimpleQueue[Engine]] = {name: SimpleQueue() for name in simulators}
         for name, free in self._free.items():
             # A simulator that is another program has one vehicle, so one graph drives it.
-            for graph in self._graphs[:1] if SimulatorName.parse(name).is_foreign else self._graphs:
+            for graph in self._graphs[:1] if SimulatorName.parse(name).is_external else self._graphs:
                 free.put(graph)
         self._start_probing, self._probing = start_probing, threading.Lock()
         self._probe: Engine | None = None

@@ -17,7 +17,6 @@ from ds_recording.sibling.sections import check_is_section
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.registry import UnknownSimulatorError
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Observation, SimulatorSpec, VehicleState
 from ds_twin_donkey.dynamics import SUBSTEPS
@@ -67,18 +66,16 @@ class RecordingSimulator(RoadSimulator):
     Attributes:
         drive: the recording.
 
-    Raises:
-        UnknownSimulatorError: no recording is given.
     """
+
+    needs_file = True
 
     def __init__(
         self,
-        drive: RecordedDrive | None = None,
+        drive: RecordedDrive,
         parameters: DonkeyParameters | None = None,
         settings: RecordingSettings | None = None,
     ) -> None:
-        if drive is None:
-            raise UnknownSimulatorError("simulator 'recording' needs a located recording: recording@FOLDER")
         settings, parameters = settings or RecordingSettings(), parameters or DonkeyParameters()
         self.drive, self._photos = drive, PhotoScene(drive)
         spec = SimulatorSpec(

@@ -6,9 +6,10 @@ from __future__ import annotations
 import math
 
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.registry import UnknownSimulatorError, spec_of
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.simulator import FRAME_RATE, SimulatorSpec
-from ds_sim_torcs.host import VERSION, TorcsHost
+from ds_sim.simulator import FRAME_RATE, SimulatorError, SimulatorSpec
+from ds_sim_torcs.host import VERSION, TorcsHost, host_program
 from ds_sim_torcs.parameters import CAR, GAINS, PREVIEW_DISTANCE, SUBSTEPS, TorcsParameters
 from ds_sim_torcs.scene import LOOK, TorcsScene
 from ds_sim_torcs.vehicle import TorcsVehicle
@@ -34,6 +35,23 @@ class TorcsSimulator(RoadSimulator):
         ImportError: TORCS or its host is missing.
         ds_sim.simulator.SimulatorError: the host does not start.
     """
+
+    @classmethod
+    def missing(cls) -> str:
+        """TORCS or its host; "" where both are there."""
+        try:
+            host_program()
+        except ImportError as error:
+            return str(error)
+        return ""
+
+    @classmethod
+    def depends_on(cls) -> dict[str, str]:
+        """Versions of TORCS and of the library that draws for it; "absent" where it is not built."""
+        try:
+            return {"TORCS": spec_of("torcs").engine}
+        except (UnknownSimulatorError, SimulatorError):
+            return {"TORCS": "absent"}
 
     def __init__(self, parameters: TorcsParameters | None = None) -> None:
         p = parameters or TorcsParameters()
