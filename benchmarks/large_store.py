@@ -9,18 +9,21 @@ from __future__ import annotations
 
 import argparse
 import os
-import sqlite3
 import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing
+from functools import cache
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
+
+if TYPE_CHECKING:
+    from ds_orchestrator.store.model import Execution, Test
 
 VERBS = {
     "status": ("campaign", "status", "--json"),
@@ -49,26 +52,23 @@ def write_campaign(folder: Path, executions: int) -> None:
         for sibling in config.siblings:
             for run in range(runs):
                 store.add_search(sibling, run, config.search.method, run)
-    with closing(sqlite3.connect(folder / "campaign.sqlite")) as db:
         for run, sibling in product(range(runs), config.siblings):
-            with db:
-                for test, drives in _rows(sibling, run, config.simulators):
-                    db.execute(f"INSERT INTO tests VALUES ({','.join('?' * len(test))})", test)
-                    db.executemany(f"INSERT INTO executions VALUES ({','.join('?' * 12)})", drives)
+            for test, drives in _tests(sibling, run, config.simulators):
+                store.add_test(test)
+                for drive in drives:
+                    store.add_execution(drive)
 
 
-def _rows(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[tuple[Any, ...], list[tuple[Any, ...]]]]:
-    """Rows of the tests of a run, each with those of its executions."""
-    import zlib
-    from functools import cache
-
+def _tests(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[Test, list[Execution]]]:
+    """Tests of a run, each with its executions."""
     import numpy as np
 
-    from ds_orchestrator.store.model import Origin, Test, row_of
+    from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
     from ds_orchestrator.store.rows import trajectory_sha256
     from ds_road import Road, generate
     from ds_road.generation import GENES
     from ds_sim.scenario import Scenario
+    from ds_sim.simulator import Outcome
 
     roots = cache(lambda number: generate(np.random.default_rng(number), max_angle=200).control_points)
     rng = np.random.default_rng([run, *sibling.encode()])
@@ -76,7 +76,8 @@ def _rows(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[tuple
         root = POPULATION * run + int(rng.integers(POPULATION))
         points = np.array(roots(root % _ROADS)) + (0.001 * run, 0.001 * len(sibling))
         points[GENES[number % 3]] += rng.uniform(-1.0, 1.0, 2)
-        road, test_id = Road(points), f"{sibling}-{run}-{number:04d}"
+        road = Road(points)
+        test = Test(f"{sibling}-{run}-{number:04d}", Scenario(road, seed=number), Origin(sibling, run, number))
         hardness = 4.0 * road.curvature + rng.normal(0.0, 0.2)
         drives = []
         along = np.linspace(0.0, len(road.points) - 1.0, 436)
@@ -88,16 +89,23 @@ def _rows(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[tuple
             frames = int(np.argmax(np.abs(lateral) > 2.0)) + 1 if failed else len(along)
             trajectory = np.column_stack((*lane, np.gradient(lane[1]), np.full(len(along), 8.0), lateral))[:frames]
             trajectory = np.round(trajectory * 2.0**12) / 2.0**12  # deflates, as a million have to fit on a disk
-            largest, steps = float(np.abs(trajectory[:, 4]).max()), frames - 1
             steering = np.round(np.clip(trajectory[1:, 4] / 4.0, -1.0, 1.0) * 2.0**8) / 2.0**8
+            largest = float(np.abs(trajectory[:, 4]).max())
             drives.append(
-                (
-                    test_id, simulator, "OUT_OF_BOUNDS" if failed else "COMPLETED", "", 2.0 - largest, largest, steps,
-                    steps / 20, trajectory_sha256(trajectory), "", zlib.compress(trajectory.tobytes(), 1),
-                    zlib.compress(steering.tobytes(), 1),
+                Execution(
+                    test_id=test.test_id,
+                    simulator=simulator,
+                    outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
+                    message="",
+                    fitness=2.0 - largest,
+                    max_lateral_position=largest,
+                    steps=frames - 1,
+                    simulated_seconds=(frames - 1) / 20,
+                    trajectory_sha256=trajectory_sha256(trajectory),
+                    drive=DriveArrays(trajectory, steering),
                 )
-            )  # fmt: skip
-        yield row_of(Test(test_id, Scenario(road, seed=number), Origin(sibling, run, number))), drives
+            )
+        yield test, drives
 
 
 def measure(verb: str, folder: Path) -> tuple[float, float]:

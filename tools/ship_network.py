@@ -16,6 +16,7 @@ import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -47,7 +48,7 @@ PAPER = {
 
 
 def main() -> None:
-    """Assess the network, copy the weights and write the card."""
+    """Assess the network, copy its files and write the card."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--offline", type=Path, required=True)
@@ -59,33 +60,50 @@ def main() -> None:
     parser.add_argument("--eight-bit", action="store_true", help="store, and assess, large layers in 8 bits")
     parser.add_argument("--backend", default="onnx", choices=BACKENDS, help="what computes the network when assessed")
     arguments = parser.parse_args()
-    name = arguments.name or arguments.network
+    manifest = json.loads((arguments.data / "manifest.json").read_text())
     described = arguments.training / f"{arguments.network}.yaml"  # as `examples/networks_of_today.py` writes it
-    if described.exists():
-        _ship_described(described, arguments)
-        return
+    files, driver, card = (_described if described.exists() else _trained)(arguments, manifest)
+    roads = roads_both_ways(arguments.roads, arguments.seed)
+    overlap = sorted(road_ids(arguments.data) & ({road.road_id for road in roads} | road_ids(arguments.offline)))
+    if overlap:
+        sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
+    card |= {
+        "sha256": hashlib.sha256(files[0].read_bytes()).hexdigest(),
+        "offline": _offline(predict(arguments.offline, driver, ScreenProgress())),
+        "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
+        "success": _success_rates(driver, roads, arguments.seed),
+        "paper": PAPER.get(card["network"]),
+        "versions": manifest["versions"],
+    }
+    SHIPPED.mkdir(exist_ok=True)
+    for file in files:
+        shutil.copyfile(file, SHIPPED / f"{card['network']}{file.suffix}")
+    (SHIPPED / f"{card['network']}.json").write_text(json.dumps(card, indent=1) + "\n")
+    print(json.dumps({"success": card["success"], **card["offline"]}))
+
+
+Shipped = tuple[list[Path], str, dict[str, Any]]
+"""Files of a network, the one with its weights first; the driver to assess; and what its card says of its training."""
+
+
+def _trained(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipped:
+    """Weights of `ds train`."""
     weights = arguments.training / f"{arguments.network}.safetensors"
     if arguments.eight_bit:
         compress(weights, weights)
-    manifest = json.loads((arguments.data / "manifest.json").read_text())
     offline = json.loads((arguments.offline / "manifest.json").read_text())
     training = json.loads((arguments.training / "training.json").read_text())
     generators = generators_in(str(weights))
     shipped_set = shipped_set_of(generators) if generators else None
     if generators and shipped_set is None:
         sys.exit(f"the generators of {weights} are not shipped: put them into {SHIPPED / FOLDER}/NAME first")
-    roads = _unseen_roads(arguments)
-    assessed = f"{weights}@{arguments.backend}"
-    found = predict(arguments.offline, assessed, ScreenProgress())
-    success = _success_rates(assessed, roads, arguments.seed)
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]
     card = {
-        "network": name,
+        "network": arguments.name or arguments.network,
         "architecture": arguments.network,
         "parameters": load_weights(str(weights)).architecture.parameters,
-        "sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
         "data": {
             "collection": collection,
             "images_per_simulator_collected": manifest["images"],
@@ -109,7 +127,7 @@ def main() -> None:
             f" --seed {plan['seed']} --learning-rate {plan['learning_rate']:g} --threads {plan['threads']}"
             + (f" --images {plan['images_per_simulator']}" if plan["images_per_simulator"] else ""),
             f"python tools/ship_network.py --data data --offline offline --training training --network"
-            f" {arguments.network}{f' --name {name}' if arguments.name else ''} --roads {arguments.roads}"
+            f" {arguments.network}{f' --name {arguments.name}' if arguments.name else ''} --roads {arguments.roads}"
             f" --seed {arguments.seed}{' --eight-bit' if arguments.eight_bit else ''}"
             + (f" --backend {arguments.backend}" if arguments.backend != "onnx" else ""),
         ],
@@ -122,38 +140,18 @@ def main() -> None:
             "validation": best["validation_loss"],
             "history": history,
         },
-        "offline": _offline(found),
-        "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
-        "success": success,
-        "paper": PAPER.get(name),
-        "versions": manifest["versions"],
     }
-    SHIPPED.mkdir(exist_ok=True)
-    shutil.copyfile(weights, SHIPPED / f"{name}.safetensors")
-    (SHIPPED / f"{name}.json").write_text(json.dumps(card, indent=1) + "\n")
-    print(json.dumps({"success": success, **card["offline"]}))
+    return [weights], f"{weights}@{arguments.backend}", card
 
 
-def _unseen_roads(arguments: argparse.Namespace) -> list[Road]:
-    roads = roads_both_ways(arguments.roads, arguments.seed)
-    trained_on = road_ids(arguments.data)
-    overlap = sorted(trained_on & ({road.road_id for road in roads} | road_ids(arguments.offline)))
-    if overlap:
-        sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
-    return roads
-
-
-def _ship_described(path: Path, arguments: argparse.Namespace) -> None:
-    """Ship a network file with its description."""
-    roads = _unseen_roads(arguments)
-    found = predict(arguments.offline, str(path), ScreenProgress())
-    manifest = json.loads((arguments.data / "manifest.json").read_text())
+def _described(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipped:
+    """A network file with its description."""
+    path = arguments.training / f"{arguments.network}.yaml"
     training = json.loads((arguments.training / f"{path.stem}.training.json").read_text())
     network, collection = file_of(path, read_description(path)), manifest["plan"]
     card = {
         "network": path.stem,
         "parameters": sum(int(np.prod(one.dims)) for one in onnx.load(network).graph.initializer),
-        "sha256": hashlib.sha256(network.read_bytes()).hexdigest(),
         "data": {"collection": collection, "images": training["images"]},
         "seeds": {"collection": collection["seed"], "training": training["plan"]["seed"], "assessment": arguments.seed},
         "commands": [
@@ -163,15 +161,8 @@ def _ship_described(path: Path, arguments: argparse.Namespace) -> None:
         ],
         "training": training["plan"],
         "loss": {"mean_squared_error": "of steering in [-1, 1]", "history": training["history"]},
-        "offline": _offline(found),
-        "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
-        "success": _success_rates(str(path), roads, arguments.seed),
-        "versions": manifest["versions"],
     }
-    for file in (path, network):
-        shutil.copyfile(file, SHIPPED / file.name)
-    (SHIPPED / f"{path.stem}.json").write_text(json.dumps(card, indent=1) + "\n")
-    print(json.dumps({"success": card["success"], "offline": card["offline"]}))
+    return [network, path], str(path), card
 
 
 def _offline(found: Mapping[str, Answers]) -> dict[str, dict[str, float]]:
