@@ -4,12 +4,12 @@
 Runs in an environment of its own, as TensorFlow is for making files only:
 
     pip install donkeycar==5.3.0 tensorflow-cpu==2.15.1 tf2onnx==1.16.1 opencv-python-headless==4.9.0.80 matplotlib
-    python benchmarks/donkeycar_pilots.py pilots.zip [--tflite]
+    python benchmarks/donkeycar_pilots.py pilots.zip
 
-The zip holds, for each kind, `KIND.onnx`, with `--tflite` also `KIND.tflite`, and `KIND.npy`: (frames, 2) angle and
+The zip holds, for each kind, `KIND.onnx` and `KIND.npy`: (frames, 2) angle and
 throttle of the pilot's `run` over the frames of `frames.npy`, (n, 5, 10, 3) RGB blocks of 32 x 32 pixels, each brought
 to the pilot's size by `cv2.resize`. Weights are random, rounded so that the zip is small. `latent` is missing: its
-`run` fails in that version. src/ds_driver/test/test_donkeycar_pilots.py compares.
+`run` fails in that version. src/ds_studies/test/test_donkeycar_pilots.py compares.
 """
 
 from __future__ import annotations
@@ -72,11 +72,11 @@ def rounded(weights: NDArray[np.float32], rng: np.random.Generator) -> NDArray[n
     return (np.rint(weights / step) * step * stronger).astype(np.float32)
 
 
-def main(out: Path, *, tflite: bool) -> None:
+def main(out: Path) -> None:
     """Make all pilots and write them."""
     import tensorflow as tf  # type: ignore[import-not-found]
     import tf2onnx  # type: ignore[import-not-found]
-    from donkeycar.parts.interpreter import KerasInterpreter, keras_to_tflite  # type: ignore[import-not-found]
+    from donkeycar.parts.interpreter import KerasInterpreter  # type: ignore[import-not-found]
 
     seen = frames()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_LZMA) as packed, tempfile.TemporaryDirectory() as folder:
@@ -103,11 +103,8 @@ def main(out: Path, *, tflite: bool) -> None:
             keep(f"{kind}.npy", np.array(answers))
             tf2onnx.convert.from_keras(model, opset=13, output_path=f"{folder}/{kind}.onnx")
             packed.write(f"{folder}/{kind}.onnx", f"{kind}.onnx")
-            if tflite:
-                keras_to_tflite(model, f"{folder}/{kind}.tflite")
-                packed.write(f"{folder}/{kind}.tflite", f"{kind}.tflite")
             print(kind, np.round(answers, 4).tolist())
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), tflite="--tflite" in sys.argv)
+    main(Path(sys.argv[1]))

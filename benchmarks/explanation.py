@@ -33,7 +33,7 @@ from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_studies.explanation.experiment import Experiment, drive_experiments
-from ds_studies.explanation.shares import Explanation, Subset, shapley
+from ds_studies.explanation.shares import Explanation, Subset
 from ds_studies.sensitivity.measurement import candidate_roads
 
 PLANTS = {
@@ -221,13 +221,10 @@ def _experiment(test: Test, base: str, plant: str, strength: float) -> MadeExper
 def row(pair: Pair, found: Explanation) -> dict[str, object]:
     """Describe one pair."""
     planted = pair.experiment.planted
-    outcome = shapley(tuple(found.shares), {subset: float(loss == 1.0) for subset, loss in found.losses.items()})
     return {
         "test": found.test_id, "base": pair.experiment.base, "plant": pair.plant, "strength": pair.strength,
         "planted": planted, "repeats": found.repeats, "largest": next(iter(found.shares), ""), "shares": found.shares,
         "recovered": next(iter(found.shares), "") == planted,
-        "recovered_by_outcome": found.repeats and max(outcome, key=lambda part: outcome[part]) == planted,
-        "outcome_shares": outcome, "cures": [part for part in found.shares if found.cures(part)],
     }  # fmt: skip
 
 
@@ -248,9 +245,8 @@ def main() -> None:
     (options.out / "result.json").write_text(json.dumps(rows, indent=1) + "\n")
     for plant in (*PLANTS, ""):
         of = [one for one in rows if plant in ("", one["plant"])]
-        by_outcome = sum(bool(one["recovered_by_outcome"]) for one in of)
         recovered = sum(bool(one["recovered"]) for one in of)
-        print(f"{plant or 'all':14} {len(of):3} pairs, {recovered:3} recovered, {by_outcome:3} by the outcome alone")
+        print(f"{plant or 'all':14} {len(of):3} pairs, {recovered:3} recovered")
 
 
 if __name__ == "__main__":

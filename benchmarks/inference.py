@@ -2,8 +2,8 @@
 """Compares inference backends on one thread: speed and steering.
 
 `python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a
-busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little, and the
-wall-clock time. The processor must have bfloat16.
+busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little. The
+processor must have bfloat16.
 
 `--roads 2` also compares the steering on frames of drives on that many random roads, on every simulator, with PyTorch;
 `benchmarks.precision` compares outcomes.
@@ -49,21 +49,16 @@ def speed(name: str, frames: int, table: Table) -> None:
         loading[backend] = time.process_time() - started
     rows = [(backend, size) for backend, pilot in pilots.items() for size in BATCHES if size <= pilot.largest_batch]
     cpu: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
-    wall: dict[tuple[str, int], list[float]] = {row: [] for row in rows}
     for backend, size in rows:
         pilots[backend].predict_batch([frame] * size)  # compiles the graph for this size
     for _ in range(frames):
         for backend, size in rows:
-            cpu_start, wall_start = time.process_time(), time.perf_counter()
+            started = time.process_time()
             pilots[backend].predict_batch([frame] * size)
-            cpu[backend, size].append(1e3 * (time.process_time() - cpu_start) / size)
-            wall[backend, size].append(1e3 * (time.perf_counter() - wall_start) / size)
-    for row in rows:
-        backend, size = row
-        table.add_row(
-            name, backend, str(size), f"{min(cpu[row]):.2f}", f"{np.median(cpu[row]):.2f}", f"{min(wall[row]):.2f}",
-            f"{np.median(wall[row]):.2f}", f"{loading[backend]:.2f}" if size == 1 else "",
-        )  # fmt: skip
+            cpu[backend, size].append(1e3 * (time.process_time() - started) / size)
+    for (backend, size), times in cpu.items():
+        first = f"{loading[backend]:.2f}" if size == 1 else ""
+        table.add_row(name, backend, str(size), f"{min(times):.2f}", f"{np.median(times):.2f}", first)
 
 
 def frames_of(driver: str, simulator: str, road: Road, seed: int, every: int) -> Iterator[NDArray[np.uint8]]:
@@ -106,9 +101,7 @@ def main() -> None:
     arguments = parser.parse_args()
     console = Console(width=120)
     torch.set_num_threads(1)
-    table = Table(
-        "network", "backend", "batch", "CPU ms, minimum", "median", "wall ms, minimum", "median", "loading, CPU s"
-    )
+    table = Table("network", "backend", "batch", "CPU ms, minimum", "median", "loading, CPU s")
     names = arguments.networks.split(",")
     if arguments.frames:
         for name in names:

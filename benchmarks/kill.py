@@ -2,9 +2,9 @@
 """Kills processes of a campaign at seeded moments, resumes it, and checks that no result is lost or changed.
 
 `python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]` prints one row per moment, as Markdown,
-and exits with status 1 if anything differs. Moments are uniform over the duration of the undisturbed campaign, or with
-`--driving` over the time in which it drives. They are relative to its last line of progress before them, so that they
-fall at the same place however busy the machine is. After each kill the campaign is resumed until it is complete. Then
+and exits with status 1 if anything differs. Moments are uniform over the duration of the undisturbed campaign. They are
+relative to its last line of progress before them, so that they fall at the same place however busy the machine is.
+After each kill the campaign is resumed until it is complete. Then
 
 - maps, evaluation and bags must equal those of the undisturbed campaign byte for byte, with no files left over;
 - executions in the store at the moment of the kill must be unchanged, and not driven again according to the logs;
@@ -200,11 +200,6 @@ def processes_left(folder: Path) -> int:
     return left
 
 
-def undisturbed(folder: Path, driver: str = DRIVER) -> list[float]:
-    """Run the reference campaign; returns the times of its lines of progress and of its end, s."""
-    return lines_of(Session(folder, driver, 1))
-
-
 def lines_of(session: Session) -> list[float]:
     """Wait for a session to end; returns the times of its lines of progress and of its end, s."""
     times = [0.0]
@@ -240,7 +235,6 @@ def disturbed(
     workers: int,
     rng: np.random.Generator,
     *,
-    driver: str = DRIVER,
     driving: bool = False,
 ) -> Report:
     """Run the campaign, kill processes at a random moment, resume to the end, and look for differences.
@@ -251,13 +245,12 @@ def disturbed(
         kind: one of `KINDS`.
         workers: number of graphs at the same time.
         rng: source of the moment and of the process to kill.
-        driver: name of the driver.
         driving: restrict the moment to the time between the start of the first stage and the end of the last run.
     """
     moment = float(rng.uniform(*((times[1], times[EXECUTIONS + 2]) if driving else (0.0, times[-1]))))
     line = int(np.searchsorted(times[:-1], moment, side="right")) - 1
     report = Report(line, moment - times[line], kind, workers)
-    session = Session(folder, driver, workers)
+    session = Session(folder, DRIVER, workers)
     session.wait_until(report.line, report.delay)
     victims = session.victims(kind, rng)
     report.killed = ", ".join(sorted(name_of(pid, session.process.pid) for pid in victims))
@@ -276,7 +269,7 @@ def disturbed(
         report.problems.append(f"status {status}")
     while status and report.sessions < SESSIONS:
         report.sessions += 1
-        status = Session(folder, driver, workers, resume=bool(before)).wait()
+        status = Session(folder, DRIVER, workers, resume=bool(before)).wait()
     report.seconds = time.monotonic() - session.began
     if status:
         report.problems.append(f"final status {status}")
@@ -323,26 +316,20 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--moments", type=int, default=25)
-    parser.add_argument("--first", type=int, default=0, help="number of the first moment, to repeat a single one")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kinds", default=",".join(KILLS), help=f"of {', '.join(KINDS)}")
-    parser.add_argument("--driver", default=DRIVER)
-    parser.add_argument("--driving", action="store_true", help="choose moments only while roads are driven")
-    parser.add_argument("--out", type=Path, help="folder for the campaigns; a temporary one if omitted")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
-        out = (arguments.out or Path(temporary)).resolve()
-        out.mkdir(parents=True, exist_ok=True)
-        times = undisturbed(out / WHOLE, arguments.driver)
+        out = Path(temporary)
+        times = lines_of(Session(out / WHOLE, DRIVER, 1))
         print(f"Undisturbed: {times[-1]:.0f} s, {EXECUTIONS} executions.\n")
         print("| | moment | killed | workers | kept | driven again | commands | took, s | |")
         print("|---|---|---|---|---|---|---|---|---|", flush=True)
         bad = 0
-        for number in range(arguments.first, arguments.first + arguments.moments):
+        for number in range(arguments.moments):
             rng = np.random.default_rng([arguments.seed, number])
             kind, workers = str(rng.choice(arguments.kinds.split(","))), 1 + int(rng.random() < 0.2)
-            folder, driver, driving = out / f"moment_{number:02d}", arguments.driver, arguments.driving
-            r = disturbed(folder, times, kind, workers, rng, driver=driver, driving=driving)
+            r = disturbed(out / f"moment_{number:02d}", times, kind, workers, rng)
             bad += bool(r.problems)
             print(
                 f"| {number} | {r.delay:.2f} s after line {r.line} | {kind}: {r.killed} | {r.workers} | {r.kept} | "

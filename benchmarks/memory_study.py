@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Do simulators agree less about drivers with memory? One network of each kind, the same tests, every simulator.
 
-`python -m benchmarks.memory_study --out study --networks recurrent,stacked` drives what is missing and keeps it;
-`--score` computes the tables from the drives of all `KINDS`. A drive takes some 2 s: 1,600 drives, an hour on one core.
+`python -m benchmarks.memory_study --out study` drives what is missing, keeps it, and computes the tables. A drive takes
+some 2 s: 1,600 drives, an hour on one core.
 `--sims bullet,softbody,panda,donkey,torcs` adds a simulator to the same tests, as was done after the study.
 
 Fixed before the first drive: `TESTS` random roads, once as they are and once under mild conditions (the ranges of
@@ -37,7 +37,7 @@ from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.data.collection import unseen_roads
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Callbacks, Key, drive_tests, read_drives
+from ds_orchestrator.engines.drive_tests import Callbacks, Key, drive_tests
 from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
@@ -68,32 +68,21 @@ def draw_tests(conditions: bool) -> list[Test]:
 
 
 def drive(
-    out: Path,
-    driver: str,
-    tests: list[Test],
-    workers: int,
-    *,
-    gates: Gates | None,
-    known_only: bool,
-    simulators: list[str],
+    out: Path, driver: str, tests: list[Test], workers: int, *, gates: Gates | None, simulators: list[str]
 ) -> tuple[Runs, set[int]]:
-    """Drive the tests on every simulator, or read what was driven; also the rows that some gate excludes."""
+    """Drive the tests on every simulator; also the rows that some gate excludes."""
     runs: Runs = {}
     invalid: set[int] = set()
     for name in simulators:
+        say(f"{driver} on {name}")
         settings = DriveSettings(
             siblings=(name,), driver=driver, gates="none" if gates is None else "all", workers=workers
         )
-        work, folder = {name: tests}, out / driver / name
-        if known_only:
-            found = read_drives(folder, work)
-        else:
-            say(f"{driver} on {name}")
-            known = None if gates is None else gates.get(name)
-            found = drive_tests(settings, work, folder, Callbacks(listen=ScreenListener), gates=known)
+        known = None if gates is None else gates.get(name)
+        found = drive_tests(settings, {name: tests}, out / driver / name, Callbacks(listen=ScreenListener), gates=known)
         if gates is not None:
             gates[name] = {**gates.get(name, {}), **found.gates}
-        runs[name] = [driven_road(found, test, name) for test in work[name]]
+        runs[name] = [driven_road(found, test, name) for test in tests]
         invalid |= {k for k, test in enumerate(tests) if (test.test_id, name) in found.excluded}
     return runs, invalid
 
@@ -127,13 +116,11 @@ def contrast(lateral: Mapping[str, Array]) -> tuple[float, float, float]:
 
 
 def main() -> None:
-    """Drive, or score."""
+    """Drive, and score."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--networks", default=",".join(KINDS))
     parser.add_argument("--sims", default=",".join(SIMULATORS))
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--score", action="store_true")
     arguments = parser.parse_args()
     simulators = arguments.sims.split(",")
     rows: list[tuple[Value, ...]] = []
@@ -143,20 +130,12 @@ def main() -> None:
         gates: Gates | None = {} if name == "mild" else None
         found: dict[str, Runs] = {}
         invalid: set[int] = set()
-        for network in arguments.networks.split(","):
+        for network in KINDS:
             place = arguments.out / name
             found[network], excluded = drive(
-                place,
-                network,
-                tests,
-                arguments.workers,
-                gates=gates,
-                known_only=arguments.score,
-                simulators=simulators,
+                place, network, tests, arguments.workers, gates=gates, simulators=simulators
             )
             invalid |= excluded
-        if not arguments.score:
-            continue
         kept = [k for k in range(TESTS) if k not in invalid]
         lateral = {}
         for network, runs in found.items():
@@ -173,10 +152,9 @@ def main() -> None:
         say(f"{name}: with memory minus without: {difference[0]:.3f} [{difference[1]:.3f}, {difference[2]:.3f}]")
         of_all = [None] * (len(simulators) + 1)
         rows.append((name, "with memory minus without", *of_all, difference[0], None, *difference[1:]))
-    if arguments.score:
-        columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "low", "high"]
-        summary = Table(name="memory", title="Agreement", columns=[Column(one) for one in columns], rows=rows, notes=[])
-        write_tables([summary, *tables], arguments.out)
+    columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "low", "high"]
+    summary = Table(name="memory", title="Agreement", columns=[Column(one) for one in columns], rows=rows, notes=[])
+    write_tables([summary, *tables], arguments.out)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from scipy import stats
 
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import GivenDrives, drive_tests, read_drives
+from ds_orchestrator.engines.drive_tests import GivenDrives, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import generate
 from ds_sim.registry import STANDARD
@@ -110,7 +110,6 @@ def main() -> None:
     parser.add_argument("--roads", type=int, default=ROADS)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), help="processes")
     parser.add_argument("--backend", choices=REDUCED, default=REDUCED[0])
-    parser.add_argument("--report", action="store_true", help="print what the folder holds, drive nothing")
     arguments = parser.parse_args()
     console, work, holds = Console(width=120), work_of(arguments.roads), []
     for network in NETWORKS:
@@ -118,7 +117,7 @@ def main() -> None:
         for backend in (SINGLE, arguments.backend):
             driver, folder = str(DriverName.parse(network).on(backend)), arguments.out / f"{network}-{backend}"
             settings = DriveSettings(siblings=tuple(STANDARD), driver=driver, gates="none", workers=arguments.workers)
-            found.append(read_drives(folder, work) if arguments.report else drive_tests(settings, work, folder))
+            found.append(drive_tests(settings, work, folder))
         holds.append(compare(network, arguments.backend, found[0], found[1], console))
     console.print(f"{arguments.backend} may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
 

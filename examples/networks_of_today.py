@@ -235,7 +235,7 @@ def answers(network: nn.Module, pixels: Tensor) -> Tensor:
 
 
 def train(images: Images, training: list[int], validation: list[int], plan: Plan, out: Path) -> nn.Module:
-    """Train; resumes after the last complete epoch."""
+    """Train."""
     torch.manual_seed(plan.seed)
     network = MAKE[plan.kind]()
     size = plan.batch // WINDOW if plan.kind == "recurrent" else plan.batch
@@ -245,14 +245,8 @@ def train(images: Images, training: list[int], validation: list[int], plan: Plan
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, plan.rate, total_steps=steps * plan.epochs, pct_start=0.05
     )
-    parts: tuple[Any, ...] = network, optimizer, schedule
-    history, kept = [], out / f"{plan.kind}.checkpoint.pt"
-    if kept.exists():
-        state = torch.load(kept, weights_only=True)
-        history = state["history"]
-        for part, values in zip(parts, state["parts"], strict=True):
-            part.load_state_dict(values)
-    for epoch in range(len(history), plan.epochs):
+    history = []
+    for epoch in range(plan.epochs):
         order = np.random.default_rng([plan.seed, epoch]).permutation(training)
         torch.manual_seed(plan.seed * 1000 + epoch)
         losses, began = [], time.monotonic()
@@ -271,8 +265,7 @@ def train(images: Images, training: list[int], validation: list[int], plan: Plan
             schedule.step()
             losses.append(loss.item())
             if step % 50 == 49:
-                left = (time.monotonic() - began) / (step + 1) * (steps - step - 1) / 60
-                print(f"epoch {epoch + 1}: {step + 1}/{steps}, loss {np.mean(losses[-50:]):.5f}, {left:.0f} min left")
+                print(f"epoch {epoch + 1}: {step + 1}/{steps}, loss {np.mean(losses[-50:]):.5f}")
         network.eval()
         with torch.inference_mode():
             chosen = np.array(validation[WINDOW :: WINDOW if plan.kind == "recurrent" else 7])
@@ -289,7 +282,6 @@ def train(images: Images, training: list[int], validation: list[int], plan: Plan
         }
         history.append(row)
         print(json.dumps(row), flush=True)
-        torch.save({"parts": [part.state_dict() for part in parts], "history": history}, kept)
     about = {"plan": asdict(plan), "history": history, "images": len(training)}
     (out / f"{plan.kind}.training.json").write_text(json.dumps(about, indent=1) + "\n")
     return network.eval()

@@ -32,19 +32,16 @@ from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 
-def restore(table: Path, folder: Path, *, backend: str | None = None) -> None:
+def restore(table: Path, folder: Path) -> None:
     """Write the store of a campaign without gates from the `executions.parquet` that `write_tables` wrote.
 
     Args:
         table: one of docs/data.
         folder: campaign folder, created if missing.
-        backend: to go on with, if it is not the one that the campaign was begun with.
     """
     content = pq.read_table(table)
     notes = {key.decode(): value.decode() for key, value in content.schema.metadata.items()}
     config = json.loads(notes["config"])
-    if backend is not None:
-        config["driver"] = f"{config['driver'].rpartition('@')[0]}@{backend}"
     prepare_folder(folder)
     with closing(store_of(folder, parse_config(config, str(table), received=True))) as store:
         if WEIGHTS_NOTE in notes:
