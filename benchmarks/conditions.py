@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.stage import Sim2RealStage, open_set
+from ds_driver.sim2real.image_translation import ImageTranslation, open_set
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
@@ -67,7 +67,7 @@ def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint
     return simulator.scene.still(state, np.random.default_rng(SEED))
 
 
-def sheet(name: str, only: list[str], stage: Sim2RealStage | None = None) -> NDArray[np.uint8]:
+def sheet(name: str, only: list[str], stage: ImageTranslation | None = None) -> NDArray[np.uint8]:
     """Rows of pictures with their conditions below; with a stage each has its translation beside it."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
@@ -125,7 +125,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.costs:
         return print_costs(arguments.sim, arguments.frames)
-    stage = Sim2RealStage(open_set(arguments.set)) if arguments.set else None
+    stage = ImageTranslation(open_set(arguments.set)) if arguments.set else None
     suffix = "" if stage is None else "_translated"
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.sim:

@@ -18,9 +18,9 @@ from benchmarks.conditions import picture
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.generator import prepare
+from ds_driver.sim2real.image_translation import ImageTranslation, open_set
 from ds_driver.sim2real.lane_pairs import lane_shapes
 from ds_driver.sim2real.pictures import read_photographs, split
-from ds_driver.sim2real.stage import Sim2RealStage, open_set
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import SIMULATORS, make_simulator
@@ -50,7 +50,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="JPEG file")
     arguments = parser.parse_args()
     generators = open_set(arguments.set)
-    stage = Sim2RealStage(generators)
+    stage = ImageTranslation(generators)
     columns, translated = [], []
     for name in (name for name in SIMULATORS if name in generators):
         simulator = make_simulator(name)

@@ -27,8 +27,8 @@ from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.description import file_of, read_description
-from ds_driver.networks.weights import SHIPPED, compress, generators_in, load_weights
-from ds_driver.sim2real.stage import FOLDER, shipped_set_of
+from ds_driver.networks.weights import GENERATORS, SHIPPED, compress, generators_in, load_weights
+from ds_driver.sim2real.image_translation import shipped_set_of
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_road import Road
@@ -96,7 +96,7 @@ def _trained(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipped
     generators = generators_in(str(weights))
     shipped_set = shipped_set_of(generators) if generators else None
     if generators and shipped_set is None:
-        sys.exit(f"the generators of {weights} are not shipped: put them into {SHIPPED / FOLDER}/NAME first")
+        sys.exit(f"the generators of {weights} are not shipped: put them into {SHIPPED / GENERATORS}/NAME first")
     history = training["history"]
     best = min(history, key=lambda epoch: epoch["validation_loss"])
     plan, collection = training["plan"], manifest["plan"]

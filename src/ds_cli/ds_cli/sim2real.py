@@ -114,8 +114,9 @@ def translate_command(
     as_json: JsonFlag = False,
 ) -> None:
     """Translate the images of a data set, bag or tub; the same format out."""
+    from ds_driver.networks.weights import shipped_sets
     from ds_driver.sim2real.generator import load_generator
-    from ds_driver.sim2real.stage import open_set, shipped_sets
+    from ds_driver.sim2real.image_translation import open_set
     from ds_driver.sim2real.translation import translate
     from ds_driver.sim2real.translator import Translator
 

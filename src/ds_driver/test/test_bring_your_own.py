@@ -17,10 +17,12 @@ import yaml
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
+from ds_base.extension import installed
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import DescribedNetwork, Outputs
+from ds_driver.networks.driver_name import received_driver
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import DriverError, Frame
@@ -364,6 +366,22 @@ def test_start_is_called_at_the_beginning_of_each_run(module: Callable[[str], st
     runs = [drive_road(simulator, driver, generate(np.random.default_rng(2), max_angle=30), seed=1) for _ in range(2)]
     assert runs[0].commands == runs[1].commands
     assert [c.steering for c in runs[0].commands[:3]] == [0.001, 0.002, 0.003]
+
+
+def test_the_driver_of_an_installed_package_goes_by_its_name(
+    module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = module("class Left:\n    def drive(self, frame): return -0.5\n")
+    about = tmp_path / "theirs-1.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
+    (about / "entry_points.txt").write_text(f"[digital_siblings.drivers]\nleft = {name}:Left\n")
+    installed.cache_clear()
+    try:
+        assert NetworkDriver("left").steering(np.zeros((160, 320, 3), np.uint8), Crop()) == -0.5
+        assert driver_sha256("left") == driver_sha256(f"{name}:Left") and received_driver("left") == "left"
+    finally:
+        installed.cache_clear()
 
 
 FAULTY = """

@@ -37,13 +37,13 @@ from ds_driver.sim2real.generator import (
     prepare,
     save_generator,
 )
+from ds_driver.sim2real.image_translation import open_set
 from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, align_lane, lane_shapes, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, find_lines, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, InstanceNorm, to_batch, to_images
 from ds_driver.sim2real.preparation import network_window, prepare_domains, read_sources
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
 from ds_driver.sim2real.simulated_frames import check_roads_are_new, sim2real_roads, simulated_frames
-from ds_driver.sim2real.stage import open_set
 from ds_driver.sim2real.trainer import EPOCHS, Domains, learning_rate_share, train
 from ds_driver.sim2real.translation import translate
 from ds_driver.sim2real.translator import Translator, generator_to_onnx

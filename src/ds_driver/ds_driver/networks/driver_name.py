@@ -7,19 +7,22 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ds_base.extension import installed
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
 from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.weights import shipped_networks
+from ds_driver.networks.weights import shipped_networks, shipped_sets
 from ds_sim.registry import path_moved
 
 DESCRIPTIONS = (".yaml", ".yml")
 """Suffixes of the description of a network file."""
 WEIGHTS = ".safetensors"
 """Suffix of a file of weights of a built-in architecture."""
+NO_GENERATORS = "none"
+"""In place of a set of generators: the network sees plain images, whatever it was trained on."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class DriverName:
     """A driver's name, parsed; `str` gives the text back.
 
     Attributes:
-        network: name of a shipped network, a file of weights, the description of a network file, or `module:Class`.
+        network: name of a shipped network or of an installed package's driver, a file of weights, the description of a
+            network file, or `module:Class`.
         generators: set of generators that translate images for the network; "" where the name has none.
         backend: one of `ds_driver.networks.backends.BACKENDS`.
         device: one of `ds_driver.networks.backends.DEVICES`.
@@ -54,20 +58,25 @@ class DriverName:
             return cls(*_split_generators(name), ending)
         return cls(*_split_generators(text))
 
+    @classmethod
+    def of(cls, driver: DriverName | str) -> DriverName:
+        """Parse a name unless it is parsed already."""
+        return driver if isinstance(driver, DriverName) else cls.parse(driver)
+
     def __str__(self) -> str:
         generators = f"+{self.generators}" if self.generators else ""
         return f"{self.network}{generators}{self.suffix}"
 
     @property
     def suffix(self) -> str:
-        """The end of the name that says what computes; "" for the default."""
+        """Backend suffix, such as `@onnx`; "" for the default."""
         if self.device == "cuda":
             return "@cuda"
         return "" if self.backend == "auto" else f"@{self.backend}"
 
     @property
     def file_type(self) -> str:
-        """Suffix of the network's file in lower case; "" if the name is none of a file."""
+        """Suffix of the network's file in lower case; "" if the name is not a file name."""
         return Path(self.network).suffix.lower()
 
     @property
@@ -77,9 +86,17 @@ class DriverName:
         return path if path.suffix.lower() in DESCRIPTIONS else None
 
     @property
-    def is_class(self) -> bool:
-        """Whether the network is a Python class, `module:Class`."""
-        return ":" in self.network and self.file_type not in (WEIGHTS, *DESCRIPTIONS)
+    def has_weights(self) -> bool:
+        """Whether it is a network of this project's architectures, which every backend computes."""
+        known = self.network in {**NETWORKS, **shipped_networks()} or self.file_type == WEIGHTS
+        return known and self.description is None
+
+    @property
+    def python_class(self) -> str:
+        """`module:Class` of a network that is a Python class, the user's or of an installed package; else ""."""
+        if entry := installed("drivers").get(self.network):
+            return entry.value
+        return self.network if ":" in self.network and self.file_type not in (WEIGHTS, *DESCRIPTIONS) else ""
 
     def on(self, backend: str = "auto", device: str = "cpu") -> DriverName:
         """Choose what computes; the defaults leave the name as it is.
@@ -99,12 +116,10 @@ class DriverName:
 
     def moved(self, start: Path, end: Path) -> DriverName:
         """The name whose paths, relative to one folder, are made relative to another."""
-        from ds_driver.sim2real.stage import shipped_sets
-
         network, generators = self.network, self.generators
         if self.file_type in (WEIGHTS, *DESCRIPTIONS):
             network = path_moved(network, start, end)
-        if generators and generators not in ("none", *shipped_sets()):
+        if generators and generators not in (NO_GENERATORS, *shipped_sets()):
             generators = path_moved(generators, start, end)
         return replace(self, network=network, generators=generators)
 
@@ -114,11 +129,14 @@ class DriverName:
 
 
 def _split_generators(name: str) -> tuple[str, str]:
-    networks = {**NETWORKS, **shipped_networks()}
     for place in (index for index, character in enumerate(name) if character == "+"):
         network = name[:place]
         suffix = Path(network).suffix.lower()
-        if network in networks or suffix in (WEIGHTS, *DESCRIPTIONS) or (":" in network and place > 1):
+        if (
+            network in {**NETWORKS, **shipped_networks()}
+            or suffix in (WEIGHTS, *DESCRIPTIONS)
+            or (":" in network and place > 1)
+        ):
             return network, name[place + 1 :]
     return name, ""
 
@@ -137,12 +155,12 @@ def received_driver(driver: object, *, confirmed: Collection[str] = ()) -> str:
     """
     if not isinstance(driver, str):
         raise DriverError(f"driver is a {type(driver).__name__}, expected a name")
-    name = DriverName.parse(driver).network
-    suffix = Path(name).suffix.lower()
-    harmless = name == AUTOPILOT or name in shipped_networks() or suffix == ".safetensors"
+    parsed = DriverName.parse(driver)
+    name, suffix = parsed.network, parsed.file_type
+    harmless = name == AUTOPILOT or name in shipped_networks() or name in installed("drivers") or suffix == WEIGHTS
     if harmless or driver in confirmed or name in confirmed:
         return driver
-    if suffix in (".yaml", ".yml"):
+    if suffix in DESCRIPTIONS:
         path = Path(name)
         if KINDS[file_of(path, read_description(path)).suffix.lower()] != "torchscript":
             return driver

@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.extension import installed
 from ds_base.installation import ds_command
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
@@ -20,7 +20,7 @@ from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
-from ds_driver.networks.driver_name import WEIGHTS, DriverName
+from ds_driver.networks.driver_name import NO_GENERATORS, DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_file import KINDS, refuse_weights_alone
 from ds_driver.networks.onnx_export import to_onnx
@@ -28,11 +28,15 @@ from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import for_backend
 from ds_driver.networks.user_class import UserClassPilot, source_of
 from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
+from ds_driver.sim2real.image_translation import (
+    GeneratorSet,
+    ImageTranslation,
+    TranslatingPilot,
+    open_set,
+    set_of_network,
+)
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
-
-if TYPE_CHECKING:
-    from ds_driver.sim2real.stage import GeneratorSet, Sim2RealStage
 
 BUILT_IN_BACKEND = "onnx"
 """Default backend of the built-in networks; chosen by measurement (docs/bring_your_own_network.md)."""
@@ -41,7 +45,7 @@ BUILT_IN_BACKEND = "onnx"
 class BuiltInPilot(Pilot):
     """Drives with one of the paper's networks: a shipped one by name, or a weights file.
 
-    `stage` says what translates its images, by which it is then quantised.
+    `translation` says what translates its images, by which it is then quantised.
 
     Raises:
         ds_driver.networks.weights.WeightsError: the weights cannot be used.
@@ -52,12 +56,12 @@ class BuiltInPilot(Pilot):
     sees_crop_only = True
 
     def __init__(
-        self, network: str, backend: str = "auto", device: str = "cpu", stage: Sim2RealStage | None = None
+        self, network: str, backend: str = "auto", device: str = "cpu", translation: ImageTranslation | None = None
     ) -> None:
         def samples() -> list[NDArray[np.uint8]]:
             frames = calibration_frames()
-            if stage is not None:
-                frames = stage.seen([frame for frame in frames if str(frame.simulator) in stage.generators])
+            if translation is not None:
+                frames = translation.seen([one for one in frames if str(one.simulator) in translation.generators])
             return [prepare(frame.image, frame.crop)[None] for frame in frames]
 
         if backend == "torch":
@@ -100,7 +104,7 @@ class NetworkDriver:
         ValueError: the driver cannot be loaded; see `BuiltInPilot`, `DescribedNetworkPilot` and `UserClassPilot`.
     """
 
-    def __init__(self, driver: str) -> None:
+    def __init__(self, driver: DriverName | str) -> None:
         self._pilot = load_pilot(driver)
         # Warm up: the first image allocates memory and selects kernels.
         self.command(Frame.black())
@@ -157,12 +161,12 @@ class NetworkDriver:
         return self._pilot.rows_seen(crop, height, simulator)
 
     @property
-    def stage(self) -> Sim2RealStage | None:
+    def translation(self) -> ImageTranslation | None:
         """Return what translates images before the network sees them; None if it sees them as they are."""
-        return getattr(self._pilot, "stage", None)
+        return self._pilot.translation
 
 
-def load_pilot(driver: str) -> Pilot:
+def load_pilot(driver: DriverName | str) -> Pilot:
     """Load the driver of a name; see `NetworkDriver`.
 
     Examples:
@@ -173,121 +177,101 @@ def load_pilot(driver: str) -> Pilot:
         >>> abs(pilot.predict(frame).steering) <= 1.0
         True
     """
-    stage = stage_of(driver)
-    pilot = _load_network(DriverName.parse(driver), stage)
-    if stage is None:
-        return pilot
-    from ds_driver.sim2real.stage import TranslatingPilot
-
-    return TranslatingPilot(pilot, stage)
+    name = DriverName.of(driver)
+    translation = _image_translation_of(name)
+    pilot = _load_network(name, translation)
+    return pilot if translation is None else TranslatingPilot(pilot, translation)
 
 
-def stage_of(driver: str) -> Sim2RealStage | None:
-    """Return what translates images for a driver; None if it sees them as they are, as the autopilot and classes do.
-
-    Raises:
-        DriverError: generators are missing, or their backend is.
-    """
-    generators = generators_of(driver)
+def _image_translation_of(name: DriverName) -> ImageTranslation | None:
+    """Make what translates images for a driver; None if it sees them as they are, as the autopilot and classes do."""
+    generators = generators_of(name)
     if generators is None:
         return None
-    from ds_driver.sim2real.stage import Sim2RealStage
-
-    name = DriverName.parse(driver)
-    return Sim2RealStage(generators, BUILT_IN_BACKEND if name.backend == "auto" else name.backend, name.device)
+    return ImageTranslation(generators, BUILT_IN_BACKEND if name.backend == "auto" else name.backend, name.device)
 
 
-_cached_stage_of = cache(stage_of)
+_kept_image_translation_of = cache(_image_translation_of)
 Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
 
 
-def translation_of(driver: str, simulator: str) -> Translation | None:
+def translation_of(driver: DriverName | str, simulator: str) -> Translation | None:
     """Return how a driver sees a simulator's images, for recordings and pictures; None if it sees them as they are.
 
     Raises:
         DriverError: the generators of the driver are missing.
     """
-    stage = _cached_stage_of(driver)
-    if stage is None:
+    translation = _kept_image_translation_of(DriverName.of(driver))
+    if translation is None:
         return None
     name, lock = spec_of(simulator).name, Lock()
 
     def translated(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         with lock:  # some backends compute one image at a time
-            return stage.translate(image, name)
+            return translation.translate(image, name)
 
     return translated
 
 
-def generators_of(driver: str) -> GeneratorSet | None:
+def generators_of(driver: DriverName | str) -> GeneratorSet | None:
     """Find the generators with which a driver translates images; None if it sees them as they are.
 
     Raises:
         DriverError: there are no such generators.
         ds_driver.networks.weights.WeightsError: the network's file is missing.
     """
-    name = DriverName.parse(driver)
-    trained_with = {} if name.generators or not has_weights(name) else generators_in(name.network)
-    if not name.generators and not trained_with:
-        return None
-    from ds_driver.sim2real.stage import NONE, open_set, set_of_network
-
-    if trained_with:
-        return set_of_network(name.network, path_of_weights(name.network), trained_with)
-    return None if name.generators == NONE else open_set(name.generators)
-
-
-def sees_translated(driver: str) -> bool:
-    """Return whether a driver sees translated images, also where its files are missing and only its name says so."""
-    name = DriverName.parse(driver)
+    name = DriverName.of(driver)
     if name.generators:
-        return name.generators != "none"
+        return None if name.generators == NO_GENERATORS else open_set(name.generators)
+    trained_with = generators_in(name.network) if name.has_weights else {}
+    return set_of_network(name.network, path_of_weights(name.network), trained_with) if trained_with else None
+
+
+def sees_translated(driver: DriverName | str) -> bool:
+    """Return whether a driver sees translated images, also where its files are missing and only its name says so."""
+    name = DriverName.of(driver)
+    if name.generators:
+        return name.generators != NO_GENERATORS
     try:
-        return bool(has_weights(name) and generators_in(name.network))
+        return bool(name.has_weights and generators_in(name.network))
     except ValueError:
         return False
 
 
-def has_weights(name: DriverName) -> bool:
-    """Whether a driver is a network of this project's architectures, which every backend computes."""
-    known = name.network in {**NETWORKS, **shipped_networks()} or name.file_type == WEIGHTS
-    return known and name.description is None
-
-
-def _load_network(name: DriverName, stage: Sim2RealStage | None) -> Pilot:
+def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pilot:
     network = name.network
     if name.description is not None:
         return DescribedNetworkPilot(name.description, name.backend, name.device)
     if name.file_type in KINDS:
         raise DriverError(f"{network} has no description of its input: `{ds_command('check', network)}` writes one")
     refuse_weights_alone(Path(network))
-    if name.is_class:
+    if name.python_class:
         if name.suffix:
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")
-        return UserClassPilot(network)
-    if not has_weights(name):
+        return UserClassPilot(name.python_class)
+    if not name.has_weights:
+        names = ", ".join({**NETWORKS, **shipped_networks(), **installed("drivers")})
         raise UnknownNetworkError(
-            f"unknown driver {network!r}: expected one of {', '.join({**NETWORKS, **shipped_networks()})}, a "
-            ".safetensors or .yaml file, or module:Class"
+            f"unknown driver {network!r}: expected one of {names}, a .safetensors or .yaml file, or module:Class"
         )
-    return BuiltInPilot(network, name.backend, name.device, stage)
+    return BuiltInPilot(network, name.backend, name.device, translation)
 
 
-def driver_sha256(driver: str) -> str:
+def driver_sha256(driver: DriverName | str) -> str:
     """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class.
 
     Generators that its name names are part of it; those that a network was trained with are so by their digests in it.
     """
-    name = DriverName.parse(driver)
+    name = DriverName.of(driver)
     if name.generators:
-        generators = generators_of(driver)
-        parts_of_both = f"{driver_sha256(name.network)} {generators.sha256 if generators else name.generators}"
+        generators, network = generators_of(name), driver_sha256(DriverName(name.network))
+        parts_of_both = f"{network} {generators.sha256 if generators else name.generators}"
         return hashlib.sha256(parts_of_both.encode()).hexdigest()
     if (path := name.description) is not None:
         parts = [path, file_of(path, read_description(path))]
-    elif name.is_class:
-        parts = [source_of(name.network)]
+    elif name.python_class:
+        parts = [source_of(name.python_class)]
     else:
         return weights_sha256(name.network)
     return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()

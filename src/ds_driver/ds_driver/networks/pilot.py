@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from ds_driver.control.bicycle import Geometry
 from ds_driver.networks.images import Crop
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import Observation, SimulatorSpec
+
+if TYPE_CHECKING:
+    from ds_driver.sim2real.image_translation import ImageTranslation
 
 NOT_SIMULATED = ""
 """In place of a simulator's name: a photograph, or an image that is translated already; a network sees it as it is."""
@@ -35,7 +39,7 @@ class Frame:
         crop: rows that the paper's networks do not see on this simulator.
         step: number of frames since the start of the run.
         simulator: name of the simulator whose camera took the image, or `NOT_SIMULATED`; None if that is unknown, which
-            networks refuse that see translated images (`ds_driver.sim2real.stage`).
+            networks refuse that see translated images (`ds_driver.sim2real.image_translation`).
         vehicle: geometry of the vehicle, in road metres; None if unknown, which networks refuse whose answers are
             angles, curvatures or paths.
     """
@@ -87,7 +91,7 @@ class Prediction:
                 raise DriverError(f"the network's {name} is {value}, expected a finite number: check its weights")
 
 
-class Pilot(Protocol):
+class Pilot(ABC):
     """Network that can drive.
 
     Attributes:
@@ -95,16 +99,19 @@ class Pilot(Protocol):
             frame alone, so that frames of several runs may alternate.
         sees_crop_only: whether it never looks at rows outside the crop of a frame.
         has_memory: whether an answer may depend on earlier frames of its run, so that none may be left out.
+        translation: what translates images before the network sees them; None if it sees them as they are.
     """
 
     largest_batch: int = 1
     sees_crop_only: bool = False
     has_memory: bool = False
+    translation: ImageTranslation | None = None
 
     def start(self) -> None:
         """Reset all state at the start of a run; most networks have none."""
         return
 
+    @abstractmethod
     def predict(self, frame: Frame) -> Prediction:
         """Predict steering and throttle for a frame.
 
@@ -112,7 +119,6 @@ class Pilot(Protocol):
             DriverError: the network gives no valid answer.
             ds_driver.networks.images.ImageError: the image has another size or type.
         """
-        ...
 
     def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
         """Return first row and end of the rows that it looks at; None if it may look at all.

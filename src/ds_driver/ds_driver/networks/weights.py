@@ -26,6 +26,8 @@ SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
 LARGEST_FILE = 2**29
 """Bytes of a weights file; chosen: ten times the largest shipped one."""
+GENERATORS = "sim2real"
+"""Folder of generators: that of the shipped sets, and the one beside a network's weights."""
 TRANSLATED = "network for translated images 1"
 """Key of the metadata of a network that was trained on translated images."""
 _FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
@@ -67,6 +69,11 @@ def shipped_networks() -> dict[str, Path]:
         True
     """
     return {path.stem: path for path in sorted((*SHIPPED.glob("*.safetensors"), *SHIPPED.glob("*.yaml")))}
+
+
+def shipped_sets() -> dict[str, Path]:
+    """Return the shipped sets of generators: name -> folder."""
+    return {path.name: path for path in sorted((SHIPPED / GENERATORS).glob("*")) if any(path.glob("*.safetensors"))}
 
 
 def weights_sha256(name_or_path: str) -> str:

@@ -23,7 +23,7 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
 from ds_driver.networks.pilot import Frame as Seen
 from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
-from ds_driver.sim2real.stage import Sim2RealStage
+from ds_driver.sim2real.image_translation import ImageTranslation
 from ds_sim.ros.conversions import MESSAGES, pixels_of
 from ds_sim.ros.frame_publisher import FRAME_DEPTH
 from ds_sim.ros.parameters import declare
@@ -39,11 +39,15 @@ class TranslatedImages:
     """Asks each simulator for its name before a run, which selects the generator; then its frames are answered."""
 
     def __init__(
-        self, node: Node, namespaces: Sequence[str], stage: Sim2RealStage, answer: Callable[[int, Frame], Command]
+        self,
+        node: Node,
+        namespaces: Sequence[str],
+        translation: ImageTranslation,
+        answer: Callable[[int, Frame], Command],
     ) -> None:
         self._node = node
         self._namespaces = namespaces
-        self._stage = stage
+        self._translation = translation
         self._answer = answer
         self._info = SimulatorInfo(node, namespaces, "which selects the sim2real generator", self._on_info)
         self._names: list[str | None] = [None] * len(namespaces)
@@ -66,7 +70,7 @@ class TranslatedImages:
         name = self._names[index]
         if name is None:
             raise DriverError("the simulator has not stated its name yet")
-        translated = self._stage.translate(image, name)
+        translated = self._translation.translate(image, name)
         publisher = self._publishers[index]
         if publisher.get_subscription_count():
             publisher.publish(MESSAGES.image(translated, frame.header))
@@ -76,7 +80,7 @@ class TranslatedImages:
         if info.name != self._names[index]:
             namespace = self._namespaces[index] or self._node.get_namespace()
             try:
-                digest = self._stage.generators.generator(info.name).sha256[:12]
+                digest = self._translation.generators.generator(info.name).sha256[:12]
                 self._node.get_logger().info(f"{namespace}: generator {digest} translates images of {info.name}")
             except DriverError as error:  # every frame will state it, too
                 self._node.get_logger().error(str(error))
@@ -104,10 +108,12 @@ class DriverNode(Node):
         )
         self._given = list(zip(tops, bottoms, strict=True))
         self._crops: list[Crop | None] = [None] * count
-        self._driver = NetworkDriver(str(DriverName.parse(network).on(backend, device).seeing(sim2real)))
+        self._driver = NetworkDriver(DriverName.parse(network).on(backend, device).seeing(sim2real))
         self._milliseconds: list[float] = []
-        stage = self._driver.stage
-        self._translated = None if stage is None else TranslatedImages(self, self._namespaces, stage, self._answer)
+        translation = self._driver.translation
+        self._translated = None
+        if translation is not None:
+            self._translated = TranslatedImages(self, self._namespaces, translation, self._answer)
         if self._translated is None:
             for index, namespace in enumerate(self._namespaces):
                 SimulatorClient(self, namespace, Frame).drive_with(partial(self._answer, index))

@@ -97,19 +97,21 @@ def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
 
 def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     """Add the generators that a worker does not have; return what follows the network's name there."""
-    from ds_driver.networks.driver_name import WEIGHTS
+    from ds_driver.networks.driver_name import NO_GENERATORS, WEIGHTS
     from ds_driver.networks.network_driver import generators_of
-    from ds_driver.sim2real.stage import FOLDER, NONE, shipped_sets
+    from ds_driver.networks.weights import GENERATORS, shipped_sets
 
-    generators = generators_of(str(name))
-    if name.generators == NONE or name.generators in shipped_sets():
+    generators = generators_of(name)
+    if name.generators == NO_GENERATORS or name.generators in shipped_sets():
         return f"+{name.generators}"
     if generators is None:
         return ""
     if name.generators or name.file_type == WEIGHTS:
         # Beside the weights, where a network looks for the generators that it was trained with.
-        files |= {f"driver/{FOLDER}/{label}.safetensors": path.read_bytes() for label, path in generators.files.items()}
-    return f"+{{folder}}/driver/{FOLDER}" if name.generators else ""
+        files |= {
+            f"driver/{GENERATORS}/{label}.safetensors": path.read_bytes() for label, path in generators.files.items()
+        }
+    return f"+{{folder}}/driver/{GENERATORS}" if name.generators else ""
 
 
 def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) -> str:
@@ -136,7 +138,7 @@ def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) 
     else:  # shipped, or a class: the worker has it, and its digest is compared
         if name.network + ending != driver:
             renamed[driver] = name.network + ending
-        return "" if name.is_class else BUILT_IN_BACKEND if name.backend == "auto" else name.backend
+        return "" if name.python_class else BUILT_IN_BACKEND if name.backend == "auto" else name.backend
     renamed[driver] = f"{{folder}}/driver/{path.name}{ending}"
     if name.backend == "auto":
         return BUILT_IN_BACKEND if name.file_type == WEIGHTS else "torch onnx openvino"

@@ -64,23 +64,21 @@ def check_driver(driver: str, simulators: Sequence[str]) -> None:
     """
     if driver == AUTOPILOT:
         return
-    from ds_driver.networks.network_driver import generators_of, load_pilot
+    from ds_driver.networks.network_driver import load_pilot
 
-    load_pilot(driver)
-    generators = generators_of(driver)
-    if generators is not None:
+    translation = load_pilot(driver).translation
+    if translation is not None:
         for name in simulators:
-            generators.generator(spec_of(name).name)
+            translation.generators.generator(spec_of(name).name)
 
 
 def faster_choice(driver: str, engine: str) -> str:
     """Say in one line how a campaign would be faster on this machine; "" if it would not."""
     from ds_driver.networks.backends import has_bfloat16
     from ds_driver.networks.driver_name import DriverName
-    from ds_driver.networks.network_driver import has_weights
 
     name = DriverName.parse(driver)
-    if not has_weights(name) or name.backend not in ("auto", "onnx") or not has_bfloat16():
+    if not name.has_weights or name.backend not in ("auto", "onnx") or not has_bfloat16():
         return ""
     choice = f"driver {name.on('openvino-bf16')}" + (" and --engine local" if engine == "graph" else "")
     needed = "" if find_spec("openvino") else f", after `{install_command('openvino')}`"

@@ -30,9 +30,8 @@ _ROW = 190
 
 def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
     """Return what a network sees of a frame, its channels drawn as red, green and blue, and what they are."""
-    stage = getattr(pilot, "stage", None)
-    if stage is not None:
-        frame = stage.seen([frame])[0]
+    if pilot.translation is not None:
+        frame = pilot.translation.seen([frame])[0]
     if isinstance(pilot, DescribedNetworkPilot):
         seen, colour = pilot.seen(frame), pilot.description.input.colour
     elif isinstance(pilot, UserClassPilot):

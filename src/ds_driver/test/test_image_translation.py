@@ -19,6 +19,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import InterleavedDrives, drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
+from ds_driver.networks import weights
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.driver_name import DriverName, received_driver
 from ds_driver.networks.images import Crop
@@ -26,11 +27,10 @@ from ds_driver.networks.network_driver import NetworkDriver, driver_sha256, gene
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.quantisation import has_vnni
 from ds_driver.networks.torch_networks import make_network, save_weights
-from ds_driver.networks.weights import architecture_in, generators_in, load_weights
-from ds_driver.sim2real import stage as stages
+from ds_driver.networks.weights import GENERATORS, architecture_in, generators_in, load_weights
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
+from ds_driver.sim2real.image_translation import shipped_set_of
 from ds_driver.sim2real.networks import Generator
-from ds_driver.sim2real.stage import FOLDER
 from ds_driver.sim2real.translation import translate as translate_data
 from ds_driver.sim2real.translator import Translator
 from ds_driver.training import TrainingPlan, train
@@ -61,8 +61,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A set of generators of two simulators, and a network that was trained with them beside it."""
     folder = tmp_path_factory.mktemp("stage")
     for seed, simulator in enumerate(WINDOWS):
-        write_generator(folder / FOLDER, simulator, seed)
-    digests = {name: load_generator(folder / FOLDER / f"{name}.safetensors").sha256 for name in WINDOWS}
+        write_generator(folder / GENERATORS, simulator, seed)
+    digests = {name: load_generator(folder / GENERATORS / f"{name}.safetensors").sha256 for name in WINDOWS}
     torch.manual_seed(1)
     network = make_network("dave2")
     save_weights(network, folder / "real.safetensors", architecture="dave2", generators=digests)
@@ -79,19 +79,19 @@ def frames(count: int) -> list[Frame]:
 
 def test_a_network_sees_the_translation_by_the_generator_of_the_frames_simulator(folder: Path) -> None:
     plain = NetworkDriver(str(folder / "plain.safetensors"))
-    for name in (f"{folder}/real.safetensors", f"{folder}/plain.safetensors+{folder}/{FOLDER}"):
+    for name in (f"{folder}/real.safetensors", f"{folder}/plain.safetensors+{folder}/{GENERATORS}"):
         driver = NetworkDriver(name)
         for frame in frames(3):
             assert frame.simulator is not None
             found = driver.command(replace(frame, step=1))
             seen, crop = frame.image, frame.crop
             if frame.simulator != NOT_SIMULATED:
-                generator = load_generator(folder / FOLDER / f"{frame.simulator}.safetensors")
+                generator = load_generator(folder / GENERATORS / f"{frame.simulator}.safetensors")
                 seen, crop = Translator(generator).translate(frame.image), Crop()
             assert found == plain.command(Frame(image=seen, speed=frame.speed, crop=crop, step=1))
         assert driver.rows_seen(Crop(54, 0), 160, "softbody") == (80, 159)
         assert driver.rows_seen(Crop(54, 0), 160, "donkey") is None
-    assert plain.stage is None and plain.rows_seen(Crop(54, 0), 160, "softbody") == (54, 160)
+    assert plain.translation is None and plain.rows_seen(Crop(54, 0), 160, "softbody") == (54, 160)
 
 
 @pytest.mark.parametrize("backend", ["onnx", "openvino", "openvino-int8", "torch"])
@@ -156,13 +156,13 @@ def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> N
 def test_a_shipped_set_is_found_by_its_name_and_by_a_networks_generators(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stages, "SHIPPED", tmp_path / "models")
+    monkeypatch.setattr(weights, "SHIPPED", tmp_path / "models")
     network = tmp_path / "moved.safetensors"
     network.write_bytes((folder / "real.safetensors").read_bytes())
     digests = generators_in(str(network))
-    assert stages.shipped_set_of(digests) is None
-    shutil.copytree(folder / FOLDER, tmp_path / "models" / FOLDER / "track")
-    assert stages.shipped_set_of(digests) == "track" and list(stages.shipped_sets()) == ["track"]
+    assert shipped_set_of(digests) is None
+    shutil.copytree(folder / GENERATORS, tmp_path / "models" / GENERATORS / "track")
+    assert shipped_set_of(digests) == "track" and list(weights.shipped_sets()) == ["track"]
     by_name, by_network = generators_of("dave2+track"), generators_of(str(network))
     assert by_name is not None and by_network is not None and by_name.files == by_network.files
     assert all(by_network.generator(name).simulator == name for name in WINDOWS)
@@ -170,8 +170,8 @@ def test_a_shipped_set_is_found_by_its_name_and_by_a_networks_generators(
 
 def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> None:
     write_generator(tmp_path, "bullet", 7)
-    first = driver_sha256(f"dave2+{folder / FOLDER}")
-    assert first == driver_sha256(f"dave2+{folder / FOLDER}@torch")
+    first = driver_sha256(f"dave2+{folder / GENERATORS}")
+    assert first == driver_sha256(f"dave2+{folder / GENERATORS}@torch")
     others = [f"dave2+{tmp_path}", "dave2", "dave2+none", f"dave2_short+{tmp_path}"]
     assert len({first, *map(driver_sha256, others)}) == 5
     assert driver_sha256(str(folder / "real.safetensors")) != driver_sha256(str(folder / "plain.safetensors"))
@@ -193,7 +193,7 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
             write_drive(drive_path(data, name, road, "forward"), rows)
     (data / "manifest.json").write_text('{"plan": {"seed": 1}, "images": {"bullet": 4}}')
     for name in WINDOWS:
-        translator = Translator(load_generator(folder / FOLDER / f"{name}.safetensors"))
+        translator = Translator(load_generator(folder / GENERATORS / f"{name}.safetensors"))
         translate_data(data, real, translator, SILENT)
     manifest = json.loads((real / "manifest.json").read_text())
     assert manifest["plan"] == {"seed": 1} and manifest["images"] == {"bullet": 4, "softbody": 4}
@@ -201,7 +201,7 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     train(real, tmp_path / "out", plan, SILENT)
     trained = tmp_path / "out" / "dave2.safetensors"
     assert generators_in(str(trained)) == generators_in(str(folder / "real.safetensors"))
-    stage = NetworkDriver(str(trained)).stage
+    stage = NetworkDriver(str(trained)).translation
     assert stage is not None
     image = frames(1)[0].image
     assert np.array_equal(stage.translate(image, "softbody"), translator.translate(image))
@@ -256,4 +256,4 @@ def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:
     real = folder / "real.safetensors"
     assert architecture_in(real) == "dave2" and list(generators_in(str(real))) == list(WINDOWS)
     assert load_weights(str(real)).architecture is NETWORKS["dave2"]
-    assert generators_in("dave2") == {} and NetworkDriver(f"{real}+none").stage is None
+    assert generators_in("dave2") == {} and NetworkDriver(f"{real}+none").translation is None

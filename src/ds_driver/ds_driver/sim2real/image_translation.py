@@ -13,16 +13,11 @@ from numpy.typing import NDArray
 
 from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.weights import SHIPPED
+from ds_driver.networks.weights import GENERATORS, shipped_sets
 from ds_driver.sim2real.generator import LARGEST_FILE, Sim2RealError, StoredGenerator, load_generator
 from ds_driver.sim2real.translator import Translator
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.registry import SIMULATORS, label_of
-
-FOLDER = "sim2real"
-"""Folder of generators: that of the shipped sets, and the one beside a network's weights."""
-NONE = "none"
-"""In place of a set's name: no generator, whatever the network was trained on."""
 
 
 class GeneratorSet:
@@ -76,11 +71,6 @@ class GeneratorSet:
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
-def shipped_sets() -> dict[str, Path]:
-    """Return the shipped sets: name -> folder."""
-    return {path.name: path for path in sorted((SHIPPED / FOLDER).glob("*")) if _files_in(path)}
-
-
 def shipped_set_of(digests: Mapping[str, str]) -> str | None:
     """Return the shipped set that holds generators, simulator -> SHA-256; None if none holds all."""
     for name, folder in shipped_sets().items():
@@ -114,7 +104,7 @@ def set_of_network(name: str, weights: Path, digests: Mapping[str, str]) -> Gene
     Raises:
         DriverError: one is missing.
     """
-    beside = weights.parent / FOLDER
+    beside = weights.parent / GENERATORS
     places = [beside, *sorted(path for path in beside.glob("*") if path.is_dir()), *shipped_sets().values()]
     found: dict[str, Path] = {}
     for simulator, digest in digests.items():
@@ -144,7 +134,7 @@ def _sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-class Sim2RealStage:
+class ImageTranslation:
     """Translates camera images of several simulators, each with its own generator."""
 
     def __init__(self, generators: GeneratorSet, backend: str = "onnx", device: str = "cpu") -> None:
@@ -197,9 +187,9 @@ class Sim2RealStage:
 class TranslatingPilot(Pilot):
     """Drives with a network that sees translated images."""
 
-    def __init__(self, pilot: Pilot, stage: Sim2RealStage) -> None:
+    def __init__(self, pilot: Pilot, translation: ImageTranslation) -> None:
         self._pilot = pilot
-        self.stage = stage
+        self.translation: ImageTranslation = translation
         self.largest_batch, self.has_memory = pilot.largest_batch, pilot.has_memory
 
     def start(self) -> None:
@@ -208,12 +198,12 @@ class TranslatingPilot(Pilot):
 
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
-        return self._pilot.predict(self.stage.seen([frame])[0])
+        return self._pilot.predict(self.translation.seen([frame])[0])
 
     def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:
         """See `ds_driver.networks.pilot.Pilot`."""
         try:
-            seen = self.stage.seen(frames)
+            seen = self.translation.seen(frames)
         except DriverError:  # of one frame; the others are answered
             return super().predict_batch(frames)
         return self._pilot.predict_batch(seen)
@@ -222,6 +212,6 @@ class TranslatingPilot(Pilot):
         """See `ds_driver.networks.pilot.Pilot`."""
         if simulator == NOT_SIMULATED:
             return self._pilot.rows_seen(crop, height, simulator)
-        if simulator is None or simulator not in self.stage.generators:
+        if simulator is None or simulator not in self.translation.generators:
             return None
-        return self.stage.rows_seen(simulator)
+        return self.translation.rows_seen(simulator)
