@@ -14,7 +14,8 @@ import re
 from collections.abc import Callable
 from functools import lru_cache, partial
 from importlib.util import find_spec, module_from_spec
-from typing import IO, Any, ClassVar
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import lz4.frame
 from backports import zstd
@@ -35,6 +36,13 @@ _IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _TYPE_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*", re.ASCII)
 
 
+_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
+    "zstd": zstd.ZstdDecompressor,
+    "lz4": lz4.frame.LZ4FrameDecompressor,
+    "bz2": bz2.BZ2Decompressor,
+}
+
+
 def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
     """Decompress one part of a bag within the budget of the current pass.
 
@@ -50,6 +58,8 @@ def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
     if codec == "":
         count_opened(len(data))
         return data
+    if codec not in _DECOMPRESSORS:
+        raise ValueError(f"a part is compressed with {codec[:20]!r}, expected zstd, lz4 or bz2")
     limit = left_to_open()
     if size is not None and size > limit:
         raise too_much()
@@ -57,7 +67,7 @@ def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
     parts: list[bytes] = []
     total = 0
     while data:
-        decompressor = _decompressor(codec)
+        decompressor = _DECOMPRESSORS[codec]()
         while not decompressor.eof:
             part = decompressor.decompress(data, limit + 1 - total)
             data = b""
@@ -72,48 +82,13 @@ def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
     return b"".join(parts)
 
 
-def _opened_chunk(codec: str, data: bytes, size: int) -> bytes:
-    return opened(data, codec, size)
-
-
-def _decompressor(codec: str) -> Any:
-    if codec == "zstd":
-        return zstd.ZstdDecompressor()
-    if codec == "lz4":
-        return lz4.frame.LZ4FrameDecompressor()
-    if codec == "bz2":
-        return bz2.BZ2Decompressor()
-    raise ValueError(f"a part is compressed with {codec[:20]!r}, expected zstd, lz4 or bz2")
-
-
-class _BoundedZstd:
-    """What `rosbags.rosbag2.reader` uses of the module `zstd`, for bags that are compressed by message or by file."""
-
-    @staticmethod
-    def decompress(data: bytes) -> bytes:
-        return opened(data, "zstd")
-
-    @staticmethod
-    def open(file: IO[bytes], mode: str) -> Any:
-        del mode
-        return _CountingFile(file, "rb")
-
-
 class _CountingFile(zstd.ZstdFile):
+    """Decompressed file of a bag that is compressed by file."""
+
     def read(self, size: int | None = -1) -> bytes:
         part = bytes(super().read(size))
         count_opened(len(part))
         return part
-
-
-class _BoundedYaml:
-    """What `rosbags` uses of `ruamel.yaml.YAML`: bounded, and a hundred times faster."""
-
-    def __init__(self, typ: str) -> None:
-        del typ
-
-    def load(self, text: str) -> Any:
-        return parse_metadata(text)
 
 
 class _SharedTypestore(Typestore):
@@ -233,10 +208,15 @@ def _loaded(name: str, **bounded: Any) -> Any:
 _mcap = _loaded(
     "rosbags.rosbag2.storage_mcap",
     parse_qos=_bounded_qos,
-    DECOMPRESSORS={codec: partial(_opened_chunk, codec) for codec in ("", "lz4", "zstd")},
+    DECOMPRESSORS={codec: lambda data, size, codec=codec: opened(data, codec, size) for codec in ("", "lz4", "zstd")},
 )
 _sqlite3 = _loaded("rosbags.rosbag2.storage_sqlite3", parse_qos=_bounded_qos)
-_folders = _loaded("rosbags.rosbag2.reader", zstd=_BoundedZstd, YAML=_BoundedYaml, parse_qos=_bounded_qos)
+_folders = _loaded(
+    "rosbags.rosbag2.reader",
+    zstd=SimpleNamespace(decompress=partial(opened, codec="zstd"), open=_CountingFile),
+    YAML=lambda typ: SimpleNamespace(load=parse_metadata),
+    parse_qos=_bounded_qos,
+)
 _folders.DirectoryReader.STORAGE_PLUGINS = {"mcap": _mcap.McapReader, "sqlite3": _sqlite3.Sqlite3Reader}
 _folders.Reader.STORAGE_PLUGINS = {
     "dir": _folders.DirectoryReader,
