@@ -100,8 +100,8 @@ class ClusterOptions(BaseModel):
         if self.tls is None:
             return None
         distributed: Any = import_module("distributed")
-        roles = {f"tls_{role}_{part}": str(getattr(self.tls, part))
-                 for role in ("client", "scheduler", "worker") for part in ("cert", "key")}  # fmt: skip
+        files = {"cert": str(self.tls.cert), "key": str(self.tls.key)}
+        roles = {f"tls_{role}_{part}": files[part] for role in ("client", "scheduler", "worker") for part in files}
         return distributed.Security(tls_ca_file=str(self.tls.ca), require_encryption=True, **roles)
 
 

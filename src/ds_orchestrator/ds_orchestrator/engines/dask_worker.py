@@ -1,100 +1,102 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What runs on a Dask worker: prepares itself for a campaign, and drives in child processes, without ROS."""
+"""What runs on a Dask worker: prepares itself for a campaign, and drives with the engine `local`, without ROS."""
 
 from __future__ import annotations
 
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ds_driver.closed_loop.drive_request import request_from_json
-from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines.fingerprint import fingerprint
+from ds_orchestrator.engines.local import LocalEngine, running_local
 from ds_orchestrator.engines.parcel import Parcel
 from ds_sim.run_codec import encode_run
 
+Key = tuple[str, float]
+"""Digest of a parcel, and wall-clock time for one answer of the driver, s."""
+
 
 @dataclass(frozen=True)
-class _Unpacked:
-    """Parcel on this worker, its folder, and the number of drives that a process with its driver takes at a time."""
+class _Prepared:
+    """Parcel on this worker, its folder, and the engine that drives with it until `stack` is closed."""
 
     parcel: Parcel
     folder: Path
-    largest_batch: int = 1
+    engine: LocalEngine
+    stack: ExitStack
 
 
 _lock = threading.Lock()
-_parcels: dict[str, _Unpacked] = {}
-_idle: list[tuple[str, WorkerProcess]] = []
+_prepared: dict[Key, _Prepared] = {}
 
 
-def describe(sha256: str, backend: str, simulators: tuple[str, ...]) -> dict[str, Any]:
+def describe(key: Key, backend: str, simulators: tuple[str, ...]) -> dict[str, Any]:
     """Describe this worker.
 
     Returns:
-        `fingerprint`, and `largest_batch` if it has prepared itself for the parcel; or `error`, one line.
+        `fingerprint`, and `room` if it has prepared itself for the parcel; or `error`, one line.
     """
     try:
-        found: dict[str, Any] = {"fingerprint": fingerprint(backend, simulators)}
+        about: dict[str, Any] = {"fingerprint": fingerprint(backend, simulators)}
     except Exception as error:  # an exception may not survive the way back
         return {"error": _one_line(error)}
-    if sha256 in _parcels:
-        found["largest_batch"] = _parcels[sha256].largest_batch
-    return found
+    with _lock:
+        return about | ({"room": _prepared[key].engine.capacity} if key in _prepared else {})
 
 
-def prepare(parcel: Parcel, command_timeout: float) -> dict[str, Any]:
-    """Unpack a parcel, and start one process with its driver.
+def prepare(key: Key, parcel: Parcel) -> dict[str, Any]:
+    """Unpack a parcel, and start one process per thread of this worker; idle ones of other campaigns end.
 
     Returns:
-        `largest_batch`, the number of drives that one process takes at a time, or `error`, one line.
+        `room`, the number of drives at a time, or `error`, one line.
     """
     from distributed import get_worker
 
-    sha256 = parcel.sha256
-    folder = Path(get_worker().local_directory) / "digital_siblings" / sha256[:16]
-    try:
-        parcel.unpack(folder)
-        _check(parcel, folder)
-        process = _taken(_Unpacked(parcel, folder), command_timeout)
-        batch = process.start()
-    except Exception as error:
-        return {"error": _one_line(error)}
-    _parcels[sha256] = _Unpacked(parcel, folder, batch)
-    _give_back(sha256, command_timeout, process)
-    return {"largest_batch": batch}
+    worker = get_worker()
+    folder = Path(worker.local_directory) / "digital_siblings" / key[0][:16]
+    with _lock:
+        for other in [other for other, one in _prepared.items() if not one.engine.drives]:
+            _prepared.pop(other).stack.close()
+    with ExitStack() as stack:
+        try:
+            parcel.unpack(folder)
+            _check(parcel, folder)
+            driver = parcel.name_there(parcel.driver, folder)
+            engine = stack.enter_context(
+                running_local(driver, workers=worker.state.nthreads, command_timeout=key[1], logs=folder)
+            )
+        except Exception as error:
+            return {"error": _one_line(error)}
+        with _lock:
+            _prepared[key] = _Prepared(parcel, folder, engine, stack.pop_all())
+    return {"room": engine.capacity}
 
 
-def drive(sha256: str, command_timeout: float, drives: list[dict[str, Any]]) -> list[bytes] | None:
-    """Drive a batch of roads in one process.
+def drive(key: Key, request: dict[str, Any]) -> bytes | None:
+    """Drive a road.
 
     Args:
-        sha256: digest of the parcel.
-        command_timeout: wall-clock time for one answer of the driver, s.
-        drives: requests as JSON values, with names as where the campaign runs.
+        key: of what this worker was prepared for.
+        request: request as JSON value, with names as where the campaign runs.
 
     Returns:
-        The runs, encoded by `ds_sim.run_codec`, in order; None if this worker does not have the parcel.
+        The run, encoded by `ds_sim.run_codec`; None if this worker is not prepared for it any more.
     """
-    if sha256 not in _parcels:
+    from distributed import secede
+
+    secede()  # type: ignore[no-untyped-call]  # a process takes several drives at a time, a thread of the worker one
+    with _lock:
+        one = _prepared.get(key)
+    if one is None:
         return None
-    unpacked = _parcels[sha256]
-    process = _taken(unpacked, command_timeout)
-
-    def run(one: dict[str, Any]) -> bytes:
-        request = request_from_json(one)
-        simulator, driver = (
-            unpacked.parcel.name_there(name, unpacked.folder) for name in (request.simulator, request.driver)
-        )
-        return encode_run(process.drive(replace(request, simulator=simulator, driver=driver)))
-
-    try:
-        with ThreadPoolExecutor(len(drives)) as pool:
-            return list(pool.map(run, drives))
-    finally:
-        _give_back(sha256, command_timeout, process)
+    asked = request_from_json(request)
+    simulator, driver = (one.parcel.name_there(name, one.folder) for name in (asked.simulator, asked.driver))
+    run = one.engine.drive(replace(asked, simulator=simulator, driver=driver))
+    with _lock:
+        return encode_run(run) if _prepared.get(key) is one else None
 
 
 def _check(parcel: Parcel, folder: Path) -> None:
@@ -111,31 +113,6 @@ def _check(parcel: Parcel, folder: Path) -> None:
         raise ValueError(f"driver {parcel.driver} has other content there")
     for simulator in parcel.simulators:
         make_simulator(parcel.name_there(simulator, folder)).close()
-
-
-def _taken(unpacked: _Unpacked, command_timeout: float) -> WorkerProcess:
-    """Take an idle process with this parcel's driver, or make one; idle ones of other campaigns end."""
-    parcel, folder = unpacked.parcel, unpacked.folder
-    key = _key(parcel.sha256, command_timeout)
-    with _lock:
-        others = [pair for pair in _idle if pair[0] != key]
-        own = [pair for pair in _idle if pair[0] == key]
-        _idle[:] = own[1:]
-    for _, process in others:
-        process.close()
-    if own:
-        return own[0][1]
-    log = folder / "worker.log"
-    return WorkerProcess(parcel.name_there(parcel.driver, folder), command_timeout=command_timeout, log=log)
-
-
-def _give_back(sha256: str, command_timeout: float, process: WorkerProcess) -> None:
-    with _lock:
-        _idle.append((_key(sha256, command_timeout), process))
-
-
-def _key(sha256: str, command_timeout: float) -> str:
-    return f"{sha256} {command_timeout}"
 
 
 def _one_line(error: Exception) -> str:

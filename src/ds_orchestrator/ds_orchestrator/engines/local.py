@@ -34,6 +34,11 @@ class LocalEngine:
         self._vehicles: dict[str, AbstractContextManager[object]] = defaultdict(threading.Lock)
 
     @property
+    def drives(self) -> int:
+        """Drives in progress."""
+        return sum(self._busy.values())
+
+    @property
     def capacity(self) -> int | None:
         """Drives at a time."""
         return len(self._busy) * self._drives_each

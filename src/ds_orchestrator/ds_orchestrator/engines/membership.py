@@ -5,11 +5,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Future, InvalidStateError
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
 
+from ds_base.errors import RunError
 from ds_base.progress import logger_of
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect
@@ -30,76 +32,72 @@ SILENCE = 30.0
 """Time without a heartbeat after which a worker is given up, s; Dask's workers send one every second."""
 CONTACT_TIME = 10.0
 """Limit for one answer of the scheduler, s."""
+ANSWER_TIME = 60.0
+"""Limit for the transfer of a result, s."""
 _LOOK = 0.5
 """Seconds between two looks at the scheduler."""
 
 
-@dataclass(frozen=True)
+class EngineError(RunError):
+    """The cluster cannot drive any more; what was finished is kept."""
+
+
+class WorkerLostError(Exception):
+    """A worker was lost while it was in use; says why if it is known."""
+
+
+@dataclass(eq=False)
 class RemoteWorker:
-    """Worker that has the parcel.
+    """Worker of the cluster.
 
     Attributes:
         address: its address.
-        threads: batches that it drives at a time.
-        largest_batch: drives that one of its processes takes at a time.
+        room: drives that it takes at a time; 0 until it is prepared.
+        drives: results that it owes.
+        refusal: why it may not drive, one line, or "".
     """
 
     address: str
-    threads: int
-    largest_batch: int
+    room: int = 0
+    drives: set[Future[Any]] = field(default_factory=set)
+    refusal: str = ""
 
-
-class Members(Protocol):
-    """Callbacks of `Membership`, called from its threads."""
-
-    def worker_ready(self, worker: RemoteWorker) -> None:
-        """Handle a worker that may drive."""
-
-    def worker_lost(self, address: str) -> None:
-        """Handle a worker that is gone, silent, or behind a scheduler that is gone; it may not have been ready."""
-
-    def cluster_lost(self, reason: str) -> None:
-        """Handle the end: nothing comes back within the limits. `reason` is one line."""
+    @property
+    def is_free(self) -> bool:
+        """Whether it takes another drive."""
+        return len(self.drives) < self.room
 
 
 class Membership:
-    """Watches a scheduler, prepares workers that join, and reports those that are lost.
+    """Connects to a scheduler and watches it, prepares workers that join, and gives up those that are lost.
 
     Args:
         address: address of the scheduler.
-        options: how to connect to it again.
-        client: connected `distributed.Client`.
+        options: how to connect to it.
         parcel: what every worker needs.
-        command_timeout: wall-clock time for one answer of the driver, s.
-        members: receives what changes.
+        key: of the parcel on a worker.
 
-    Attributes:
-        client: client that is connected now.
+    Raises:
+        ClusterError: there is no scheduler.
     """
 
-    def __init__(
-        self,
-        address: str,
-        options: ClusterOptions,
-        client: Any,
-        parcel: Parcel,
-        *,
-        command_timeout: float,
-        members: Members,
-    ) -> None:
-        self.client = client
-        self._address, self._options, self._parcel, self._timeout = address, options, parcel, command_timeout
-        self._members = members
-        self._sha256, self._here = parcel.sha256, fingerprint(parcel.backend, parcel.simulators)
+    def __init__(self, address: str, options: ClusterOptions, parcel: Parcel, key: dask_worker.Key) -> None:
+        self._address, self._options, self._parcel, self._key = address, options, parcel, key
+        self._client = connect(address, options)
+        self._here = fingerprint(parcel.backend, parcel.simulators)
         self._changed = threading.Condition()
-        self._known: dict[str, bool] = {}
-        """Address -> whether the worker is ready."""
+        self._workers: dict[str, RemoteWorker] = {}
         self._heartbeats: dict[str, tuple[float, float]] = {}
         """Address -> time of the last heartbeat by the scheduler's clock, and when this process saw it change."""
-        self._refusals: dict[str, str] = {}
-        self._closed, self._failure = False, ""
+        self._stopped, self._failure = False, ""
         self._thread = threading.Thread(target=self._watch, name="membership", daemon=True)
         self._thread.start()
+
+    @property
+    def ready(self) -> list[str]:
+        """Addresses of the workers that drive."""
+        with self._changed:
+            return [worker.address for worker in self._workers.values() if worker.room]
 
     def wait_for_worker(self, limit: float = FIRST_WORKER_TIME) -> None:
         """Wait until a worker is ready.
@@ -107,153 +105,205 @@ class Membership:
         Raises:
             ClusterError: none is ready within `limit` seconds; gives the reason of the first one that was refused.
         """
-        began, told = time.monotonic(), False
+        began, announced = time.monotonic(), False
         with self._changed:
-            while not any(self._known.values()):
+            while not any(worker.room for worker in self._workers.values()):
                 waited = time.monotonic() - began
                 if self._failure:
                     raise ClusterError(self._failure)
-                if waited > limit or (self._refusals and self._known.keys() <= self._refusals.keys()):
-                    why = next(iter(self._refusals.values()), "there is none: start one with `dask worker ADDRESS`")
+                refusals = [worker.refusal for worker in self._workers.values()]
+                if waited > limit or (refusals and all(refusals)):
+                    why = next(filter(None, refusals), "there is none: start one with `dask worker ADDRESS`")
                     raise ClusterError(f"no usable worker at {self._address}: {why}")
-                if not told and not self._known and waited > 3.0:
-                    told = True
+                if not announced and not self._workers and waited > 3.0:
+                    announced = True
                     LOG.info("waiting for a worker at %s, %.0f s at most", self._address, limit)
                 self._changed.wait(_LOOK)
 
-    def forget(self, address: str) -> None:
-        """Take no account of a worker any more; if it is still there, it is prepared again."""
+    @contextmanager
+    def free_worker(self) -> Iterator[Callable[..., Any]]:
+        """Wait for a worker with room, and yield what calls a function there; an error in the block costs the worker.
+
+        A worker that is still there is prepared again.
+
+        Raises:
+            WorkerLostError: the worker was lost, or an error occurred in the block.
+            CancelledError: `stop` was called.
+            EngineError: the scheduler or all workers are gone for too long.
+        """
+        answer: Future[Any] = Future()
         with self._changed:
-            self._known.pop(address, None)
-            self._heartbeats.pop(address, None)
-            self._refusals.pop(address, None)
-        self._members.worker_lost(address)
+            self._changed.wait_for(lambda: self._stopped or self._failure or self._free())
+            if self._failure:
+                raise EngineError(self._failure)
+            if self._stopped:
+                raise CancelledError
+            worker = min(self._free(), key=lambda one: len(one.drives) / one.room)
+            worker.drives.add(answer)
+
+        def call(function: Callable[..., Any], *arguments: Any) -> Any:
+            task = self._submit(worker.address, function, *arguments)
+            task.add_done_callback(lambda task: _hand_over(task, answer))
+            try:
+                return answer.result()
+            finally:
+                with suppress(Exception):  # the scheduler may be gone
+                    if not task.done():
+                        task.cancel(force=True)
+
+        try:
+            yield call
+        except Exception as error:
+            self._forget(worker)
+            raise WorkerLostError("" if isinstance(error, CancelledError) else _one_line(error)) from None
+        finally:
+            with self._changed:
+                worker.drives.discard(answer)
+                self._changed.notify_all()
+
+    def stop(self) -> None:
+        """Stop watching, and give up what is driven."""
+        with self._changed:
+            self._stopped = True
+            workers = list(self._workers.values())
+            self._changed.notify_all()
+        for worker in workers:
+            self._forget(worker)
 
     def close(self) -> None:
-        """Stop watching."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
+        """Stop, and disconnect."""
+        self.stop()
         self._thread.join(CONTACT_TIME + _LOOK)
+        with suppress(Exception):
+            self._client.close(timeout=2.0)
+
+    def _free(self) -> list[RemoteWorker]:
+        return [worker for worker in self._workers.values() if worker.is_free]
+
+    def _forget(self, worker: RemoteWorker) -> None:
+        """Take no account of a worker any more; if it is still there, it is prepared again."""
+        with self._changed:
+            if self._workers.get(worker.address) is worker:
+                del self._workers[worker.address]
+            worker.room = 0
+            answers = list(worker.drives)
+        for answer in answers:
+            answer.cancel()
+
+    def _submit(self, address: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        return self._client.submit(
+            function, *arguments, workers=[address], allow_other_workers=False, pure=False, retries=0
+        )
 
     def _watch(self) -> None:
         without_since = time.monotonic()
-        while not self._closed:
+        while not self._stopped:
             try:
-                contact = self.client.sync(self.client.scheduler.identity, n_workers=-1, callback_timeout=CONTACT_TIME)
-                present = contact["workers"]
+                identity = self._client.scheduler.identity
+                present = self._client.sync(identity, n_workers=-1, callback_timeout=CONTACT_TIME)["workers"]
             except Exception:  # whatever the library raises, there was no answer
-                if not self._reconnect():
-                    return
+                self._reconnect()
                 without_since = time.monotonic()
                 continue
             self._compare(present)
-            with self._changed:
-                if any(self._known.values()):
-                    without_since = time.monotonic()
-                lost = time.monotonic() - without_since > NO_WORKER_TIME
-            if lost:
+            if self.ready:
+                without_since = time.monotonic()
+            elif time.monotonic() - without_since > NO_WORKER_TIME:
                 self._fail(f"no worker at {self._address} for {NO_WORKER_TIME:.0f} s: start one, and resume")
-                return
             self._pause(_LOOK)
 
     def _compare(self, present: dict[str, Any]) -> None:
         """Prepare new workers, and give up lost and silent ones."""
         now = time.monotonic()
-        for address in self._known.keys() - present.keys():
-            if self._known[address]:
+        with self._changed:
+            workers = dict(self._workers)
+        for address in workers.keys() - present.keys():
+            if workers[address].room:
                 LOG.warning("worker %s is gone: others take over its drives", address)
-            self.forget(address)
+            self._heartbeats.pop(address, None)
+            self._forget(workers[address])
         for address, about in present.items():
             beat = float(about.get("last_seen", 0.0))
             if self._heartbeats.get(address, (None, 0.0))[0] != beat:
                 self._heartbeats[address] = (beat, now)
             silent = now - self._heartbeats[address][1] > SILENCE
-            if silent and self._known.get(address):
+            if silent and address in workers and workers[address].room:
                 LOG.warning("worker %s has been silent for %.0f s: others take over its drives", address, SILENCE)
-                heartbeat = self._heartbeats[address]
-                self.forget(address)
-                self._heartbeats[address] = heartbeat
-            elif not silent and address not in self._known:
-                self._known[address] = False
-                threading.Thread(target=self._prepare, args=(address, about), daemon=True).start()
+                self._forget(workers[address])
+            elif not silent and address not in workers:
+                worker = RemoteWorker(address)
+                with self._changed:
+                    self._workers[address] = worker
+                threading.Thread(target=self._prepare, args=(worker,), daemon=True).start()
 
-    def _prepare(self, address: str, about: dict[str, Any]) -> None:
+    def _prepare(self, worker: RemoteWorker) -> None:
         """Check that a worker computes the same bits, give it the parcel, and let it drive."""
+
+        def run(function: Callable[..., Any], *arguments: Any) -> Any:
+            return self._submit(worker.address, function, *arguments).result(PREPARE_TIME)
+
+        room = 0
         try:
             # First by itself: Dask loses the error of a function whose module cannot be imported.
-            self._on(address, exec, f"import {dask_worker.__name__}", {})
-            found = self._on(address, dask_worker.describe, self._sha256, self._parcel.backend, self._parcel.simulators)
-            problem = found.get("error") or differences(self._here, found["fingerprint"])
-            if not problem:
-                # The files travel once per worker.
-                known = "largest_batch" in found
-                ready = found if known else self._on(address, dask_worker.prepare, self._parcel, self._timeout)
-                problem = ready.get("error")
+            run(exec, f"import {dask_worker.__name__}", {})
+            about = run(dask_worker.describe, self._key, self._parcel.backend, self._parcel.simulators)
+            refusal = about.get("error") or differences(self._here, about["fingerprint"])
+            if not refusal and "room" not in about:  # the files travel once per worker
+                about = run(dask_worker.prepare, self._key, self._parcel)
+                refusal = about.get("error")
+            room = about.get("room", 0)
+            refusal = refusal and f"is refused: {refusal}"
         except Exception as error:  # a task on another machine may raise anything
-            what = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-            self._refuse(address, f"cannot prepare itself ({what}): is Digital Siblings installed there?")
-            return
-        if problem:
-            self._refuse(address, f"is refused: {problem}")
+            refusal = f"cannot prepare itself ({_one_line(error)}): is Digital Siblings installed there?"
+        with self._changed:
+            if self._stopped or self._workers.get(worker.address) is not worker:
+                return
+            worker.refusal = refusal and f"worker {worker.address} {refusal}"
+            worker.room = 0 if refusal else room
+            self._changed.notify_all()
+        if refusal:
+            LOG.warning(worker.refusal)
+
+    def _reconnect(self) -> None:
+        """Give up all workers, and wait for the scheduler to come back."""
+        if self._stopped:
             return
         with self._changed:
-            if self._closed or address not in self._known:
-                return
-            self._known[address] = True
-            # With the lock, so that a loss is reported after it.
-            self._members.worker_ready(RemoteWorker(address, int(about["nthreads"]), int(ready["largest_batch"])))
-            self._changed.notify_all()
-
-    def _refuse(self, address: str, what: str) -> None:
-        line = f"worker {address} {what}"
-        with self._changed:
-            if self._closed or address not in self._known:
-                return
-            self._refusals[address] = line
-            self._changed.notify_all()
-        LOG.warning(line)
-
-    def _on(self, address: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        task = self.client.submit(
-            function, *arguments, workers=[address], allow_other_workers=False, pure=False, retries=0
-        )
-        try:
-            return task.result(timeout=PREPARE_TIME)
-        finally:
-            with suppress(Exception):
-                task.release()
-
-    def _reconnect(self) -> bool:
-        """Report all workers as lost, and wait for the scheduler to come back; return whether it did."""
-        if self._closed:
-            return False
-        for address in list(self._known):
-            self.forget(address)
+            workers = list(self._workers.values())
+        for worker in workers:
+            self._forget(worker)
         self._heartbeats.clear()
         LOG.warning("the scheduler at %s does not answer: waiting %.0f s at most", self._address, SCHEDULER_TIME)
         with suppress(Exception):
-            self.client.close(timeout=1.0)
+            self._client.close(timeout=1.0)
         deadline = time.monotonic() + SCHEDULER_TIME
-        while not self._closed:
+        while not self._stopped:
             try:
-                self.client = connect(self._address, self._options, limit=CONTACT_TIME / 2)
+                self._client = connect(self._address, self._options, limit=CONTACT_TIME / 2)
+                LOG.info("the scheduler at %s is back", self._address)
+                return
             except ClusterError:
                 if time.monotonic() > deadline:
                     self._fail(f"the scheduler at {self._address} did not come back: start it, and resume")
-                    return False
-                self._pause(1.0)
-                continue
-            LOG.info("the scheduler at %s is back", self._address)
-            return True
-        return False
+            self._pause(1.0)
 
     def _fail(self, reason: str) -> None:
-        with self._changed:
-            self._failure = reason
-            self._changed.notify_all()
-        self._members.cluster_lost(reason)
+        self._failure = reason
+        self.stop()
 
     def _pause(self, seconds: float) -> None:
         with self._changed:
-            self._changed.wait_for(lambda: self._closed, seconds)
+            self._changed.wait_for(lambda: self._stopped, seconds)
+
+
+def _hand_over(task: Any, answer: Future[Any]) -> None:
+    """Fetch the result of a finished task; if its worker was given up, the result is dropped."""
+    with suppress(InvalidStateError):
+        try:
+            answer.set_result(task.result(timeout=ANSWER_TIME))
+        except Exception as error:  # a task on another machine may raise anything
+            answer.set_exception(error)
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:200]
