@@ -84,14 +84,6 @@ def road_generate_command(
     print(json.dumps([ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]))
 
 
-@road_app.command("mirror")
-def road_mirror_command(file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")]) -> None:
-    """Print the mirror images of roads as a JSON list: left and right change places, the driven lane too."""
-    import ds_road
-
-    print(json.dumps([ds_road.road_to_json(road.mirrored()) for road in ds_road.read_roads(file)]))
-
-
 @road_app.command("check")
 def road_check_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: JsonFlag = False

@@ -67,8 +67,8 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "campaign",
                 "campaign.group",
-                "Prepare, run, resume, inspect and compare campaigns.",
-                ("init", "run", "resume", "status", "roads", "export", "compare"),
+                "Prepare, run, resume and inspect campaigns.",
+                ("init", "run", "resume", "status", "roads", "export"),
             ),
             Verb("runs", "campaign.group", "List the campaigns below a folder."),
             Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
@@ -127,8 +127,8 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "road",
                 "roads",
-                "Generate, mirror, check, draw, export and import roads.",
-                ("generate", "mirror", "check", "show", "export", "import"),
+                "Generate, check, draw, export and import roads.",
+                ("generate", "check", "show", "export", "import"),
             ),
             Verb(
                 "bag",

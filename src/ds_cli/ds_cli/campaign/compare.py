@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds compare`, also as `ds campaign compare`: what a network does better or worse than another, and where."""
+"""`ds compare`: what a network does better or worse than another, and where."""
 
 from __future__ import annotations
 
@@ -51,7 +51,6 @@ TWIN = "donkey"
 """Simulator that acts as the twin of two networks' random roads, if it is among others."""
 
 app = typer.Typer()
-campaign_app = typer.Typer()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,7 +145,6 @@ def network_named(driver: str, simulators: Sequence[str]) -> Network:
 
 
 @app.command("compare")
-@campaign_app.command("compare")
 def campaign_compare_command(
     first: Annotated[str, typer.Argument(metavar="A", help="Reference: a campaign or study, or a network.")],
     second: Annotated[

@@ -8,8 +8,8 @@ import typer
 from ds_cli.campaign import compare, inspection, run, suites
 
 app = typer.Typer()
-campaign_app = typer.Typer(help="Prepare, run, resume, inspect and compare campaigns.", no_args_is_help=True)
-for part in (run.campaign_app, inspection.campaign_app, compare.campaign_app):
+campaign_app = typer.Typer(help="Prepare, run, resume and inspect campaigns.", no_args_is_help=True)
+for part in (run.campaign_app, inspection.campaign_app):
     campaign_app.add_typer(part)
 app.add_typer(campaign_app, name="campaign")
 for part in (run.app, inspection.app, compare.app, suites.app):
