@@ -173,7 +173,7 @@ class GraphClient:
         self._simulators[simulator].watch = watch
         while True:
             record = RunRecord(scenario=Scenario(road, conditions or DEFAULT, seed=seed))
-            goal = self._goal(record, explicit=conditions is not None)
+            goal = self._goal(record, default=conditions is not None and conditions.is_default)
             self._revive()
             began = time.monotonic()
             record.outcome, record.message = self._execute(simulator, record, goal)
@@ -264,12 +264,13 @@ class GraphClient:
             if self._renewed.get(driver, -math.inf) < began:
                 self._renew(driver)
 
-    def _goal(self, record: RunRecord, *, explicit: bool) -> DriveRoad.Goal:
+    def _goal(self, record: RunRecord, *, default: bool) -> DriveRoad.Goal:
         """Make the goal of a run; it carries the whole test, so that another client's load_road cannot interfere."""
         return DriveRoad.Goal(
             road=messages.road_to_message(record.road),
             seed=record.seed,
-            conditions=messages.conditions_to_messages(record.conditions, explicit=explicit),
+            conditions=messages.conditions_to_messages(record.conditions),
+            default_conditions=default,
             command_timeout=self._timeout,
         )
 

@@ -101,15 +101,9 @@ def conditions_from_messages(messages: Sequence[ConditionMsg]) -> Conditions:
     return from_pairs((message.name, message.value) for message in messages)
 
 
-def conditions_to_messages(conditions: Conditions, *, explicit: bool = False) -> list[ConditionMsg]:
-    """Convert conditions to messages from which `conditions_from_messages` makes equal ones.
-
-    Args:
-        conditions: what differs from the default is named.
-        explicit: name one with its default value where nothing differs, so that a node's parameter does not count.
-    """
-    named = conditions.changed or ({"line_contrast": conditions.line_contrast} if explicit else {})
-    return [ConditionMsg(name=name, value=value) for name, value in named.items()]
+def conditions_to_messages(conditions: Conditions) -> list[ConditionMsg]:
+    """Convert what differs from the default, so that `conditions_from_messages` makes equal conditions."""
+    return [ConditionMsg(name=name, value=value) for name, value in conditions.changed.items()]
 
 
 def command_from_message(message: DriveCommand) -> Command:

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
-from ds_interfaces.msg import Condition as ConditionMsg
-from ds_interfaces.msg import Road as RoadMsg
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.srv import LoadRoad
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.node import Node
@@ -54,26 +54,29 @@ class LoadedRoad:
         self.road: Road | None = None
         self.seed, self.conditions = 0, default
 
-    def load(self, message: RoadMsg, seed: int, conditions: Sequence[ConditionMsg]) -> Road:
+    def load(self, request: LoadRoad.Request | DriveRoad.Goal) -> Road:
         """Check and store a test; a refused one does not replace the stored one.
 
         Raises:
             RequestRefused: BAD_ROAD; BAD_GOAL for conditions that cannot be; NOT_APPLICABLE.
         """
         try:
-            road = road_from_message(message)
+            road = road_from_message(request.road)
         except RoadError as error:
             raise RequestRefused(Reason.BAD_ROAD, str(error)) from None
         if not road.validity.valid:
             raise RequestRefused(Reason.BAD_ROAD, f"the road is not valid: {road.validity.reason}")
+        if request.default_conditions and request.conditions:
+            raise RequestRefused(Reason.BAD_GOAL, "conditions, and default_conditions: expected one of both")
         try:
-            found = conditions_from_messages(conditions) if conditions else self._default
-            self._spec.check(found)
+            given = request.conditions or request.default_conditions
+            conditions = conditions_from_messages(request.conditions) if given else self._default
+            self._spec.check(conditions)
         except ConditionsError as error:
             raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
         except NotApplicableError as error:
             raise RequestRefused(Reason.NOT_APPLICABLE, str(error)) from None
-        self.road, self.seed, self.conditions = road, seed, found
+        self.road, self.seed, self.conditions = road, request.seed, conditions
         return road
 
 

@@ -86,7 +86,7 @@ class SimulatorNode(Node):
 
     def _load(self, request: LoadRoad.Request | DriveRoad.Goal) -> Road:
         self._check_idle()
-        road = self._loaded.load(request.road, request.seed, request.conditions)
+        road = self._loaded.load(request)
         self._frames.publish_road(road)
         return road
 
