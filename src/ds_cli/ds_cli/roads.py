@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Format = Literal["opendrive", "commonroad", "sbft"]
 
 app = typer.Typer()
-road_app = typer.Typer(help="Generate, mirror, check, draw, export and import roads.", no_args_is_help=True)
+road_app = typer.Typer(help="Generate, check, draw, export and import roads.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -123,6 +124,10 @@ class GoalServer:
         except RequestRefused as refused:
             self._node.get_logger().warning(f"goal refused: {refused}", throttle_duration_sec=10.0)
             self.close(goal, refusal_result(self._kind, refused.reason, str(refused)), goal.abort)
+        except Exception as error:  # a bug here must not leave the client waiting
+            self._node.get_logger().error(traceback.format_exc())
+            problem = f"a bug of the node, its log has the traceback: {type(error).__name__}: {error}"
+            self.close(goal, refusal_result(self._kind, Reason.NONE, problem), goal.abort)
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         self._on_cancel(goal)
