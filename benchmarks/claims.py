@@ -252,7 +252,7 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
             reference = drawn(np.full(size, NOISE), searched.families, SPREAD, rng)
             candidate = drawn(np.full(size, NOISE + worse), searched.families, SPREAD, rng)
             for test, one, other in zip(searched.tests, reference, candidate, strict=True):
-                cell = test.road.turns_count, test.road.curvature_bin
+                cell = test.road.turns_count, int(100 * test.road.curvature)
                 compared = ComparedTest(name=test.test_id, scenario=test.scenario, cell=cell)
                 drives.append(
                     PairedDrive(test=compared, simulator=name, reference=_outcome(one), candidate=_outcome(other))

@@ -180,7 +180,7 @@ def test_from_a_cell_or_a_failure_to_its_roads(campaign: Path, tmp_path: Path) -
     expected = [generate(np.random.default_rng(number)) for number in (1, 2)]
     assert read_roads(tmp_path / "failed.json") == expected
     assert json.loads(ds("campaign", "roads", campaign, "--failed", "--simulator", "softbody").stdout) == []
-    turns, curvature = expected[0].turns_count, expected[0].curvature_bin
+    turns, curvature = expected[0].turns_count, int(100 * expected[0].curvature)
     for cell in (f"{turns},{curvature / 100:.2f}", f"{turns},{curvature}"):
         found = json.loads(ds("campaign", "roads", campaign, "--cell", cell).stdout)
         assert "bullet-0-0001" in {road["test_id"] for road in found}

@@ -10,7 +10,7 @@ from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 
 MEDIAN = MergeOperator(combine=lambda values, weights: np.asarray(np.median(values, axis=0)), seed=100)
-EASTING = Feature(name="easting", title="easting of the end, m", of_road=lambda road: int(road.control_points[-1][0]))
+EASTING = Feature(name="easting", title="easting of the end, m", value=lambda run: run.road.control_points[-1][0])
 NOTHING = "no part at all"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from tests.campaign.test_campaign import CONFIG
 from tests.campaign.test_gates import GatedEngine, run
 
 from ds_analysis.paper.campaign_contents import maps_of
+from ds_base.extension import installed
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.algebra import operator_of
@@ -33,15 +35,33 @@ def config_of(**changes: Any) -> CampaignConfig:
     return parse_config({**raw, **changes}, "mine.yaml")
 
 
-def test_a_campaign_runs_with_parts_of_the_users_own(tmp_path: Path) -> None:
-    data = read_campaign(run(tmp_path, GatedEngine(), config_of())[1])
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An installed package that adds the feature `easting` and the operator `median`."""
+    about = tmp_path / "installed" / "own_parts-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: own-parts\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        f"[digital_siblings.features]\neasting = {OWN}:EASTING\n[digital_siblings.operators]\nmedian = {OWN}:MEDIAN\n"
+    )
+    monkeypatch.syspath_prepend(about.parent)
+    installed.cache_clear()
+    yield
+    installed.cache_clear()
+
+
+@pytest.mark.usefixtures("package")
+@pytest.mark.parametrize(("feature", "median"), [(f"{OWN}:EASTING:5", f"{OWN}:MEDIAN"), ("easting:5", "median")])
+def test_a_campaign_runs_with_parts_of_the_users_own(tmp_path: Path, feature: str, median: str) -> None:
+    config = config_of(features=["turns_count", feature], operators={"probability": median})
+    data = read_campaign(run(tmp_path / "campaign", GatedEngine(), config)[1])
     assert search_of(f"{OWN}:StraightSearch") is StraightSearch
     assert all(test.road.curvature < 0.08 for test in data.tests), "drawn by the own search"
     expected = {test.test_id: (test.road.turns_count, int(test.road.control_points[-1][0]) // 5) for test in data.tests}
     assert data.cells == expected
     merged = maps_of(data)[MapId.merged()]
     values = np.array([[0.0, 0.5], [1.0, 0.5]])
-    assert operator_of(f"{OWN}:MEDIAN").combine(values, np.ones(2)).tolist() == [0.5, 0.5]
+    assert operator_of(median).combine(values, np.ones(2)).tolist() == [0.5, 0.5]
     assert merged.cells and set(merged.cells) <= set(expected.values())
 
 

@@ -20,7 +20,7 @@ from ds_analysis.paper.correlation import check_robustness, correlate, evaluate,
 from ds_orchestrator.maps.algebra import apply, jeffreys_interval, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import DEFAULT_AXES, Cell, feature_of
 from ds_orchestrator.store.model import NO_DRIVE, DriveArrays, Execution, Origin, Test
 from ds_road import Road, generate
 from ds_sim.gates.gate import Gate, GateState
@@ -31,7 +31,7 @@ SIBLINGS = ["a", "b", "c"]
 M = MapId.merged()
 """Identity of maps in tests that do not depend on it."""
 ROADS = {road.turns_count: road for road in (generate(np.random.default_rng(s), max_angle=200) for s in range(40))}
-CELLS: dict[int, Cell] = {turns: (turns, road.curvature_bin) for turns, road in ROADS.items()}
+CELLS: dict[int, Cell] = {turns: (turns, int(100 * road.curvature)) for turns, road in ROADS.items()}
 X, Y = sorted(ROADS)[:2]
 
 
@@ -219,7 +219,7 @@ def test_both_qualities_of_a_union_with_unequal_counts() -> None:
 
 
 def test_maps_of_different_features_do_not_mix() -> None:
-    other = FeatureMap(id=MapId.union("b"), cells={}, features=("curvature", "turns_count"))
+    other = FeatureMap(id=MapId.union("b"), cells={}, features=DEFAULT_AXES[::-1])
     for combine in (union, merge):
         with pytest.raises(ValueError, match="different features"):
             combine(M, [FeatureMap(id=MapId.union("a"), cells={}), other])
@@ -251,7 +251,7 @@ def test_migrated_elites_and_the_published_way() -> None:
     )
     assert all(value.tests == 1 for value in maxitwo_compatible[MapId.search("a")].cells.values())
     assert maxitwo_compatible[MapId.search("a")].cells.keys() <= {
-        (r.turns_count_maxitwo, r.curvature_bin) for r in ROADS.values()
+        (r.turns_count_maxitwo, int(100 * r.curvature)) for r in ROADS.values()
     }
 
 
@@ -452,7 +452,7 @@ def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_generated_the_te
     assert set(maps[MapId.union("a")].cells) == set(maps[MapId.union("b")].cells) == {cell}
     assert not maps[MapId.search("b")].cells and not maps[MapId.migration("b", "a")].cells
     (sliced,) = slices_of(maps[MapId.union("a")])
-    assert sliced.features == plan.features[:2] and set(sliced.cells) == {(50, 2)}
+    assert sliced.features == tuple(map(feature_of, plan.features[:2])) and set(sliced.cells) == {(50, 2)}
 
 
 def test_counts_add_up_over_origins() -> None:

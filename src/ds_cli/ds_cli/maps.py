@@ -49,9 +49,7 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
         shown: what colours a cell.
         width: characters of a line.
     """
-    from ds_orchestrator.search.features import feature_of
-
-    across, up = (feature_of(name) for name in feature_map.features)
+    across, up = feature_map.features
     shown_cells = (*feature_map.cells, *feature_map.excluded)
     columns = _axis(cell[0] for cell in shown_cells)
     rows = _axis(cell[1] for cell in shown_cells)[::-1]

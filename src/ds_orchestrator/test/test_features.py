@@ -86,7 +86,7 @@ def test_unknown_names_are_refused(name: str) -> None:
 def test_maxitwo_compatible_counts_turns_with_its_own_constants() -> None:
     roads = [generate(np.random.default_rng(s), max_angle=300) for s in range(30)]
     cells = [cell_of(road, maxitwo_compatible=True) for road in roads]
-    assert cells == [(road.turns_count_maxitwo, road.curvature_bin) for road in roads]
+    assert cells == [(road.turns_count_maxitwo, int(100 * road.curvature)) for road in roads]
     assert cells != [cell_of(road) for road in roads]
     assert set(FEATURES) >= {"turns_count", "curvature"}
 

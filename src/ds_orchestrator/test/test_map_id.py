@@ -9,6 +9,7 @@ import pytest
 from ds_orchestrator.maps import algebra
 from ds_orchestrator.maps.algebra import OPERATORS, merged_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, map_ids, maps_frame
+from ds_orchestrator.search.features import DEFAULT_AXES
 
 TRICKY = "path_to_x:Sim"
 
@@ -74,6 +75,6 @@ def test_maps_as_a_frame() -> None:
     assert frame.failures.isna().tolist() == [True, False, True] and frame.interval_low.isna().tolist()[0]
     assert frame.excluded.tolist() == [0, 2, 0]
     assert len(maps_frame({})) == 0
-    other = FeatureMap(id=MapId.merged("mean"), cells={}, features=("curvature", "turns_count"))
+    other = FeatureMap(id=MapId.merged("mean"), cells={}, features=DEFAULT_AXES[::-1])
     with pytest.raises(ValueError, match="maps of different features"):
         maps_frame({**maps, other.id: other})

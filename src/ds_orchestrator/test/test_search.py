@@ -32,7 +32,7 @@ SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=1
 
 
 def cell_of(road: Road) -> Cell:
-    return road.turns_count, road.curvature_bin
+    return road.turns_count, int(100 * road.curvature)
 
 
 def fitness_of(road: Road) -> float:
@@ -201,7 +201,7 @@ def test_maxitwo_compatible_is_one_iteration_more_and_mutants_without_their_firs
     for mutant in roads[3:]:
         assert len(mutant.control_points) == 9 and len(mutant.points) == 96
         np.testing.assert_array_equal(mutant.points[0], mutant.control_points[2])
-    assert set(search.archive) == {(road.turns_count_maxitwo, road.curvature_bin) for road in archived(search)}
+    assert set(search.archive) == {(road.turns_count_maxitwo, int(100 * road.curvature)) for road in archived(search)}
 
 
 def archived(search: Search) -> list[Road]:

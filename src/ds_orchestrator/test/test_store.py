@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time per stage over several sessions."""
+"""What a store keeps: time per stage over several sessions, and roads."""
 
 from __future__ import annotations
 

@@ -14,7 +14,6 @@ from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
 from ds_base.atomic_files import write_whole
 from ds_driver.networks.driver_name import DriverName
-from ds_orchestrator.search.features import feature_of
 from ds_report.html_report import environment
 from ds_report.page_data import data_address
 from ds_road import draw
@@ -89,7 +88,7 @@ def write_comparison_page(
 
 def grids_of(comparison: Comparison) -> list[Grid]:
     """Difference maps, one for each simulator, and of three features one for each bin of the third."""
-    across, up, *third = (feature_of(name) for name in comparison.features)
+    across, up, *third = comparison.features
     groups: dict[tuple[str, tuple[int, ...]], dict[tuple[int, ...], CellComparison]] = {}
     for one in comparison.cells:
         groups.setdefault((one.simulator, one.cell[2:]), {})[one.cell[:2]] = one

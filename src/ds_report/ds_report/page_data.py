@@ -154,7 +154,7 @@ def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequ
                 "low": low,
                 "begins": [feature.label(bin_) for bin_ in range(low, high + 2)],
                 "radii": _radii(feature, range(low, high + 2)),
-                "whole": feature.title.endswith("count") and feature.width == 1,
+                "whole": feature.title.endswith("count") and feature.bins.width == 1,
             }
         )
     return axes
@@ -163,9 +163,9 @@ def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequ
 def _radii(feature: Feature, bins: Sequence[int]) -> list[str] | None:
     """Write the radius at the lower edge of each bin, m, for features of a bend; None for other features."""
     if base_of(feature.name) == "curvature":
-        return [radius(bin_ * feature.width * feature.unit) for bin_ in bins]
+        return [radius(bin_ * feature.bins.width / feature.bins.per_unit) for bin_ in bins]
     if base_of(feature.name) == "minimum_radius":
-        return [f"{bin_ * feature.width / FEET:.1f} m" for bin_ in bins]
+        return [f"{bin_ * feature.bins.width / FEET:.1f} m" for bin_ in bins]
     return None
 
 

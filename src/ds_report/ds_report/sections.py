@@ -70,7 +70,7 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
         car = predict_car(folder, table_of_campaign(data, most=None if read_drives(folder) else MOST_ANALYSED))
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
-    titles = [feature_of(name).title for name in car.verdicts.features]
+    titles = [feature.title for feature in car.verdicts.features]
     certified = "" if car.certificate is None else car.certificate.sentence
     command = ds_command("real", "propose", folder)
     undecided = "" if car.drives else f"A few drives on the car decide most cells: `{command}` draws them."
@@ -95,7 +95,7 @@ def _reading(verdicts: Verdicts, drives: int) -> str:
 
 
 def _panels(verdicts: Verdicts) -> list[AnswerPanel]:
-    across, up = (feature_of(name) for name in verdicts.features[:2])
+    across, up = verdicts.features[:2]
     panels = []
     for third in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):
         cells = {one.cell[:2]: one for one in verdicts.cells if one.cell[2:] == third}
@@ -103,8 +103,8 @@ def _panels(verdicts: Verdicts) -> list[AnswerPanel]:
         panels.append(
             AnswerPanel(
                 title=", ".join(
-                    f"{feature_of(name).title} {feature_of(name).label(bin_)}"
-                    for name, bin_ in zip(verdicts.features[2:], third, strict=True)
+                    f"{feature.title} {feature.label(bin_)}"
+                    for feature, bin_ in zip(verdicts.features[2:], third, strict=True)
                 ),
                 columns=[across.label(a) for a in columns],
                 rows=[(up.label(b), [cells.get((a, b)) for a in columns]) for b in rows],

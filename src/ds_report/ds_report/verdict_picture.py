@@ -11,7 +11,7 @@ import numpy as np
 from ds_analysis.common.chart import INK, Picture, Rgb, write
 from ds_analysis.common.heatmap import COLOURS, EMPTY, GRID, bounds_of_cells, draw_grid, ink_on
 from ds_analysis.prediction.verdicts import CellVerdict, Verdicts
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import Cell
 
 FILLS: Mapping[str, Rgb] = {"safe": COLOURS[0], "disputed": COLOURS[1], "fails": COLOURS[2], "untested": EMPTY}
 """Colours as in the maps of failure probabilities; verdicts are written as words, too."""
@@ -34,8 +34,8 @@ def draw_verdicts(verdicts: Verdicts, title: str) -> Picture:
     panels = []
     for third in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):
         rest = "".join(
-            f", {feature_of(name).title} {feature_of(name).label(bin_)}"
-            for name, bin_ in zip(verdicts.features[2:], third, strict=True)
+            f", {feature.title} {feature.label(bin_)}"
+            for feature, bin_ in zip(verdicts.features[2:], third, strict=True)
         )
         panels.append(_panel(verdicts, third, f"{title}{rest}"))
     width = max(panel.shape[1] for panel in panels)

@@ -179,8 +179,10 @@ def test_state_counts_what_the_store_holds(tmp_path: Path) -> None:
         assert (shown["name"], shown["tests"]) == (name, len(own))
         assert shown["failures"] == sum(e.max_lateral_position > 2.0 for e in own)
         cells = {(x, y): (n, failures) for x, y, n, failures in state["maps"][name]}
-        for place in {(t.road.turns_count, t.road.curvature_bin) for t in tests.values()}:
-            there = [e for e in own if (r := tests[e.test_id].road) and (r.turns_count, r.curvature_bin) == place]
+        for place in {(t.road.turns_count, int(100 * t.road.curvature)) for t in tests.values()}:
+            there = [
+                e for e in own if (r := tests[e.test_id].road) and (r.turns_count, int(100 * r.curvature)) == place
+            ]
             assert cells[place] == (len(there), sum(e.max_lateral_position > 2.0 for e in there))
     assert (state["done"], state["errors"]) == (24, 1) and "the wheels came off" in state["last_error"]
     assert state["total"] == CONFIG.executions_at_most

@@ -218,11 +218,6 @@ class Road:
         """Largest curvature of the driven lane to the left, 1/m; see `ds_road.geometry.largest_lane_curvature`."""
         return largest_lane_curvature(self.lane_centre, "left")
 
-    @property
-    def curvature_bin(self) -> int:
-        """Bin of the curvature in a feature map: int(100 x curvature) (maxitwo)."""
-        return int(100 * self.curvature)
-
     @cached_property
     def turns_count(self) -> int:
         """Number of turns; see `ds_road.geometry.turns_count`."""

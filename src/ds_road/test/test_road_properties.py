@@ -84,7 +84,7 @@ def test_curvature_of_a_circle_is_one_over_its_radius() -> None:
 
 def test_a_straight_road_has_no_curvature_and_no_turn() -> None:
     road = Road([(125.0, 25.0 * i) for i in range(9)])
-    assert (road.curvature, road.turns_count, road.curvature_bin) == (0.0, 0, 0)
+    assert (road.curvature, road.turns_count) == (0.0, 0)
     assert road.length == pytest.approx(150.0)
     np.testing.assert_allclose(road.right_lane_centre[:, 0], 127.0)
 

@@ -14,7 +14,7 @@ import numpy as np
 from ds_analysis.common.chart import INK, Picture, Rgb, text_width, write
 from ds_base.atomic_files import write_whole
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import Cell, Feature
 from ds_sim.camera.encodings import png
 from ds_sim.registry import label_of
 
@@ -112,7 +112,7 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Pictur
 
 def draw_grid(
     titles: tuple[str, str],
-    features: Sequence[str],
+    features: Sequence[Feature],
     bounds: Bounds,
     size: tuple[int, int],
     draw: Callable[[Picture, Cell], None],
@@ -121,7 +121,7 @@ def draw_grid(
 
     Args:
         titles: heading, and a line below it.
-        features: names of the features.
+        features: the features.
         bounds: part of the feature space to show.
         size: width and height of a cell, pixels.
         draw: called with the (height + 1, width + 1, 3) pixels of each cell and the cell.
@@ -136,7 +136,7 @@ def draw_grid(
     image = np.full((_TOP + max(grid_height, _BAR_HEIGHT + 40) + _BOTTOM, width, 3), 255, np.uint8)
     write(image, titles[0], (12, 24), 0.6, thickness=2)
     write(image, titles[1], (12, 46), 0.5)
-    across, upwards = (feature_of(name) for name in features[:2])
+    across, upwards = features[:2]
     for column, a in enumerate(bounds.columns):
         for row, b in enumerate(bounds.rows):
             left, top = _LEFT + column * wide, _TOP + row * high

@@ -19,7 +19,7 @@ from ds_analysis.common.driven_road import DrivenRoad, recorded_profile
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
 from ds_base.errors import InputError
 from ds_base.folder_files import StoreError, read_file
-from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
+from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature, cell_of, feature_of
 from ds_road import Road
 from ds_road.geometry import direction_coverage
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
@@ -74,7 +74,7 @@ class OutcomeTable:
         twin: name of the simulator whose failures are predicted; None if no such simulator was driven.
         roads: (tests,) roads; () if the tests are known by their features alone.
         conditions: (tests,) operating conditions; () likewise.
-        axes: names of the feature map's axes.
+        axes: the feature map's axes.
         cells: (tests,) cell of that map; None for a test without one.
         states: (tests, simulators) values of `State`.
         lateral: (tests, simulators) largest absolute lateral position, m, at most half a lane: how far a car goes after
@@ -94,7 +94,7 @@ class OutcomeTable:
     twin: str | None
     roads: tuple[Road, ...]
     conditions: tuple[Conditions, ...]
-    axes: tuple[str, ...]
+    axes: tuple[Feature, ...]
     cells: tuple[Cell | None, ...]
     states: NDArray[np.int8]
     lateral: Array
@@ -116,7 +116,7 @@ class OutcomeTable:
         twin: str | None = None,
         test_ids: Sequence[str] | None = None,
         conditions: Sequence[Conditions] | None = None,
-        axes: Sequence[str] = DEFAULT_FEATURES,
+        axes: Sequence[Feature] = DEFAULT_AXES,
         cells: Sequence[Cell | None] | None = None,
         decoders: NDArray[np.object_] | None = None,
     ) -> OutcomeTable:
@@ -130,7 +130,7 @@ class OutcomeTable:
             twin: name of the last simulator, if it is the twin.
             test_ids: ids; those of the roads if None.
             conditions: operating conditions; the default ones if None.
-            axes: names of the feature map's axes; those of the paper's maps if left out.
+            axes: the feature map's axes; those of the paper's maps if left out.
             cells: cells of that map; those of the paper's maps if None.
             decoders: functions that decode lateral positions; there are none if None.
         """
@@ -300,7 +300,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
             twin=data.config.twin,
             test_ids=[test.test_id for test in tests],
             conditions=[test.conditions for test in tests],
-            axes=data.config.features,
+            axes=[feature_of(name) for name in data.config.features],
             cells=[data.cells.get(test.test_id) for test in tests],
             decoders=decoders,
         )

@@ -15,7 +15,7 @@ from ds_analysis.common.selection import ALPHA
 from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.paired_drives import Network, PairedCounts, PairedDrive, adjusted, fewest_changes
 from ds_analysis.comparison.sequential import TOLERANCE
-from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
+from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
 
 Verdict = Literal["worse", "better", "not significant"]
 Origin = Literal["random", "both", "reference", "suite"]
@@ -91,7 +91,7 @@ class Comparison:
     candidate: Network
     origin: Origin
     source: str
-    features: tuple[str, ...]
+    features: tuple[Feature, ...]
     twin: str | None
     drives: Sequence[PairedDrive]
     simulators: Sequence[SimulatorComparison]
@@ -138,7 +138,7 @@ def compare_networks(
     origin: Origin,
     source: str,
     simulators: Sequence[str],
-    features: Sequence[str] = DEFAULT_FEATURES,
+    features: Sequence[Feature] = DEFAULT_AXES,
     twin: str | None = None,
     excluded: int = 0,
     left_out: Sequence[tuple[str, str, str]] = (),

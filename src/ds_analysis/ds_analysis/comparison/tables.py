@@ -12,7 +12,6 @@ from ds_analysis.common.selection import ALPHA
 from ds_analysis.common.table import Column, Table, Value, p_in_words
 from ds_analysis.comparison.analysis import Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedCounts, PairedDrive
-from ds_orchestrator.search.features import feature_of
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import label_of
 
@@ -101,11 +100,10 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
     """
     changed = [one for one in comparison.cells if one.counts.newly_fail or one.counts.fixed]
     changed.sort(key=lambda one: (-(one.counts.difference or 0.0), one.p_adjusted, one.simulator, one.cell))
-    axes = [feature_of(name) for name in comparison.features]
     rows: list[tuple[Value, ...]] = []
     for one in changed[:most]:
         counts = one.counts
-        bins = (axis.label(bin_) for axis, bin_ in zip(axes, one.cell, strict=True))
+        bins = (axis.label(bin_) for axis, bin_ in zip(comparison.features, one.cell, strict=True))
         numbers = (counts.tests, counts.newly_fail, counts.fixed, counts.difference, counts.interval, one.p_adjusted)
         rows.append((one.simulator, *bins, *numbers))
     left = f" The worst {most} of {len(changed)} are shown." if most is not None and len(changed) > most else ""
@@ -114,7 +112,7 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
         name="compared_cells",
         title="Cells of the feature map that changed",
         columns=[
-            Column("simulator"), *(Column(axis.title) for axis in axes), Column("tests", "count"),
+            Column("simulator"), *(Column(axis.title) for axis in comparison.features), Column("tests", "count"),
             Column("newly fail", "count"), Column("fixed", "count"), Column("difference", "number"),
             Column("95 %", "number"), Column("p (BH)", "p"),
         ],
@@ -181,7 +179,7 @@ def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[s
         "candidate": asdict(comparison.candidate),
         "origin": comparison.origin,
         "source": comparison.source,
-        "features": list(comparison.features),
+        "features": [feature.axis for feature in comparison.features],
         "simulators": [
             {
                 "simulator": row.simulator,

@@ -114,7 +114,7 @@ class Study:
             lateral[at], limits[at] = margin, limit if np.isfinite(limit) else 1.0
         features = first[list(self.features)].to_numpy(np.float64).reshape(len(first), len(self.features))
         families = pd.factorize(first["family"])[0]
-        axes = [column_axis(name, width) for name, width in self.axes.items()]
+        axes = tuple(column_axis(name, width) for name, width in self.axes.items())
         binned = [np.floor(first[name].to_numpy(np.float64) / width) for name, width in self.axes.items()]
         return OutcomeTable(
             test_ids=tuple(map(str, place)),
@@ -122,7 +122,7 @@ class Study:
             twin=self.twin,
             roads=(),
             conditions=(),
-            axes=tuple(axes),
+            axes=axes,
             cells=tuple(tuple(map(int, cell)) for cell in zip(*binned, strict=True)),
             states=states,
             lateral=lateral,

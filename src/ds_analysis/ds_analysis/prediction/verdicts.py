@@ -16,7 +16,7 @@ from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools
 from ds_analysis.common.table import Column, Table
 from ds_analysis.prediction.mixture import Prediction
-from ds_orchestrator.search.features import short_name
+from ds_orchestrator.search.features import Feature
 
 Verdict = Literal["fails", "safe", "disputed", "untested"]
 
@@ -81,13 +81,13 @@ class Verdicts:
     Attributes:
         tests: every test with a verdict on a sibling or on the car.
         cells: every cell within the bounds of the map.
-        features: names of the map's axes.
+        features: the map's axes.
         tolerated: failure rate up to which a cell counts as safe.
     """
 
     tests: Sequence[TestVerdict]
     cells: Sequence[CellVerdict]
-    features: Sequence[str]
+    features: Sequence[Feature]
     tolerated: float = TOLERATED_RATE
 
     @property
@@ -106,7 +106,7 @@ class Verdicts:
         return {
             "error_rate": ERROR_RATE,
             "tolerated_rate": self.tolerated,
-            "features": list(self.features),
+            "features": [feature.axis for feature in self.features],
             "cells": [asdict(one) for one in self.cells],
             "tests": [asdict(one) for one in self.tests],
         }
@@ -204,7 +204,7 @@ def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
         name="cell_verdicts",
         title="Predicted failures per cell",
         columns=[
-            *(Column(short_name(name)) for name in found.features),
+            *(Column(feature.name) for feature in found.features),
             Column("tests", "count"), Column("driven", "count"),
             Column("failure rate", "number"), Column("90 %", "number"), Column("verdict"),
         ],

@@ -31,10 +31,10 @@ MOST_SHOWN = 10
 
 def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
     """Format the bins of every cell, one text per axis."""
-    from ds_orchestrator.search.features import feature_of
-
-    axes = [feature_of(name) for name in verdicts.features]
-    return [tuple(axis.label(bin_) for axis, bin_ in zip(axes, one.cell, strict=True)) for one in verdicts.cells]
+    return [
+        tuple(axis.label(bin_) for axis, bin_ in zip(verdicts.features, one.cell, strict=True))
+        for one in verdicts.cells
+    ]
 
 
 @app.command("predict")

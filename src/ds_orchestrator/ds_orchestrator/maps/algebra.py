@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from ds_base.extension import ExtensionError, is_extension, load_extension
+from ds_base.extension import ExtensionError, installed, is_extension, load_extension, load_installed
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
-from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell
+from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
 from ds_orchestrator.store.model import Execution
 
 LEVEL = 0.95
@@ -80,16 +80,24 @@ OPERATORS: Mapping[str, MergeOperator] = {
 
 
 def operator_of(name: str) -> MergeOperator:
-    """Look up an operator: a key of `OPERATORS`, or `module:NAME`, a `MergeOperator`.
+    """Look up a merge operator.
+
+    Args:
+        name: key of `OPERATORS`, entry point of an installed package in the group `digital_siblings.operators`, or
+            `module:NAME`, a `MergeOperator`.
 
     Raises:
         ds_base.extension.ExtensionError: the name is unknown, or leads to no operator.
     """
     if name in OPERATORS:
         return OPERATORS[name]
-    if not is_extension(name):
-        raise ExtensionError(f"unknown operator {name!r}: expected one of {', '.join(OPERATORS)}, or module:NAME")
-    return load_extension(name, MergeOperator, "operator")
+    if name in (others := installed("operators")):
+        return load_installed(name, "operators", MergeOperator, "operator")
+    if is_extension(name):
+        return load_extension(name, MergeOperator, "operator")
+    raise ExtensionError(
+        f"unknown operator {name!r}: expected one of {', '.join((*OPERATORS, *others))}, or module:NAME"
+    )
 
 
 def apply(operator: str, values: Sequence[float], tests: Sequence[int]) -> float:
@@ -161,7 +169,7 @@ def pool(
     runs: Iterable[tuple[Cell, Execution]],
     normalise: Normalise,
     *,
-    features: tuple[str, ...] = DEFAULT_FEATURES,
+    features: tuple[Feature, ...] = DEFAULT_AXES,
 ) -> FeatureMap:
     """Pool executions by cell; pooling several search runs gives their combined map (paper 3.3).
 
@@ -169,7 +177,7 @@ def pool(
         map_id: identity of the map.
         runs: cell and execution of each test.
         normalise: scales maximum lateral positions to [0, 1].
-        features: names of the axes.
+        features: the axes.
     """
     groups: dict[Cell, list[Execution]] = {}
     for cell, execution in runs:
@@ -284,7 +292,7 @@ def merge(
 def _check_axes(maps: Sequence[FeatureMap], what: str) -> None:
     if not maps:
         raise ValueError(f"no maps to {what}: expected at least one")
-    axes = {m.features for m in maps}
+    axes = {tuple(feature.axis for feature in m.features) for m in maps}
     if len(axes) > 1:
         raise ValueError(f"maps of different features to {what}: {' and '.join(map(str, sorted(axes)))}")
 

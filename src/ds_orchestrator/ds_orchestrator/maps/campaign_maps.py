@@ -11,7 +11,7 @@ from types import MappingProxyType
 from ds_orchestrator.maps.algebra import Normalise, merge, pool, union
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
 from ds_orchestrator.search.algorithms import Archive
-from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
+from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 
@@ -135,7 +135,7 @@ def build_maps(
     """
     verdicts = [e for e in executions if e.outcome.is_verdict]
     cells = cells_of(tests, verdicts, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible, gates=gates)
-    everything = set(cells)
+    axes, everything = tuple(map(feature_of, plan.features)), set(cells)
     migrated = elites_of(tests, verdicts, cells, ignored=plan.ignored) if plan.elites_only else everything
     searched = migrated if plan.maxitwo_compatible else everything
     used = [e for e in verdicts if e.test_id in searched]
@@ -145,7 +145,7 @@ def build_maps(
     def on(map_id: MapId, chosen: set[str]) -> FeatureMap:
         tests_of_origin = (t.test_id for t in tests if t.sibling == map_id.origin and t.test_id in chosen)
         pairs = [(cells[i], done[i, map_id.simulator]) for i in tests_of_origin if (i, map_id.simulator) in done]
-        return pool(map_id, pairs, normalise, features=plan.features)
+        return pool(map_id, pairs, normalise, features=axes)
 
     pooled = plan.maxitwo_compatible
     maps: dict[MapId, FeatureMap] = {}

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, feature_of
+from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +131,7 @@ class FeatureMap:
     Attributes:
         id: identity: which tests on which simulator.
         cells: filled cells.
-        features: names of the axes; see `ds_orchestrator.search.features`.
+        features: the axes.
         detail: slice of a map of three features, such as `direction coverage, % 10`; "" for a whole map.
         excluded: number of tests by which no network can be judged on this simulator (`ds_sim.gates`), by cell; they
             are in no other number.
@@ -139,7 +139,7 @@ class FeatureMap:
 
     id: MapId
     cells: Mapping[Cell, MapCell]
-    features: tuple[str, ...] = DEFAULT_FEATURES
+    features: tuple[Feature, ...] = DEFAULT_AXES
     detail: str = ""
     excluded: Mapping[Cell, int] = field(default_factory=dict)
 
@@ -154,7 +154,6 @@ def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
     if len(feature_map.features) < 3:
         return [feature_map]
     first, second, third = feature_map.features
-    of_third = feature_of(third)
     values = sorted({cell[2] for cell in (*feature_map.cells, *feature_map.excluded)})
     if not values:
         return [replace(feature_map, features=(first, second))]
@@ -163,7 +162,7 @@ def slices_of(feature_map: FeatureMap) -> list[FeatureMap]:
             id=feature_map.id,
             cells={cell[:2]: content for cell, content in feature_map.cells.items() if cell[2] == value},
             features=(first, second),
-            detail=f"{of_third.title} {of_third.label(value)}",
+            detail=f"{third.title} {third.label(value)}",
             excluded={cell[:2]: count for cell, count in feature_map.excluded.items() if cell[2] == value},
         )
         for value in values
@@ -174,10 +173,10 @@ def to_json(maps: Mapping[MapId, FeatureMap]) -> dict[str, object]:
     """Convert maps to JSON values by name; equal maps give equal text."""
     return {
         map_id.name: {
-            "features": list(feature_map.features),
+            "features": [feature.axis for feature in feature_map.features],
             "cells": [
                 {
-                    **dict(zip(feature_map.features, cell, strict=True)),
+                    **_bins(feature_map, cell),
                     "tests": value.tests,
                     "failures": value.failures,
                     "probability": value.probability,
@@ -193,14 +192,17 @@ def to_json(maps: Mapping[MapId, FeatureMap]) -> dict[str, object]:
     }
 
 
+def _bins(feature_map: FeatureMap, cell: Cell) -> dict[str, int]:
+    return {feature.axis: bin_ for feature, bin_ in zip(feature_map.features, cell, strict=True)}
+
+
 def _excluded_to_json(feature_map: FeatureMap) -> dict[str, object]:
     """Cells with excluded tests; nothing where there are none, as in campaigns without gates."""
     if not feature_map.excluded:
         return {}
     return {
         "excluded": [
-            {**dict(zip(feature_map.features, cell, strict=True)), "tests": count}
-            for cell, count in sorted(feature_map.excluded.items())
+            {**_bins(feature_map, cell), "tests": count} for cell, count in sorted(feature_map.excluded.items())
         ]
     }
 
@@ -224,7 +226,7 @@ def maps_frame(maps: Mapping[MapId, FeatureMap]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    axes = {feature_map.features for feature_map in maps.values()}
+    axes = {tuple(feature.axis for feature in feature_map.features) for feature_map in maps.values()}
     if len(axes) > 1:
         raise ValueError(f"maps of different features: {' and '.join(map(str, sorted(axes)))}; make one frame of each")
     features = next(iter(axes), ())

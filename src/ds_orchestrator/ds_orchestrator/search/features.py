@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.errors import InputError
-from ds_base.extension import is_extension, load_extension
+from ds_base.extension import installed, is_extension, load_extension, load_installed
 from ds_road import Road
 from ds_road.geometry import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
@@ -48,156 +48,182 @@ class Drive(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
+class TestedRun:
+    """What features are computed from: a test, and its run on the sibling whose search generated it.
+
+    Attributes:
+        road: road of the test.
+        conditions: its operating conditions.
+        drive: the run; None before it.
+        visible_contrast: contrast of the lines at the start (`Gate`); None if it was not measured.
+        maxitwo_compatible: count turns as the authors' package does.
+    """
+
+    __test__ = False  # not a test case for pytest
+
+    road: Road
+    conditions: Conditions = DEFAULT
+    drive: Drive | None = None
+    visible_contrast: float | None = None
+    maxitwo_compatible: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bins:
+    """Numbered intervals of a feature's values.
+
+    Attributes:
+        per_unit: bins of width 1 in one unit of the axis title.
+        size: size of a bin of an imported column, in its unit; None for any other feature.
+        position: converts a value to bins of width 1, if they are not of equal size.
+        edge: converts such a position back to the unit of the title; None for bins of equal size.
+        width: number of bins joined into one.
+    """
+
+    per_unit: int = 1
+    size: float | None = None
+    position: Callable[[float], float] | None = None
+    edge: Callable[[int], float] | None = None
+    width: int = 1
+
+    def number(self, value: float) -> int:
+        """Compute the bin of a value."""
+        return int(self.per_unit * value if self.position is None else self.position(value)) // self.width
+
+    def label(self, bin_: int) -> str:
+        """Format the lower edge of a bin in the unit of the title."""
+        begin = bin_ * self.width
+        if self.size is not None:
+            return three_digits(begin * self.size)
+        if self.edge is not None:
+            return three_digits(self.edge(begin))
+        return str(begin) if self.per_unit == 1 else f"{begin / self.per_unit:.2f}"
+
+
+@dataclass(frozen=True, kw_only=True)
 class Feature:
     """One axis of a feature map.
 
     Attributes:
         name: name in configurations and results.
         title: axis title, with the unit.
-        unit: size of one bin of width 1, in the unit of the title.
-        of_road: computes the bin of a road; None for a feature of the run.
-        of_road_maxitwo: the same as the authors' package computes it, where that differs.
-        of_run: computes the bin of a run; None for a feature of the road.
-        of_conditions: computes the bin of operating conditions; None for any other feature.
-        of_visible_contrast: computes the bin of the lines' contrast, as the visibility gate measures it on the sibling
-            whose search generated the test; None for any other feature.
-        edge: computes the lower edge of a bin of width 1; None where bins are of equal size `unit`.
-        width: number of bins joined into one.
+        value: computes the feature; None if it needs a run, a gate or a condition's value that is missing.
+        bins: intervals into which its values fall.
     """
 
     name: str
     title: str
-    unit: float = 1.0
-    of_road: Callable[[Road], int] | None = None
-    of_road_maxitwo: Callable[[Road], int] | None = None
-    of_run: Callable[[Drive], int] | None = None
-    of_conditions: Callable[[Conditions], int | None] | None = None
-    of_visible_contrast: Callable[[float], int] | None = None
-    edge: Callable[[int], float] | None = None
-    width: int = 1
+    value: Callable[[TestedRun], float | None]
+    bins: Bins = Bins()
+
+    @property
+    def axis(self) -> str:
+        """Name in files of maps, with the size of the bins of an imported column."""
+        return self.name if self.bins.size is None else f"{self.name} in bins of {self.bins.size!r}"
 
     def label(self, bin_: int) -> str:
         """Format the lower edge of a bin in the unit of the title: `0.17` for curvature 17."""
-        begin = bin_ * self.width
-        if self.edge is not None:
-            return three_digits(self.edge(begin))
-        return str(begin) if self.unit == 1.0 else f"{begin * self.unit:.2f}"
+        return self.bins.label(bin_)
 
-    def bin_of(
-        self,
-        road: Road,
-        drive: Drive | None,
-        *,
-        maxitwo_compatible: bool,
-        conditions: Conditions = DEFAULT,
-        visible_contrast: float | None = None,
-    ) -> int | None:
-        """Compute the bin of a test; None if the feature needs a run, a gate or a condition's value that is missing."""
-        if self.of_visible_contrast is not None:
-            return None if visible_contrast is None else self.of_visible_contrast(visible_contrast) // self.width
-        if self.of_conditions is not None:
-            bin_ = self.of_conditions(conditions)
-            return None if bin_ is None else bin_ // self.width
-        of_road = self.of_road_maxitwo if maxitwo_compatible and self.of_road_maxitwo else self.of_road
-        if of_road is not None:
-            return of_road(road) // self.width
-        return None if drive is None or self.of_run is None else self.of_run(drive) // self.width
+    def bin_of(self, run: TestedRun) -> int | None:
+        """Compute the bin of a test; None if it has none."""
+        value = self.value(run)
+        return None if value is None else self.bins.number(value)
 
 
-def _steering_deviation(drive: Drive) -> int:
-    """int(100 x population standard deviation of the steering commands) (maxitwo)."""
-    return int(100 * float(np.std(drive.steering))) if len(drive.steering) else 0
+def _turns_count(run: TestedRun) -> float:
+    return run.road.turns_count_maxitwo if run.maxitwo_compatible else run.road.turns_count
 
 
-def _mean_lateral_position(drive: Drive) -> int:
-    """int(100 x mean absolute lateral position); DeepHyperion takes the distance to the lane's edge, 200 minus this."""
-    lateral = drive.trajectory[:, 4]
-    return int(100 * math.fsum(np.abs(lateral)) / len(lateral)) if len(lateral) else 0
+def _steering_deviation(run: TestedRun) -> float | None:
+    """Population standard deviation of the steering commands (maxitwo)."""
+    if run.drive is None:
+        return None
+    return float(np.std(run.drive.steering)) if len(run.drive.steering) else 0.0
 
 
+def _mean_lateral_position(run: TestedRun) -> float | None:
+    """Mean absolute lateral position, m; DeepHyperion takes the distance to the lane's edge, 2 m minus this."""
+    if run.drive is None:
+        return None
+    lateral = run.drive.trajectory[:, 4]
+    return math.fsum(np.abs(lateral)) / len(lateral) if len(lateral) else 0.0
+
+
+_HUNDREDTHS = Bins(per_unit=100)
 _ALL = (
+    Feature(name="turns_count", title="turns count", value=_turns_count),
+    Feature(name="curvature", title="curvature, 1/m", bins=_HUNDREDTHS, value=lambda run: run.road.curvature),
+    Feature(name="steering_deviation", title="steering deviation", bins=_HUNDREDTHS, value=_steering_deviation),
     Feature(
-        name="turns_count",
-        title="turns count",
-        of_road=lambda road: road.turns_count,
-        of_road_maxitwo=lambda road: road.turns_count_maxitwo,
+        name="mean_lateral_position",
+        title="mean lateral position, m",
+        bins=_HUNDREDTHS,
+        value=_mean_lateral_position,
     ),
-    Feature(name="curvature", title="curvature, 1/m", unit=0.01, of_road=lambda road: road.curvature_bin),
-    Feature(name="steering_deviation", title="steering deviation", unit=0.01, of_run=_steering_deviation),
-    Feature(name="mean_lateral_position", title="mean lateral position, m", unit=0.01, of_run=_mean_lateral_position),
     Feature(
         name="direction_coverage",
         title="direction coverage, %",
-        of_road=lambda road: int(100 * direction_coverage(road.points)),
+        value=lambda run: 100 * direction_coverage(run.road.points),
     ),
     Feature(
         name="minimum_radius",
         title="minimum radius, feet",
-        of_road=lambda road: int(FEET * minimum_radius(road.points)),
+        value=lambda run: FEET * minimum_radius(run.road.points),
     ),
     # Bins as wide as those of the curvature, so that the axes compare.
     Feature(
         name="lane_curvature",
         title="lane curvature, 1/m",
-        unit=0.01,
-        of_road=lambda road: int(100 * max(road.lane_curvature_max_right, road.lane_curvature_max_left)),
+        bins=_HUNDREDTHS,
+        value=lambda run: max(run.road.lane_curvature_max_right, run.road.lane_curvature_max_left),
     ),
     Feature(
         name="lane_curvature_max_right",
         title="lane curvature to the right, 1/m",
-        unit=0.01,
-        of_road=lambda road: int(100 * road.lane_curvature_max_right),
+        bins=_HUNDREDTHS,
+        value=lambda run: run.road.lane_curvature_max_right,
     ),
     Feature(
         name="lane_curvature_max_left",
         title="lane curvature to the left, 1/m",
-        unit=0.01,
-        of_road=lambda road: int(100 * road.lane_curvature_max_left),
+        bins=_HUNDREDTHS,
+        value=lambda run: run.road.lane_curvature_max_left,
     ),
     Feature(
         name="other_lane_curvature_max_right",
         title="other lane's curvature to the right, 1/m",
-        unit=0.01,
-        of_road=lambda road: int(100 * largest_lane_curvature(road.other_lane_centre, "right")),
+        bins=_HUNDREDTHS,
+        value=lambda run: largest_lane_curvature(run.road.other_lane_centre, "right"),
     ),
     Feature(
         name="other_lane_curvature_max_left",
         title="other lane's curvature to the left, 1/m",
-        unit=0.01,
-        of_road=lambda road: int(100 * largest_lane_curvature(road.other_lane_centre, "left")),
+        bins=_HUNDREDTHS,
+        value=lambda run: largest_lane_curvature(run.road.other_lane_centre, "left"),
     ),
     # DeepHyperion's segment count is the number of turns: its code returns the runs that are not straight.
-    Feature(
-        name="segment_count",
-        title="segment count",
-        of_road=lambda road: road.turns_count,
-        of_road_maxitwo=lambda road: road.turns_count_maxitwo,
-    ),
+    Feature(name="segment_count", title="segment count", value=_turns_count),
 )
 
 
 def _of_condition(name: str) -> Feature:
-    """Axis of an operating condition: `CONDITION_BINS` bins over its whole range, of equal size on its scale."""
-    condition = FIELDS[name]
+    """Axis of an operating condition: `CONDITION_BINS` bins over its whole range, of equal size on its scale.
 
-    def bin_of(conditions: Conditions) -> int | None:
-        value = getattr(conditions, name)
-        if value is None:  # as the simulator has it, which differs between simulators
-            return None
-        share = share_of(name, condition.low, condition.high, value)
-        return min(int(CONDITION_BINS * share + _ROUNDING), CONDITION_BINS - 1)
+    A condition without a value, as each simulator has it, has no bin.
+    """
+    condition = FIELDS[name]
+    low, high = condition.low, condition.high
+
+    def position(value: float) -> float:
+        return min(CONDITION_BINS * share_of(name, low, high, value) + _ROUNDING, CONDITION_BINS - 1)
 
     return Feature(
         name=name,
         title=f"{name.replace('_', ' ')}{f', {condition.unit}' if condition.unit else ''}",
-        of_conditions=bin_of,
-        edge=lambda bin_: between(name, condition.low, condition.high, min(bin_ / CONDITION_BINS, 1.0)),
+        value=lambda run: getattr(run.conditions, name),
+        bins=Bins(position=position, edge=lambda bin_: between(name, low, high, min(bin_ / CONDITION_BINS, 1.0))),
     )
-
-
-def _measured_contrast_bin(contrast: float) -> int:
-    """Doublings of the threshold at which lines become invisible; 0 below one, and for invisible lines."""
-    return int(math.log2(contrast / LEAST_CONTRAST)) if contrast > LEAST_CONTRAST else 0
 
 
 VISIBLE_CONTRAST = "visible_contrast"
@@ -209,8 +235,12 @@ _ROUNDING = 1e-9
 _MEASURED = Feature(
     name=VISIBLE_CONTRAST,
     title="measured line contrast",
-    of_visible_contrast=_measured_contrast_bin,
-    edge=lambda bin_: LEAST_CONTRAST * 2.0**bin_,
+    value=lambda run: run.visible_contrast,
+    # Doublings of the threshold at which lines become invisible; 0 below one, and for invisible lines.
+    bins=Bins(
+        position=lambda contrast: math.log2(contrast / LEAST_CONTRAST) if contrast > LEAST_CONTRAST else 0.0,
+        edge=lambda bin_: LEAST_CONTRAST * 2.0**bin_,
+    ),
 )
 FEATURES: Mapping[str, Feature] = {feature.name: feature for feature in (*_ALL, _MEASURED, *map(_of_condition, FIELDS))}
 """Every feature by name: DeepHyperion's seven (paper 3.3 uses the first two), the curvature of each lane, the contrast
@@ -231,45 +261,50 @@ def base_of(name: str) -> str:
 
 @cache
 def feature_of(name: str) -> Feature:
-    """Look up a feature: a key of `FEATURES`, or `module:NAME`, a `Feature`; `minimum_radius:20` joins twenty bins.
+    """Look up a feature by name; `minimum_radius:20` joins twenty bins.
+
+    Args:
+        name: key of `FEATURES`, entry point of an installed package in the group `digital_siblings.features`, or
+            `module:NAME`, a `Feature`.
 
     Raises:
         FeatureError: the name is unknown, or the width is not a whole number of at least 1.
-        ds_base.extension.ExtensionError: the user's own feature cannot be loaded.
+        ds_base.extension.ExtensionError: a feature of others cannot be loaded.
 
     Examples:
         >>> from ds_orchestrator import feature_of
         >>> feature_of("minimum_radius:20").title
         'minimum radius, feet'
     """
-    if _IN_BINS in name:
-        title, _, size = name.rpartition(_IN_BINS)
-        return Feature(name=name, title=title, edge=lambda bin_: bin_ * float(size))
-    base = base_of(name)
-    known = name.partition(":")[0]
-    if base not in FEATURES and known in FEATURES:
-        raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {known}:20")
-    if base not in FEATURES and not is_extension(base):
-        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(FEATURES)}, or module:NAME")
+    base, plain = base_of(name), name.partition(":")[0]
+    known = {*FEATURES, *installed("features")}
+    if base not in known and plain in known:
+        raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {plain}:20")
     width = int(name[len(base) + 1 :] or 1)
     if width < 1:
         raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {base}:20")
-    feature = FEATURES[base] if base in FEATURES else load_extension(base, Feature, "feature")
-    return replace(feature, name=name, width=width)
+    if base in FEATURES:
+        feature = FEATURES[base]
+    elif base in known:
+        feature = load_installed(base, "features", Feature, "feature")
+    elif is_extension(base):
+        feature = load_extension(base, Feature, "feature")
+    else:
+        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(known)}, or module:NAME")
+    return replace(feature, name=name, bins=replace(feature.bins, width=width))
 
 
-_IN_BINS = " in bins of "
-"""Part of the name of an axis of imported outcomes."""
+DEFAULT_AXES = tuple(map(feature_of, DEFAULT_FEATURES))
+"""The features of `DEFAULT_FEATURES`."""
 
 
-def column_axis(column: str, width: float) -> str:
-    """Name the axis of a map over a column of imported outcomes, in bins of a width, as `feature_of` takes it."""
-    return f"{column}{_IN_BINS}{width!r}"
+def column_axis(column: str, width: float) -> Feature:
+    """Make the axis of a map over a column of imported outcomes, in bins of a width."""
+    return Feature(name=column, title=column, value=_unknown, bins=Bins(size=width))
 
 
-def short_name(axis: str) -> str:
-    """Name an axis without the width of its bins."""
-    return axis.partition(_IN_BINS)[0]
+def _unknown(_: TestedRun) -> None:
+    """Value of a column, which no run has."""
 
 
 def cell_of(
@@ -303,12 +338,12 @@ def cell_of(
         >>> cell_of(road, features=["turns_count", "minimum_radius:20"])
         (1, 4)
     """
-    cell = []
-    for name in features:
-        bin_ = feature_of(name).bin_of(
-            road, drive, maxitwo_compatible=maxitwo_compatible, conditions=conditions, visible_contrast=visible_contrast
-        )
-        if bin_ is None:
-            return None
-        cell.append(bin_)
-    return tuple(cell)
+    run = TestedRun(
+        road=road,
+        conditions=conditions,
+        drive=drive,
+        visible_contrast=visible_contrast,
+        maxitwo_compatible=maxitwo_compatible,
+    )
+    cell = [feature_of(name).bin_of(run) for name in features]
+    return None if None in cell else tuple(bin_ for bin_ in cell if bin_ is not None)

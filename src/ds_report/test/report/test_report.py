@@ -147,7 +147,7 @@ def test_places_hold_the_lines_of_their_tests(campaign: tuple[Page, str, Store, 
             shown = page.data["tests"][index]
             test = tests[shown[0]]
             seen.append(test.test_id)
-            assert tuple(place) == (test.road.turns_count, test.road.curvature_bin)
+            assert tuple(place) == (test.road.turns_count, int(100 * test.road.curvature))
             for line in (test.road.points, test.road.right_edge):
                 for k in (0, 1):
                     assert columns.take(shown[9]) == pytest.approx(line[:, k], abs=0.0051)

@@ -185,7 +185,7 @@ def test_printed_charts_and_tables_shrink_with_the_page(browser: Browser, campai
 
 def test_commands_drive_a_test_again(opened: Opened, campaign: Campaign) -> None:
     test = campaign.store.tests()[0]
-    place = f"#cell={test.road.turns_count}-{test.road.curvature_bin}"
+    place = f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
     opened.page.evaluate("place => { location.hash = place; }", place)
     opened.page.click(f'[data-test="{test.test_id}"]')
     opened.page.wait_for_function(
@@ -250,7 +250,9 @@ def test_a_click_opens_the_tests_with_their_roads_and_drives(opened: Opened, cam
     merged = campaign.maps[MapId.merged()].cells
     for cell in sorted(merged):
         opened.page.mouse.click(*opened.place("merged", cell))
-        wanted = {t.test_id for t in campaign.store.tests() if (t.road.turns_count, t.road.curvature_bin) == cell}
+        wanted = {
+            t.test_id for t in campaign.store.tests() if (t.road.turns_count, int(100 * t.road.curvature)) == cell
+        }
         opened.page.wait_for_function(
             "wanted => wanted.join() === [...document.querySelectorAll('[data-test]')]"
             ".map(button => button.dataset.test).sort().join()",
@@ -289,7 +291,9 @@ def test_a_failed_test_is_replayed_by_keys_and_pointer(opened: Opened, campaign:
         for e in campaign.store.executions()
         if e.test_id == test.test_id and e.simulator == "bullet" and e.outcome.is_failure
     )
-    page.evaluate("place => { location.hash = place; }", f"#cell={test.road.turns_count}-{test.road.curvature_bin}")
+    page.evaluate(
+        "place => { location.hash = place; }", f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
+    )
     page.click(f'[data-test="{test.test_id}"]')
     page.wait_for_function("id => document.querySelector('.test h4').textContent === `Test ${id}`", arg=test.test_id)
     slider, view = page.locator("#cell .replay input"), page.locator("#cell .replay .view").first
@@ -356,7 +360,7 @@ def test_folds_open_with_their_maps_and_tables(opened: Opened, campaign: Campaig
 def test_an_address_opens_its_cell(opened: Opened, campaign: Campaign) -> None:
     test = campaign.store.tests()[-1]
     opened.page.evaluate(
-        "place => { location.hash = place; }", f"#cell={test.road.turns_count}-{test.road.curvature_bin}"
+        "place => { location.hash = place; }", f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
     )
     opened.page.wait_for_selector(f'[data-test="{test.test_id}"]')
 
@@ -402,7 +406,7 @@ def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path
         "nowhere:B: 8 of 8 gated tests enter no map: 8 infeasible"
     ]
     road = tests[0].road
-    opened.page.evaluate("place => { location.hash = place; }", f"#cell={road.turns_count}-{road.curvature_bin}")
+    opened.page.evaluate("place => { location.hash = place; }", f"#cell={road.turns_count}-{int(100 * road.curvature)}")
     opened.page.wait_for_selector(f'[data-test="{tests[0].test_id}"]')
     assert sorted(opened.tests()) == [test.test_id for test in tests]
     words = opened.page.locator("article.test").inner_text()

@@ -18,7 +18,7 @@ from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, Key, drive_tests
-from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of
+from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.gates.gate import Gate
@@ -230,7 +230,7 @@ def compare(
         origin=origin,
         source=source,
         simulators=settings.simulators,
-        features=sets[0].features,
+        features=[feature_of(name) for name in sets[0].features],
         twin=settings.twin,
         excluded=excluded,
         left_out=left_out,

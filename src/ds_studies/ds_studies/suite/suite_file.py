@@ -374,7 +374,7 @@ def run_suite(
         origin="suite",
         source=source,
         simulators=suite.simulators,
-        features=suite.features,
+        features=[feature_of(name) for name in suite.features],
         twin=suite.twin,
         excluded=len(found.excluded),
         left_out=left_out,
