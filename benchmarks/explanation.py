@@ -168,7 +168,8 @@ class MadeExperiment(Experiment):
     def drive(self, of_failing: Subset) -> tuple[str, Test]:
         """Simulator and test of a drive; see `Experiment`."""
         own = {part: self.fails if part == self.planted else self.base for part in PARTS}
-        return hybrid_name({part: own[part] if part in of_failing else self.against for part in PARTS}), self.test
+        name = hybrid_name({part: own[part] if part in of_failing else self.against for part in PARTS})
+        return str(name), self.test
 
 
 class Pair(NamedTuple):

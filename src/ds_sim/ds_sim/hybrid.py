@@ -5,10 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ds_base.errors import InputError
 from ds_road import Road
@@ -16,7 +12,7 @@ from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene
-from ds_sim.registry import make_simulator
+from ds_sim.registry import HYBRID, SimulatorName, make_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Command, Observation, Simulator
 
@@ -26,7 +22,6 @@ textures and light of the world, and the sensor's response, exposure, blur and n
 autopilot's gains for it. delays: camera latency and dead time of commands."""
 SENSOR_LOOK = ("gain", "gamma", "exposure", "blur", "noise", "noise_blur", "noise_colour")
 """Fields of a `CameraSpec` that belong to the look; `latency` belongs to the delays, all others to the camera."""
-HYBRID = "ds_sim.hybrid:HybridSimulator"
 
 
 class HybridError(InputError):
@@ -75,59 +70,46 @@ class HybridSimulator(RoadSimulator):
                 f"camera of {names['camera']} with the look of {names['look']}: one of them draws its scene as a "
                 "whole, so take both from the same simulator"
             )
-        scene: Scene = camera.scene if whole else PaintedScene(replace(spec.camera, latency=0), spec.look)
+        scene: Scene = camera.scene if whole else PaintedScene(spec.camera, spec.look)
         super().__init__(spec, vehicle.vehicle, scene=scene, limits=vehicle.limits)
         self._dead_time = delays.vehicle.command_delay
         if self.vehicle.delays_commands:
             self.vehicle.command_delay, self._dead_time = self._dead_time, 0.0
         self._sent: Actuation | None = None
-        self._latency = 0 if whole else spec.camera.latency
-        self._late: list[NDArray[np.uint8]] = []
 
     @classmethod
-    def from_file(cls, parts: Path) -> HybridSimulator:
-        """Make the hybrid that `hybrid_name` names; there is no file.
-
-        Raises:
-            HybridError: not such a name.
-        """
-        return cls(dict(part.partition("=")[::2] for part in str(parts).split(",")))
+    def named(cls, name: SimulatorName) -> HybridSimulator:
+        """Make the hybrid that `hybrid_name` names."""
+        return cls(dict(name.parts))
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
-        self._late = []
         self._sent = None
         if self._dead_time:
             self._sent = Actuation(Conditions(command_delay=self._dead_time), self.spec.max_steering_angle)
-        return self._arrived(super().load(road, seed=seed, conditions=conditions))
+        return super().load(road, seed=seed, conditions=conditions)
 
     def step(self, command: Command) -> Observation:
         """Advance by one step; see `Simulator.step`."""
         # Actuation keeps dead times only here, for which the speed does not matter.
-        return self._arrived(super().step(command if self._sent is None else self._sent.reached(command, 0.0)))
-
-    def _arrived(self, seen: Observation) -> Observation:
-        """Exchange the image for the one that arrives now, `latency` frames late, at first the very first one."""
-        if not self._latency:
-            return seen
-        self._late = [*self._late, seen.image][-self._latency - 1 :]
-        return replace(seen, image=self._late[0])
+        return super().step(command if self._sent is None else self._sent.reached(command, 0.0))
 
 
-def hybrid_name(names: Mapping[str, str]) -> str:
-    """Name a hybrid, as `ds_sim.registry.make_simulator` and every engine take it.
+def hybrid_name(names: Mapping[str, str]) -> SimulatorName:
+    """Name a hybrid.
 
     Raises:
         HybridError: a simulator's name holds a comma.
 
     Examples:
-        >>> hybrid_name({"camera": "bullet", "look": "bullet", "vehicle": "donkey@a.yaml", "delays": "bullet"})
+        >>> from ds_sim.hybrid import hybrid_name
+        >>> str(hybrid_name({"camera": "bullet", "look": "bullet", "vehicle": "donkey@a.yaml", "delays": "bullet"}))
         'ds_sim.hybrid:HybridSimulator@camera=bullet,look=bullet,vehicle=donkey@a.yaml,delays=bullet'
     """
     for name in names.values():
         if "," in name:
             raise HybridError(f"simulator {name}: a name with a comma cannot give parts: rename the file")
-    return f"{HYBRID}@" + ",".join(f"{part}={names[part]}" for part in PARTS)
+    return SimulatorName(HYBRID, parts=tuple((part, names[part]) for part in PARTS))
 
 
 def exchangeable(name: str) -> RoadSimulator:

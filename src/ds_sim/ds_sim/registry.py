@@ -29,6 +29,8 @@ SIMULATORS = {
 """Shipped simulators: name -> `module:Class`. Installed packages add others, see `simulators`."""
 STANDARD = ("bullet", "softbody", "panda", "donkey")
 """Simulators that drive any road without a file; `all` stands for them."""
+HYBRID = "ds_sim.hybrid:HybridSimulator"
+"""Base of the names of hybrids, which end with their parts, `@camera=bullet,look=softbody,...`."""
 MAX_LABEL_LENGTH = 100
 """Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 
@@ -40,27 +42,33 @@ class SimulatorName:
     Attributes:
         base: one of `simulators`, or `module:Class`.
         file: parameter file; "" where the name has none.
+        parts: of a hybrid, each part and the name of the simulator that gives it.
 
     Examples:
         >>> SimulatorName.parse("donkey@my_car.yaml")
-        SimulatorName(base='donkey', file='my_car.yaml')
+        SimulatorName(base='donkey', file='my_car.yaml', parts=())
     """
 
     base: str
     file: str = ""
+    parts: tuple[tuple[str, str], ...] = ()
 
     @classmethod
     def parse(cls, text: str) -> SimulatorName:
         """Parse a name; whether there is such a simulator is seen when it is made."""
-        base, _, file = text.partition("@")
-        return cls(base, file) if file else cls(text)
+        base, _, ending = text.partition("@")
+        if base == HYBRID and ending:
+            return cls(base, parts=tuple(part.partition("=")[::2] for part in ending.split(",")))
+        return cls(base, ending) if ending else cls(text)
 
     def __str__(self) -> str:
-        return f"{self.base}@{self.file}" if self.file else self.base
+        ending = self.file or ",".join(f"{part}={name}" for part, name in self.parts)
+        return f"{self.base}@{ending}" if ending else self.base
 
     def moved(self, start: Path, end: Path) -> SimulatorName:
-        """The name whose path, relative to one folder, is made relative to another."""
-        return replace(self, file=path_moved(self.file, start, end)) if self.file else self
+        """The name whose paths, relative to one folder, are made relative to another."""
+        parts = tuple((part, str(SimulatorName.parse(name).moved(start, end))) for part, name in self.parts)
+        return replace(self, file=path_moved(self.file, start, end) if self.file else "", parts=parts)
 
     @property
     def exists(self) -> bool:
@@ -215,14 +223,14 @@ def _cannot_be_loaded(name: str, error: Exception) -> str:
     return f"simulator {name!r} cannot be loaded ({error}){advice}"
 
 
-def make_simulator(name: str) -> Simulator:
+def make_simulator(name: SimulatorName | str) -> Simulator:
     """Make a simulator by name.
 
     Args:
-        name: one of `simulators`, or `module:Class`. `NAME@FILE` passes a parameter file to the class's `from_file`.
+        name: one of `simulators`, or `module:Class`. `NAME@FILE` passes a parameter file.
 
     Raises:
-        UnknownSimulatorError: no simulator has this name, its class cannot be imported, or it takes no file.
+        UnknownSimulatorError: no simulator has this name, its class cannot be imported, or it needs a file.
         ValueError: the file cannot be used.
 
     Examples:
@@ -231,17 +239,14 @@ def make_simulator(name: str) -> Simulator:
         >>> simulator.spec.name, simulator.spec.camera.width
         ('softbody', 320)
     """
-    parsed = SimulatorName.parse(name)
+    parsed = SimulatorName.parse(name) if isinstance(name, str) else name
     kind = simulator_class(parsed.base)
-    if parsed.file and not hasattr(kind, "from_file"):
-        raise UnknownSimulatorError(f"simulator {parsed.base!r} takes no parameter file: leave out @{parsed.file}")
     if kind.needs_file and not parsed.file:
         raise UnknownSimulatorError(f"simulator {parsed.base!r} needs a file or folder: {parsed.base}@PATH")
     try:
-        made: Simulator = kind.from_file(Path(parsed.file)) if parsed.file else kind()  # type: ignore[attr-defined]
+        return kind.named(parsed)
     except (ImportError, AttributeError) as error:
         raise UnknownSimulatorError(_cannot_be_loaded(parsed.base, error)) from None
-    return made
 
 
 def simulator_of_process(name: str) -> Simulator:

@@ -12,7 +12,8 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import ClassVar
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,9 @@ from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
+
+if TYPE_CHECKING:
+    from ds_sim.registry import SimulatorName
 
 FRAME_RATE = 20.0
 """Camera frames per simulated second (paper 3.2.1: all simulators aligned at 20 fps)."""
@@ -251,7 +255,7 @@ class Simulator(ABC):
     """Simulates a vehicle with a camera on a road; a run depends on (road, seed, conditions, commands) alone.
 
     Attributes:
-        needs_file: whether it is nothing without the file or folder after `@`, which a class method `from_file` gets.
+        needs_file: whether it is nothing without the file or folder after `@`, which `from_file` gets.
         is_external: whether it is another program, which has one vehicle however often it is made here, and commands
             whatever listens to it.
         takes_stills: whether it has `still`.
@@ -260,6 +264,20 @@ class Simulator(ABC):
     needs_file: ClassVar[bool] = False
     is_external: ClassVar[bool] = False
     takes_stills: ClassVar[bool] = False
+
+    @classmethod
+    def named(cls, name: SimulatorName) -> Simulator:
+        """Make the simulator of a name, whose base led to this class."""
+        return cls.from_file(Path(name.file)) if name.file else cls()
+
+    @classmethod
+    def from_file(cls, path: Path) -> Simulator:
+        """Make the simulator that a file or folder after `@` describes; without an override it takes none.
+
+        Raises:
+            ds_base.errors.InputError: it takes no file, or the file cannot be used.
+        """
+        raise InputError(f"{cls.__name__} takes no parameter file: leave out @{path}")
 
     @classmethod
     def missing(cls) -> str:

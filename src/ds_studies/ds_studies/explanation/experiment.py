@@ -41,7 +41,7 @@ class Experiment:
     def drive(self, of_failing: Subset) -> tuple[str, Test]:
         """Simulator and test of the drive that has some parts of the failing simulator, all others of the other."""
         taken = {part for word in of_failing for part in self.parts[word]}
-        name = hybrid_name({part: self.fails if part in taken else self.against for part in PARTS})
+        name = str(hybrid_name({part: self.fails if part in taken else self.against for part in PARTS}))
         if CONDITIONS in self.parts and CONDITIONS not in of_failing:
             plain = replace(self.test.scenario, conditions=DEFAULT)
             return name, replace(self.test, test_id=_PLAIN + self.test.test_id, scenario=plain)
