@@ -287,7 +287,7 @@ def drive_command(
     from ds_driver.control.command_habits import command_habits
     from ds_orchestrator.campaign.executor import trajectory_sha256
     from ds_orchestrator.graph.supervisor import check_ros
-    from ds_sim.conditions.text import parse_conditions, to_json
+    from ds_sim.conditions.text import parse_conditions
     from ds_sim.resimulation import resimulate
     from ds_sim.video import write_video
 
@@ -326,7 +326,7 @@ def drive_command(
         "driver": whose,
         "road_id": request.road.road_id,
         "seed": request.seed,
-        "conditions": to_json(run.conditions),
+        "conditions": run.conditions.changed,
         "outcome": run.outcome.name,
         "message": run.message,
         "fitness": run.fitness if run.observations else None,

@@ -91,11 +91,19 @@ def check_ranges(
 class Scene(ABC):
     """World of one road, as the camera of one vehicle sees it; images are (rows, columns, 3) uint8 RGB.
 
+    Args:
+        camera: camera and its mounting.
+
     Attributes:
         conditions: names of the conditions that it realises.
     """
 
     conditions: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, camera: CameraSpec) -> None:
+        self._spec = camera
+        self._rows = (0, camera.height_px)
+        """Rows to draw in the runs to come."""
 
     @abstractmethod
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
@@ -123,8 +131,12 @@ class Scene(ABC):
         """
 
     def draw_rows(self, top: int, bottom: int) -> None:
-        """Allow it to draw only some rows of the images of the runs to come; see `Simulator.draw_rows`."""
-        return
+        """Draw only some rows of the images of the runs to come; see `Simulator.draw_rows`."""
+        if not 0 <= top < bottom <= self._spec.height_px:
+            raise ValueError(
+                f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {self._spec.height_px}"
+            )
+        self._rows = (top, bottom)
 
     def unload(self) -> None:
         """Forget the road once its run has ended, so that other scenes use its memory."""
@@ -133,15 +145,3 @@ class Scene(ABC):
     def close(self) -> None:
         """Release the scene's resources; `load` may follow."""
         return
-
-
-def check_rows(top: int, bottom: int, camera: CameraSpec) -> None:
-    """Check that `Scene.draw_rows` names rows of a camera's image.
-
-    Raises:
-        ValueError: it does not.
-    """
-    if not 0 <= top < bottom <= camera.height_px:
-        raise ValueError(
-            f"rows {top} to {bottom} are no part of an image: expected 0 <= top < bottom <= {camera.height_px}"
-        )

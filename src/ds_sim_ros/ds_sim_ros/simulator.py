@@ -16,7 +16,7 @@ from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import Scene, Vehicle, check_rows
+from ds_sim.parts import Scene, Vehicle
 from ds_sim.road_simulator import RoadSimulator, start_of
 from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, SimulatorError, SimulatorSpec, VehicleState
 from ds_sim_ros.readings import OdometryReader, image_of
@@ -49,7 +49,8 @@ class RosWorld(Vehicle, Scene):
     """
 
     def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
-        self._settings, self._camera, self._folder = settings, camera, folder
+        super().__init__(camera)
+        self._settings, self._folder = settings, folder
         way, command = settings.road, settings.command
         self._track = read_track(folder / way.centre_line, way.lane_width) if way.centre_line else None
         self._law = SpeedLaw(command.acceleration, command.drag)
@@ -57,7 +58,7 @@ class RosWorld(Vehicle, Scene):
         self._link: Link | None = None
         self._request: tuple[Road, int] | None = None
         self._state: VehicleState | None = None
-        self._rows = self._rows_of_run = (0, camera.height_px)
+        self._rows_of_run = self._rows
         self.latency: tuple[float, float] | None = None
 
     def choose(self, road: Road, seed: int) -> None:
@@ -102,7 +103,7 @@ class RosWorld(Vehicle, Scene):
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Image at the end of the last frame, of which rows that are not asked for are zero."""
         top, bottom = self._rows_of_run
-        if (top, bottom) == (0, self._camera.height_px):
+        if (top, bottom) == (0, self._spec.height_px):
             return self._image
         part = np.zeros_like(self._image)
         part[top:bottom] = self._image[top:bottom]
@@ -118,11 +119,6 @@ class RosWorld(Vehicle, Scene):
         if state != self._state:
             raise SimulatorError(f"{self._settings.name} shows only what its vehicle sees now: drive there")
         return self._image
-
-    def draw_rows(self, top: int, bottom: int) -> None:
-        """Hand on only some rows of the runs to come; see `Scene.draw_rows`."""
-        check_rows(top, bottom, self._camera)
-        self._rows = top, bottom
 
     def release(self) -> None:
         """Let other runs have the simulator."""

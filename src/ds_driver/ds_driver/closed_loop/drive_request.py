@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ds_road.files import road_from_json, road_to_json
-from ds_sim.conditions.text import from_json, to_json
+from ds_sim.conditions.text import from_json
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
@@ -42,7 +42,7 @@ def request_to_json(request: DriveRequest) -> dict[str, Any]:
         "driver": request.driver,
         "road": road_to_json(request.road),
         "seed": request.seed,
-        "conditions": to_json(request.conditions),
+        "conditions": request.conditions.changed,
         "probed": request.probed,
     }
 

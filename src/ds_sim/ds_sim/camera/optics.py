@@ -61,6 +61,8 @@ SENSOR_CONDITIONS = frozenset({"illuminance", "sensor_noise"})
 """Conditions that change the noise of the sensor."""
 MOUNT_CONDITIONS = frozenset({"camera_height", "camera_pitch", "camera_yaw"})
 """Conditions that change the mounting of the camera."""
+CAMERA_CONDITIONS = LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
+"""Conditions that need nothing of the renderer."""
 KOSCHMIEDER = 3.912
 """Extinction coefficient times visibility: -ln 0.02, the contrast threshold of meteorological visibility."""
 HAZE_TOP = 100.0
@@ -190,24 +192,32 @@ class Optics:
         return np.asarray(self._sun_veil / np.maximum(angle, SMALLEST_ANGLE) ** 2, np.float32).reshape(self._shape)
 
 
-def optics_of(
-    spec: CameraSpec,
+OpticsOfRows = Callable[[tuple[int, int]], Optics]
+"""Gives the optics of a run for some rows of the image, first row and end, with the same smudges for any rows."""
+
+
+def camera_under(
+    camera: CameraSpec,
     conditions: Conditions,
     rng: np.random.Generator,
     *,
     sun: tuple[float, float],
     haze: Colour | None = None,
-) -> Callable[[tuple[int, int]], Optics]:
-    """Return a function that gives the optics of a run for some rows of the image, with the same smudges for any rows.
+) -> tuple[CameraSpec, OpticsOfRows | None]:
+    """Return a camera as conditions mount it, with their noise, and its optics; None where they leave the light alone.
 
     The arguments are those of `Optics`.
     """
+    spec = replace(mounted(camera, conditions), noise=noise_of(camera, conditions))
+    changing = LENS_CONDITIONS if haze is None else LENS_CONDITIONS | {"visibility"}
+    if not changing & conditions.changed.keys():
+        return spec, None
 
     @cache
     def of_rows(rows: tuple[int, int]) -> Optics:
         return Optics(spec, conditions, copy.deepcopy(rng), sun=sun, rows=rows, haze=haze)
 
-    return of_rows
+    return spec, of_rows
 
 
 def _smudges(rng: np.random.Generator, spec: CameraSpec, share: float) -> NDArray[np.float32]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,21 +12,13 @@ from ds_road import Road
 from ds_sim.camera.atlas import AtlasMemory
 from ds_sim.camera.ground import Ground, paint_ground
 from ds_sim.camera.look import Look
-from ds_sim.camera.optics import (
-    LENS_CONDITIONS,
-    MOUNT_CONDITIONS,
-    SENSOR_CONDITIONS,
-    Optics,
-    mounted,
-    noise_of,
-    optics_of,
-)
+from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import Scene, check_rows
+from ds_sim.parts import Scene
 from ds_sim.simulator import SimulatorError, VehicleState
 
 _SPARE: list[AtlasMemory] = []
@@ -42,25 +33,16 @@ class PaintedScene(Scene):
         look: appearance of the world.
     """
 
-    conditions = (
-        SURFACE_CONDITIONS | LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
-        | {"visibility", "sun_azimuth", "sun_elevation"}
-    )  # fmt: skip
-    """Conditions that any painted scene realises."""
+    conditions = SURFACE_CONDITIONS | CAMERA_CONDITIONS | {"visibility", "sun_azimuth", "sun_elevation"}
 
     def __init__(self, camera: CameraSpec, look: Look) -> None:
-        self._spec = camera
+        super().__init__(camera)
         self._look = look
-        self._rows = self._camera_rows = (0, camera.height_px)
+        self._camera_rows = self._rows
         self._camera = Camera(camera, look)
         self._memory: AtlasMemory | None = None
         self._view: _View | None = None
         self._whole: _View | None = None
-
-    def draw_rows(self, top: int, bottom: int) -> None:
-        """Draw only some rows of the images of the runs to come; see `Scene.draw_rows`."""
-        check_rows(top, bottom, self._spec)
-        self._rows = (top, bottom)
 
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Paint the ground of a road; see `Scene.load`."""
@@ -69,27 +51,13 @@ class PaintedScene(Scene):
         if self._camera_rows != self._rows:
             self._camera_rows = self._rows
             self._camera = Camera(self._spec, self._look, scene_rows(self._spec, self._rows))
-        if conditions.is_default:
-            self._view = _View(
-                camera=self._camera,
-                ground=paint_ground(road, self._look, self._memory),
-                sensor=Sensor(self._spec, rng, self._rows),
-                spec=self._spec,
-                rows=self._rows,
-            )
-            return
         ground_rng, lens_rng = rng.spawn(2)
         look = _lit(self._look, conditions)
-        spec = replace(mounted(self._spec, conditions), noise=noise_of(self._spec, conditions))
-        rows = scene_rows(spec, self._rows)
+        sun = (look.sun_azimuth, look.sun_elevation)
+        spec, optics = camera_under(self._spec, conditions, lens_rng, sun=sun, haze=look.horizon)
         camera = self._camera
         if look != self._look or spec != self._spec:
-            camera = Camera(spec, look, rows)
-        optics = None
-        if (LENS_CONDITIONS | {"visibility"}) & conditions.changed.keys():
-            optics = optics_of(
-                spec, conditions, lens_rng, sun=(look.sun_azimuth, look.sun_elevation), haze=look.horizon
-            )
+            camera = Camera(spec, look, scene_rows(spec, self._rows))
         self._view = _View(
             camera=camera,
             ground=paint_ground(road, look, self._memory, conditions=conditions, rng=ground_rng),
@@ -150,7 +118,7 @@ class _View:
     sensor: Sensor
     spec: CameraSpec
     rows: tuple[int, int]
-    optics: Callable[[tuple[int, int]], Optics] | None = None
+    optics: OpticsOfRows | None
 
     def scene(self, state: VehicleState) -> NDArray[np.uint8]:
         """What reaches the sensor."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -15,23 +14,13 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.lens import Vector, optical_axes
 from ds_sim.camera.look import Colour
-from ds_sim.camera.optics import (
-    LENS_CONDITIONS,
-    MOUNT_CONDITIONS,
-    SENSOR_CONDITIONS,
-    Optics,
-    mounted,
-    noise_of,
-    optics_of,
-)
+from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
 from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.parts import Scene, check_rows
+from ds_sim.parts import Scene
 from ds_sim.simulator import VehicleState
 
-CAMERA_CONDITIONS = LENS_CONDITIONS | SENSOR_CONDITIONS | MOUNT_CONDITIONS
-"""Conditions that need nothing of the renderer."""
 Axes = tuple[Vector, Vector, Vector]
 """Optical axes right, down, forward in the road frame, unit vectors."""
 
@@ -63,8 +52,8 @@ class RenderedScene(Scene):
             if getattr(camera, name) != expected:
                 found = getattr(camera, name)
                 raise ValueError(f"camera.{name} is {found}, expected {expected}: {type(self).__name__} draws no other")
-        self._spec = camera
-        self._rows = self._run_rows = (0, camera.height_px)
+        super().__init__(camera)
+        self._run_rows = self._rows
         self._view = _View(spec=camera)
 
     @abstractmethod
@@ -87,7 +76,10 @@ class RenderedScene(Scene):
         """Build the world of a road from scratch; `rng` is used by conditions alone."""
         self._run_rows = self._rows
         lens_rng, world_rng = (rng, rng) if conditions.is_default else rng.spawn(2)
-        self._view = self._under(conditions, rng, lens_rng)
+        x, y, z = self._sun(conditions)
+        sun = (math.atan2(y, x), math.asin(z))
+        spec, optics = camera_under(self._spec, conditions, lens_rng, sun=sun, haze=self.haze)
+        self._view = _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
         self._build(road, conditions, world_rng)
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
@@ -101,24 +93,6 @@ class RenderedScene(Scene):
             return self._seen(state, (0, self._spec.height_px))
         image = self._seen(state, self._run_rows)
         return image if self._view.sensor is None else Sensor(self._view.spec, rng, self._run_rows).deliver(image)
-
-    def draw_rows(self, top: int, bottom: int) -> None:
-        """Draw only some rows of the images of the runs to come."""
-        check_rows(top, bottom, self._spec)
-        self._rows = (top, bottom)
-
-    def _under(self, conditions: Conditions, rng: np.random.Generator, lens_rng: np.random.Generator) -> _View:
-        """Make the camera of a run under its conditions."""
-        before_lens = LENS_CONDITIONS if self.haze is None else LENS_CONDITIONS | {"visibility"}
-        changed = conditions.changed.keys()
-        if not (before_lens | CAMERA_CONDITIONS) & changed:
-            return _View(spec=self._spec)
-        spec = replace(mounted(self._spec, conditions), noise=noise_of(self._spec, conditions))
-        optics = None
-        if before_lens & changed:
-            x, y, z = self._sun(conditions)
-            optics = optics_of(spec, conditions, lens_rng, sun=(math.atan2(y, x), math.asin(z)), haze=self.haze)
-        return _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
 
     def _seen(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
         """What reaches the sensor, read-only."""
@@ -136,5 +110,5 @@ class _View:
     """Camera of one run, and what conditions put before and behind its lens."""
 
     spec: CameraSpec
-    optics: Callable[[tuple[int, int]], Optics] | None = None
+    optics: OpticsOfRows | None = None
     sensor: Sensor | None = None

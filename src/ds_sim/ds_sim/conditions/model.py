@@ -197,7 +197,7 @@ class Conditions:
 
     @property
     def changed(self) -> dict[str, float]:
-        """Values that differ from the defaults, by name in the order of the fields."""
+        """Values that differ from the defaults, all finite, by name in the order of the fields."""
         return {name: getattr(self, name) for name in FIELDS if getattr(self, name) != _default(name)}
 
     @property

@@ -92,11 +92,6 @@ def from_pairs(pairs: Iterable[tuple[str, float]]) -> Conditions:
     return Conditions(**values)
 
 
-def to_json(conditions: Conditions) -> dict[str, float]:
-    """Return the changed values by name; every one is finite, since only the default visibility is infinite."""
-    return conditions.changed
-
-
 def three_digits(value: float) -> str:
     """Format a value for people: three significant digits, without an exponent."""
     import numpy as np  # reading conditions, at the start of every verb that takes them, needs no NumPy

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.camera.lens import Vector
-from ds_sim.camera.rendered_scene import CAMERA_CONDITIONS, Axes, RenderedScene
+from ds_sim.camera.optics import CAMERA_CONDITIONS
+from ds_sim.camera.rendered_scene import Axes, RenderedScene
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import Conditions
 from ds_sim.simulator import SimulatorError
