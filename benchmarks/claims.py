@@ -23,11 +23,11 @@ from scipy.special import expit, logit
 
 from ds_analysis.common.selection import ALPHA, most_frequent, p_of_leads
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
-from ds_analysis.common.table import Column, Table, Value
 from ds_analysis.comparison.analysis import compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_analysis.paper.correlation import evaluate, paired_differences
 from ds_base.atomic_files import write_whole
+from ds_base.table import Column, Table, Value
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test

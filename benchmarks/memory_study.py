@@ -31,8 +31,8 @@ from scipy.stats import rankdata
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import OutcomeTable, table_of_runs
 from ds_analysis.common.statistics import Array, Indices
-from ds_analysis.common.table import Column, Table, Value, write_tables
 from ds_analysis.siblings.analysis import analyse, analysis_tables
+from ds_base.table import Column, Table, Value, write_tables
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.data.collection import unseen_roads

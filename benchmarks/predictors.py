@@ -35,12 +35,12 @@ from scipy.special import expit, log_expit, logit
 
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools, Indices
-from ds_analysis.common.table import Column, Table, Value, write_tables
 from ds_analysis.outcomes.folders import read_table
 from ds_analysis.prediction.betting import sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.predictors import FEATURES, features_alone, merged
 from ds_analysis.prediction.verdicts import called
+from ds_base.table import Column, Table, Value, write_tables
 from ds_cli.output import say
 
 OURS = Path("docs/data/outcomes")

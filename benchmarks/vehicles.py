@@ -13,8 +13,8 @@ from benchmarks.physics import cars, random_roads
 from benchmarks.physics import drive as drive_road
 from matplotlib.figure import Figure
 
+from ds_base.figures import draw_figure
 from ds_road import Road
-from ds_road.figures import draw_figure
 from ds_sim.camera.encodings import png
 
 COLOURS = {"bullet": "#005ab5", "softbody": "#d55e00", "panda": "#943ca0", "donkey": "#008c64"}

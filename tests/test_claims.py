@@ -13,7 +13,7 @@ import pytest
 from benchmarks import claims
 from benchmarks.claims import EFFECTS, NOISES
 
-from ds_analysis.common.table import Value
+from ds_base.table import Value
 
 
 def stated(row: Sequence[Value]) -> float:

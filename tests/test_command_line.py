@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from progress_lines import ProgressLines
 
-from ds_analysis.common.table import Column, Table
+from ds_base.table import Column, Table
 from ds_cli import application, evaluations, main
 from ds_cli.output import ScreenProgress
 from ds_cli.verbs import GROUPS, VERBS, overview

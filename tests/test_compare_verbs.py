@@ -21,6 +21,8 @@ from tests.campaign.engines import MadeUpEngine
 from tests.command_line import ds
 
 from ds_analysis.comparison.ci_results import Criteria
+from ds_analysis.sensitivity.factors import factors_named
+from ds_analysis.sensitivity.result import RoadResult, Sensitivity, Threshold
 from ds_base.folder_files import locked
 from ds_cli.campaign.run import judged
 from ds_cli.output import Result, end
@@ -37,9 +39,6 @@ from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_sim.session import RunRecord
-from ds_studies.sensitivity.analysis import Sensitivity
-from ds_studies.sensitivity.factors import factors_named
-from ds_studies.sensitivity.measurement import RoadResult, Threshold
 
 
 class OfDriver(MadeUpEngine):

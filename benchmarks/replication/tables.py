@@ -25,16 +25,16 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import stats
 
-from ds_analysis.common.heatmap import COLOURS
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import check_robustness, evaluate
 from ds_analysis.paper.paper_tables import RQ2, RQ3, PaperRow, role_of
+from ds_base.figures import WIDTH, draw_figure
+from ds_base.palette import BETWEEN, FAIL, PASS
+from ds_base.palette import SERIES as GROUPS
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
-from ds_road.figures import COLOURS as GROUPS
-from ds_road.figures import WIDTH, draw_figure
 from ds_sim.camera.encodings import png
 
 NAMES = {"DS1": "bullet", "DS2": "softbody", "DSS": "merged"}
@@ -217,7 +217,7 @@ def _counts(driven: Driven) -> Iterator[Row]:
 
 def draw_maps(networks: Mapping[str, Driven]) -> NDArray[np.uint8]:
     """Draw the failure probabilities of each network in a row: the siblings', the merged ones, the twin's."""
-    scale = LinearSegmentedColormap.from_list("maps", [np.array(colour) / 255 for colour in COLOURS])
+    scale = LinearSegmentedColormap.from_list("maps", [PASS, BETWEEN, FAIL])
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(len(networks), 4, squeeze=False, sharex=True, sharey=True)

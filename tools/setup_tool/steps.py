@@ -31,7 +31,7 @@ USED_MODULES = (
         "ds_sim_ros.simulator",
         "ds_studies.whole_campaign",
         "ds_orchestrator.graph.client",
-        "ds_analysis.common.heatmap",
+        "ds_report.heatmap",
     ),
     *("ds_report.html_report", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
 )

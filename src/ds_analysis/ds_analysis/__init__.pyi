@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 from .common.driven_road import DrivenRoad
-from .common.heatmap import draw_map, write_maps
 from .common.outcome_table import (
     ROAD_FEATURES,
     OutcomeTable,
@@ -10,7 +9,6 @@ from .common.outcome_table import (
     table_of_comparison,
     table_of_runs,
 )
-from .common.table import Table, write_tables
 from .comparison.analysis import (
     CellComparison,
     Comparison,
@@ -49,6 +47,8 @@ from .prediction.car import CarPrediction, predict_car
 from .prediction.mixture import Drive, Prediction, predict
 from .prediction.predictors import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
 from .prediction.verdicts import CellVerdict, TestVerdict, Verdicts, judge
+from .sensitivity.factors import RESOLUTIONS, Factor, all_factors, factors_named
+from .sensitivity.result import Sensitivity, Threshold
 from .siblings.added_information import AddedInformation, Baseline
 from .siblings.analysis import SiblingAnalysis, analyse, analysis_tables
 from .siblings.residuals import ResidualCorrelation
@@ -67,6 +67,7 @@ __all__ = [
     "Drive",
     "DriveOutcome",
     "DrivenRoad",
+    "Factor",
     "MaxFailures",
     "Network",
     "OutcomeTable",
@@ -78,17 +79,20 @@ __all__ = [
     "Prediction",
     "PredictorComparison",
     "PredictorScore",
+    "RESOLUTIONS",
     "ROAD_FEATURES",
     "ResidualCorrelation",
     "RobustnessCheck",
+    "Sensitivity",
     "SiblingAnalysis",
     "SimulatorComparison",
     "State",
-    "Table",
     "TestVerdict",
+    "Threshold",
     "Verdicts",
     "adjusted",
     "advice_of",
+    "all_factors",
     "analyse",
     "analysis_tables",
     "answer_of",
@@ -99,8 +103,8 @@ __all__ = [
     "comparison_tables",
     "correlate",
     "difference_interval",
-    "draw_map",
     "evaluate",
+    "factors_named",
     "judge",
     "maps_of",
     "markdown_of",
@@ -112,6 +116,4 @@ __all__ = [
     "table_of_campaign",
     "table_of_comparison",
     "table_of_runs",
-    "write_maps",
-    "write_tables",
 ]

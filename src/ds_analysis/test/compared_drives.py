@@ -42,12 +42,14 @@ def pairs(
     return [
         PairedDrive(
             test=ComparedTest(
-                name=f"test-0-{first + number:04d}", scenario=Scenario(road(number), seed=number),
-                cell=(number % 2, 10), unsearched=number in unsearched,
+                name=f"test-0-{first + number:04d}",
+                scenario=Scenario(road(number), seed=number),
+                cell=(number % 2, 10),
+                unsearched=number in unsearched,
             ),
             simulator=simulator,
             reference=outcome(before),
             candidate=outcome(after),
         )
         for number, (before, after) in enumerate(changes)
-    ]  # fmt: skip
+    ]

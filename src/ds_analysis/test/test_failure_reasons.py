@@ -42,10 +42,17 @@ def failed(
     columns = np.column_stack((path, np.zeros(len(path)), np.full(len(path), speed), lateral))[:end]
     largest = float(np.abs(columns[:, 4]).max())
     return Execution(
-        test_id="bullet-0-0000", simulator="bullet", outcome=outcome, message="", fitness=2.0 - largest,
-        max_lateral_position=largest, steps=end - 1, simulated_seconds=(end - 1) * FRAME_TIME, trajectory_sha256="",
+        test_id="bullet-0-0000",
+        simulator="bullet",
+        outcome=outcome,
+        message="",
+        fitness=2.0 - largest,
+        max_lateral_position=largest,
+        steps=end - 1,
+        simulated_seconds=(end - 1) * FRAME_TIME,
+        trajectory_sha256="",
         drive=DriveArrays(columns, steering[: end - 1]),
-    )  # fmt: skip
+    )
 
 
 def made_test(road: Road, **conditions: float) -> Test:

@@ -113,11 +113,18 @@ def test_predictions_over_a_data_set(tmp_path: Path) -> None:
     for simulator, labels in (("bullet", [0.5, 1.0, 0.75]), ("donkey", [1.0, 0.9])):
         rows: list[dict[str, object]] = [
             {
-                "image": image, "steering": label, "throttle": 0.1, "speed": 5.0, "lateral_position": 0.0, "step": k,
-                "simulator": simulator, "road_id": "r", "direction": "forward",
+                "image": image,
+                "steering": label,
+                "throttle": 0.1,
+                "speed": 5.0,
+                "lateral_position": 0.0,
+                "step": k,
+                "simulator": simulator,
+                "road_id": "r",
+                "direction": "forward",
             }
             for k, label in enumerate(labels)
-        ]  # fmt: skip
+        ]
         write_drive(tmp_path / "data" / simulator / "r-forward.parquet", rows)
     told = ProgressLines()
     found = predict(

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from ds_analysis.common.table import Column, Table, TablesError, keep_tables, read_tables, shown, write_tables
 from ds_analysis.paper.correlation import Correlation, PairedDifference, RobustnessCheck
 from ds_analysis.paper.paper_tables import correlation_tables, paired_difference_table, robustness_table, role_of
+from ds_base.table import Column, Table, TableError, keep_tables, read_tables, shown, write_tables
 from ds_orchestrator.maps.feature_map import MapId
 
 TABLE = Table(
@@ -76,7 +76,7 @@ def test_kept_tables_come_back(tmp_path: Path) -> None:
         assert (table.texts(), table.csv(), table.latex()) == (TABLE.texts(), TABLE.csv(), TABLE.latex())
     for broken in ("[", '[{"name": "t"}]', "3"):
         path.write_text(broken)
-        with pytest.raises(TablesError, match="kept.json cannot be read .*: remove it"):
+        with pytest.raises(TableError, match="kept.json cannot be read .*: remove it"):
             read_tables(path)
 
 
@@ -98,7 +98,7 @@ def test_damaged_tables_are_refused(tmp_path: Path, damage: dict[str, object]) -
     path.write_text(json.dumps([table]))
     assert read_tables(path)[0].texts() == [["x", "1"]]
     path.write_text(json.dumps([table | damage]))
-    with pytest.raises(TablesError, match=r"rq1\.json cannot be read .*: remove it"):
+    with pytest.raises(TableError, match=r"rq1\.json cannot be read .*: remove it"):
         read_tables(path)
 
 
@@ -109,9 +109,17 @@ def test_files(tmp_path: Path) -> None:
 
 def found(map_id: MapId, value: str, r: float | None) -> Correlation:
     return Correlation(
-        map=map_id, value=value, cells=9, r=r, p=None if r is None else 0.01, reason="" if r is not None else "why",
-        r_interval=None if r is None else (r - 0.1, r + 0.1), auc=0.5, auc_interval=(0.2, 0.8), baseline=0.25,
-    )  # fmt: skip
+        map=map_id,
+        value=value,
+        cells=9,
+        r=r,
+        p=None if r is None else 0.01,
+        reason="" if r is not None else "why",
+        r_interval=None if r is None else (r - 0.1, r + 0.1),
+        auc=0.5,
+        auc_interval=(0.2, 0.8),
+        baseline=0.25,
+    )
 
 
 def test_the_papers_numbers_are_in_the_campaigns_rows() -> None:

@@ -87,9 +87,11 @@ def test_excluded_tests_have_a_row_without_outcome(campaign: tuple[Path, Campaig
     left_out = data.executions[0]
     gate = Gate(state=GateState.OUT_OF_ODD, message="too dark")
     changed = CampaignData(
-        config=CONFIG, tests=data.tests, executions=data.executions[1:],
+        config=CONFIG,
+        tests=data.tests,
+        executions=data.executions[1:],
         gates={(left_out.test_id, left_out.simulator): gate},
-    )  # fmt: skip
+    )
     (path,) = write_tables(changed, tmp_path)
     (row,) = (row for row in pq.read_table(path).to_pylist() if row["gate"] is not None)
     assert (row["test_id"], row["simulator"]) == (left_out.test_id, left_out.simulator)

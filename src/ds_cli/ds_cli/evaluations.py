@@ -15,7 +15,7 @@ from ds_cli.options import JsonFlag, Trust
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer
 
 if TYPE_CHECKING:
-    from ds_analysis.common.table import Table
+    from ds_base.table import Table
 
 app = typer.Typer()
 
@@ -34,10 +34,10 @@ def evaluation(
     Raises:
         ds_analysis.paper.open_loop.ErrorsError: the campaign has neither twin nor car, or the data set lacks images.
     """
-    from ds_analysis.common.table import keep_tables
     from ds_analysis.paper.campaign_contents import maps_of
     from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
     from ds_analysis.paper.open_loop import ErrorsError
+    from ds_base.table import keep_tables
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_report.build import RQ1
     from ds_report.sections import merge_tables, sibling_section
@@ -94,7 +94,7 @@ def is_detail(table: Table) -> bool:
 
 def tables_result(tables: list[Table], out: Path | None, *, everything: bool) -> Result:
     """Write tables to a folder, and print the main ones, or everything."""
-    from ds_analysis.common.table import document_of, write_tables
+    from ds_base.table import document_of, write_tables
 
     document: dict[str, Any] = dict(document_of(tables))
     if out is not None:

@@ -59,9 +59,13 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     for start in range(0, max(len(columns), 1), at_once):
         part = columns[start : start + at_once]
         table = Table(
-            title=f"{feature_map.title}: {_TITLES[shown]}", caption=f"{across.title} →", box=SIMPLE, pad_edge=False,
-            padding=(0, 1), title_justify="left",
-        )  # fmt: skip
+            title=f"{feature_map.title}: {_TITLES[shown]}",
+            caption=f"{across.title} →",
+            box=SIMPLE,
+            pad_edge=False,
+            padding=(0, 1),
+            title_justify="left",
+        )
         table.add_column(f"{up.title} ↑", justify="right", no_wrap=True)
         for column in part:
             table.add_column(across.label(column), justify="center", min_width=6, no_wrap=True)
@@ -117,9 +121,9 @@ def _box(cell: MapCell | None, shown: Shown, excluded: int) -> Text:
 
 def _style(value: float) -> str:
     """Background of a value in [0, 1], as in the pictures of the maps, and the text on it."""
-    from ds_analysis.common.heatmap import colour_of, ink_on
+    from ds_base.palette import colour_of_share, ink_on
 
-    colour = colour_of(value)
+    colour = colour_of_share(value)
     return "bold rgb({},{},{}) on rgb({},{},{})".format(*ink_on(colour), *colour)
 
 

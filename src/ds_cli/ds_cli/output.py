@@ -18,7 +18,7 @@ import typer
 from ds_base.progress import LOGGER
 
 if TYPE_CHECKING:
-    from ds_analysis.common.table import Table
+    from ds_base.table import Table
     from ds_driver.control.command_habits import Habit
 
 NOT_PASSED = 3
@@ -165,11 +165,11 @@ def of_networks(table: Table, results: Sequence[Result], out: Path | None, sort:
     """Join the results of several networks under their table, which is written to `networks.csv`.
 
     Raises:
-        ds_analysis.common.table.TablesError: the table has no such column.
+        ds_base.table.TableError: the table has no such column.
     """
     from rich.console import Console
 
-    from ds_analysis.common.table import write_tables
+    from ds_base.table import write_tables
 
     table = table.sorted_by(sort) if sort else table
     if out is not None:

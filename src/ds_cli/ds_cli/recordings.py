@@ -46,8 +46,8 @@ def locate_command(
     from ds_recording.locate import located_of
     from ds_recording.located import write_located
     from ds_recording.odometry import summary
-    from ds_recording.page import write_page
     from ds_recording.recording import read_views
+    from ds_report.recording_page import write_recording_page
 
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     try:
@@ -56,7 +56,7 @@ def locate_command(
         found, fit = located_of(views, known, lane_width, progress=ScreenProgress())
         found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
         write_located(out, found)
-        page = write_page(out / "index.html", views, found, fit)
+        page = write_recording_page(out / "index.html", views, found, fit)
     except KeyboardInterrupt:
         raise Interrupted from None
     document = found.about | {"out": str(out), "page": str(page)}

@@ -148,12 +148,13 @@ def _write(
     """Write siblings.json, roads.json, tables and pictures."""
     import ds_road
     from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
-    from ds_analysis.common.table import write_tables
     from ds_analysis.paper.simulator_agreement import most_different
     from ds_analysis.siblings.analysis import analysis_tables
-    from ds_analysis.siblings.pictures import draw_failures, draw_matrix
     from ds_base.atomic_files import write_json
+    from ds_base.table import write_tables
+    from ds_report.sibling_pictures import draw_failures, draw_matrix
     from ds_sim.camera.encodings import png
+    from ds_sim.registry import colours_of
 
     write_json(out / SIBLINGS, {"version": SIBLINGS_VERSION, **document})
     ds_road.write_roads(list(roads), out / "roads.json")
@@ -165,7 +166,8 @@ def _write(
         (out / "who_fails_where.png").write_bytes(png(matrix))
     for rank, index in enumerate(most_different(table, PICTURED)):
         paths = {name: of[index].path for name, of in runs.items()}
-        (out / f"most_different_{rank + 1}.png").write_bytes(png(ds_road.draw(roads[index], trajectories=paths)))
+        picture = ds_road.draw(roads[index], trajectories=paths, colours=colours_of(list(paths)))
+        (out / f"most_different_{rank + 1}.png").write_bytes(png(picture))
 
 
 def _show(document: dict[str, Any], pairs: Sequence[PairComparison], found: SiblingAnalysis) -> None:

@@ -45,9 +45,9 @@ def twin_fit_command(
 
     `--sim donkey@FILE` then drives with them.
     """
+    from ds_report.fit_picture import draw_fit
     from ds_twin_donkey.car_files import read_start
     from ds_twin_donkey.fit import FitSettings, fit
-    from ds_twin_donkey.fit_picture import draw_fit
     from ds_twin_donkey.located import LOCATED, fit_located
     from ds_twin_donkey.logs import read_log
     from ds_twin_donkey.parameter_file import document_of, write_parameters

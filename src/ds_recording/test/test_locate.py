@@ -21,9 +21,9 @@ from ds_recording.locate import Fit, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
 from ds_recording.motion import MotionFinder
 from ds_recording.odometry import AHEAD, TURN, Source
-from ds_recording.page import write_page
 from ds_recording.recording import Views, longest_stretch, read_views
 from ds_recording.smoother import Evidence
+from ds_report.recording_page import write_recording_page
 
 Array = NDArray[np.float64]
 WIDTH, RADIUS = 0.25, 0.9
@@ -169,7 +169,7 @@ def test_the_files_come_back_and_the_page_stands_alone(solved: Solved, tmp_path:
     assert again.camera == found.camera and again.lane_width == WIDTH
     about = json.loads((tmp_path / "out" / "recording.json").read_text())
     assert about["kind"] == "tub" and about["calibration"] == "given"
-    text = write_page(tmp_path / "page.html", views, found, fit).read_text()
+    text = write_recording_page(tmp_path / "page.html", views, found, fit).read_text()
     assert text.count("data:image/png;base64,") == 3 and "http" not in text.replace("http-equiv", "")
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from .build import write_all
 from .findings import Findings, summarise
+from .heatmap import draw_map, write_maps
 from .html_report import write_report
 from .watch.campaign_reader import CampaignReader
 from .watch.server import ServerError, serve
@@ -9,8 +10,10 @@ __all__ = [
     "CampaignReader",
     "Findings",
     "ServerError",
+    "draw_map",
     "serve",
     "summarise",
     "write_all",
+    "write_maps",
     "write_report",
 ]

@@ -8,7 +8,6 @@ from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ds_analysis.common.table import read_tables, write_tables
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_analysis.paper.campaign_evaluation import (
     correlations_of,
@@ -19,6 +18,7 @@ from ds_analysis.paper.campaign_evaluation import (
 )
 from ds_base import atomic_files as whole_files
 from ds_base.progress import logger_of
+from ds_base.table import read_tables, write_tables
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
@@ -67,8 +67,8 @@ def write_all(
     Returns:
         Path of the report.
     """
-    from ds_analysis.common.heatmap import write_maps
     from ds_report.failure_section import failure_section
+    from ds_report.heatmap import write_maps
     from ds_report.html_report import SHOWN_TESTS, write_report
     from ds_report.sections import answer_section, further_map, merge_tables, sibling_section
 

@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ds_analysis.common.heatmap import COLOURS, ink_on
-from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.analysis import CellComparison, Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
-from ds_base.atomic_files import write_whole
+from ds_base.palette import FAIL, PASS, ink_on, rgb
+from ds_base.table import p_in_words
 from ds_driver.networks.driver_name import DriverName
-from ds_report.html_report import environment
-from ds_report.page_data import data_address
+from ds_report.pages import data_address, write_page
 from ds_road import draw
 from ds_sim.registry import SimulatorName, path_moved
 
@@ -23,7 +21,7 @@ PICTURED = 12
 """Drives with a picture; chosen: the page stays below a megabyte."""
 _SIZE = 400
 STRONG = 0.5
-"""Difference from which a cell's text no longer has the page's colour; chosen: half of the way to red or green."""
+"""Difference from which a cell's text no longer has the page's colour; chosen: half of the way to `FAIL` or `PASS`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +64,9 @@ def write_comparison_page(
         unmet: pass criteria that are not met, one sentence each.
     """
     worse = comparison.newly_failing
-    text = environment().get_template("comparison.html.j2").render(
+    write_page(
+        path,
+        "comparison.html.j2",
         comparison=comparison,
         advice=advice_of(comparison),
         answer=answer_of(comparison),
@@ -79,11 +79,11 @@ def write_comparison_page(
         drives=drive_table(comparison),
         pictures=[
             (one, _picture(one), _command(one, comparison, road_files, path.parent))
-            for one in worse[:PICTURED] if one.test.scenario is not None
+            for one in worse[:PICTURED]
+            if one.test.scenario is not None
         ],
         more=len(worse) - PICTURED if worse and worse[0].test.scenario else len(worse),
-    )  # fmt: skip
-    write_whole(path, text)
+    )
 
 
 def grids_of(comparison: Comparison) -> list[Grid]:
@@ -108,8 +108,8 @@ def grids_of(comparison: Comparison) -> list[Grid]:
 
 
 def style_of_difference(difference: float) -> str:
-    """CSS of a difference in [-1, 1]: green where tests are fixed, the page's colour for none, red where they fail."""
-    colour = COLOURS[2] if difference > 0 else COLOURS[0]
+    """CSS of a difference in [-1, 1]: `PASS` where tests are fixed, `FAIL` where they newly fail."""
+    colour = rgb(FAIL if difference > 0 else PASS)
     style = "background: rgb({} {} {} / {:.0%})".format(*colour, min(abs(difference), 1.0))
     return style + "; color: rgb({} {} {})".format(*ink_on(colour)) * (abs(difference) > STRONG)
 

@@ -11,9 +11,9 @@ import numpy as np
 from ds_analysis.common.selection import most_frequent
 from ds_analysis.common.statistics import families_of
 from ds_analysis.failures.reasons import Reason, groups_of, reasons_of, where
+from ds_base.words import count
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_report.camera_pictures import worst_first
-from ds_report.findings import count
 
 MOST_GROUPS = 12
 """Groups that are shown; chosen: a screen. The last ones hold single failures."""

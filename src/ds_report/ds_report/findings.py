@@ -26,16 +26,17 @@ from typing import Literal
 import numpy as np
 from scipy.stats import t
 
-from ds_analysis.common.heatmap import Value
 from ds_analysis.common.selection import ALPHA, SEED, ChosenSplit, Share, choose_split
 from ds_analysis.common.statistics import Indices, families_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
+from ds_base.words import count, listed
 from ds_driver.networks.network_driver import sees_translated
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import Test
+from ds_report.heatmap import Value
 from ds_sim.conditions.model import DEFAULT, FIELDS
 from ds_sim.conditions.words import in_words
 
@@ -271,11 +272,6 @@ def radius(curvature: float) -> str:
     return f"{1.0 / curvature:.1f} m" if curvature > 0 else "straight"
 
 
-def count(number: int, thing: str, plural: str = "") -> str:
-    """Count in words: `1 cell`, `2 cells`."""
-    return f"{number} {thing if number == 1 else plural or thing + 's'}"
-
-
 def _harder_than(split: Split, thing: str) -> str:
     if split.axis in FIELDS:
         return in_words(split.axis, split.threshold, side="or more" if split.is_lower_bound else "or less")
@@ -322,11 +318,6 @@ def _conditions(outcomes: RoadOutcomes, but: str = "") -> list[str]:
             continue
         named.append(in_words(name, min(known), max(known)))
     return named
-
-
-def listed(parts: Sequence[str]) -> str:
-    """Join words as `a`, `a and b`, `a, b and c`."""
-    return " and ".join([", ".join(parts[:-1]), parts[-1]] if len(parts) > 1 else parts)
 
 
 def _agreement(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:

@@ -22,10 +22,11 @@ import numpy as np
 from ds_analysis.common.next_campaign import proposal
 from ds_analysis.common.selection import ALPHA, p_of_leads
 from ds_analysis.common.statistics import families_of
+from ds_base.words import count, listed
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import worst_first
-from ds_report.findings import NOTHING_DRIVEN, count, listed, road_outcomes, where_it_fails
+from ds_report.findings import NOTHING_DRIVEN, road_outcomes, where_it_fails
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,17 +11,15 @@ from typing import Any
 
 import numpy as np
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from ds_analysis.common.selection import Share
 from ds_analysis.common.statistics import families_of
-from ds_analysis.common.table import Table
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import Network, cautions
-from ds_base.atomic_files import write_whole
+from ds_base.table import Table
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.campaign.status import stages_of
@@ -40,9 +38,10 @@ from ds_report.camera_pictures import (
     worst_first,
 )
 from ds_report.failure_section import FailureSection
-from ds_report.findings import count, summarise
+from ds_report.findings import summarise
 from ds_report.first_screen import first_screen
-from ds_report.page_data import in_words, page_data
+from ds_report.page_data import page_data
+from ds_report.pages import write_page
 from ds_report.plotly_figures import correlation_chart, density_chart, layouts
 from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
 from ds_sim.simulator import Outcome
@@ -106,8 +105,9 @@ def write_report(
     on_page["paired"] = paired
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
     on_page["figures"] = _figures(config, correlations, tables, network)
-    page = environment().get_template("report.html.j2")
-    text = page.render(
+    return write_page(
+        folder / "report.html",
+        "report.html.j2",
         config=config,
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
         first=first_screen(data),
@@ -145,9 +145,6 @@ def write_report(
         leftover=_leftover(data),
         shown_errors=_SHOWN_ERRORS,
     )
-    path = folder / "report.html"
-    write_whole(path, text)
-    return path
 
 
 def _shown(data: CampaignData) -> CampaignData:
@@ -162,32 +159,6 @@ def _shown(data: CampaignData) -> CampaignData:
         tests=tuple(test for test in data.tests if test.test_id in kept),
         executions=tuple(execution for execution in data.executions if execution.test_id in kept),
     )
-
-
-def environment() -> Environment:
-    """Environment of the pages' templates."""
-    environment = Environment(
-        loader=PackageLoader("ds_report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.filters["count"] = count
-    environment.filters["in_words"] = in_words
-    environment.filters["duration"] = duration
-    return environment
-
-
-def duration(seconds: float) -> str:
-    """Format a duration: `4 s`, `3 min 20 s`, `5 h 07 min`."""
-    whole = round(seconds)
-    if whole < 60:
-        return f"{seconds:.0f} s"
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60:02d} s"
-    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
 def _figures(

@@ -22,16 +22,11 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import FEET, Cell, Feature, base_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.findings import radius
-from ds_report.plotly_figures import DASHES, colour_of_simulator
-from ds_sim.camera.encodings import png
+from ds_report.pages import outcome_in_words
+from ds_report.plotly_figures import DASHES
 from ds_sim.conditions.text import format_conditions
-from ds_sim.simulator import FRAME_RATE, Outcome
-
-
-def data_address(picture: NDArray[np.uint8]) -> str:
-    """Encode an RGB picture, (rows, columns, 3) uint8, as the address of a PNG."""
-    return f"data:image/png;base64,{base64.b64encode(png(picture)).decode()}"
-
+from ds_sim.registry import colours_of
+from ds_sim.simulator import FRAME_RATE
 
 UNITS = 100.0
 """Units per metre, or per full lock of the steering; chosen: a centimetre is less than a pixel of any picture."""
@@ -67,11 +62,6 @@ def _second_differences(column: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.diff(np.diff(units, prepend=0), prepend=0)
 
 
-def in_words(outcome: Outcome) -> str:
-    """Write an outcome in words: `out of bounds`."""
-    return outcome.name.lower().replace("_", " ")
-
-
 def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str, Any]:
     """Collect the data that the page's script draws, except pictures and layouts.
 
@@ -99,8 +89,16 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         "maps": {map_id.name: _map(config, feature_map) for map_id, feature_map in maps.items()},
         "tests": [
             [
-                test.test_id, config.siblings.index(test.sibling), test.run, test.number, test.seed, test.road.road_id,
-                round(test.road.length, 1), round(test.road.curvature, 4), test.road.turns_count, len(test.road.points),
+                test.test_id,
+                config.siblings.index(test.sibling),
+                test.run,
+                test.number,
+                test.seed,
+                test.road.road_id,
+                round(test.road.length, 1),
+                round(test.road.curvature, 4),
+                test.road.turns_count,
+                len(test.road.points),
                 [_run(done.get((test.test_id, name))) for name in config.simulators],
             ]
             for test in tests
@@ -111,16 +109,17 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         "units": UNITS,
         "frame": EVERY / FRAME_RATE,
         "selected": _telling_cell(maps),
-    }  # fmt: skip
+    }
 
 
 def simulator_rows(config: CampaignConfig) -> list[dict[str, Any]]:
     """Name, role, colour and dash of every simulator."""
+    colours = colours_of(config.simulators)
     return [
         {
             "name": name,
             "role": "twin" if name == config.twin else f"sibling {index + 1}",
-            "colour": colour_of_simulator(index),
+            "colour": colours[name],
             "dash": DASHES[index % len(DASHES)],
         }
         for index, name in enumerate(config.simulators)
@@ -185,13 +184,16 @@ def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
         "about": about(config, feature_map.id),
         "cells": [
             [
-                *cell, value.tests, value.failures, round(value.probability, 4),
+                *cell,
+                value.tests,
+                value.failures,
+                round(value.probability, 4),
                 None if value.interval is None else [round(end, 4) for end in value.interval],
                 round(value.quality_loss, 4),
             ]
             for cell, value in sorted(feature_map.cells.items())
         ],
-    }  # fmt: skip
+    }
 
 
 def about(config: CampaignConfig, map_id: MapId) -> str:
@@ -218,10 +220,16 @@ def _run(execution: Execution | None) -> list[Any] | None:
         return None
     points = len(kept(len(execution.trajectory) - 1)) if len(execution.trajectory) else 0
     return [
-        in_words(execution.outcome), int(execution.outcome.is_failure), round(execution.fitness, 3),
-        round(execution.max_lateral_position, 3), round(execution.simulated_seconds, 2), points,
-        int(points > 0 and len(execution.steering) > 0), execution.message, execution.bag,
-    ]  # fmt: skip
+        outcome_in_words(execution.outcome),
+        int(execution.outcome.is_failure),
+        round(execution.fitness, 3),
+        round(execution.max_lateral_position, 3),
+        round(execution.simulated_seconds, 2),
+        points,
+        int(points > 0 and len(execution.steering) > 0),
+        execution.message,
+        execution.bag,
+    ]
 
 
 def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution]) -> str:

@@ -8,18 +8,17 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from ds_analysis.common.table import Table
 from ds_analysis.paper import paper_tables as paper_numbers
 from ds_analysis.paper.correlation import Correlation
 from ds_analysis.paper.paper_tables import Network, role_of
-from ds_road.picture import PALETTE
+from ds_base.palette import BETWEEN, FAIL, PASS, SERIES
+from ds_base.table import Table
 
 INK, SOFT, LINE = "#1e2329", "#58606b", "#d9dde3"
-CAMPAIGN, PAPER = "#1f5fa8", "#b4540a"
+CAMPAIGN, PAPER = SERIES[0], SERIES[3]
 SCALES: Mapping[str, Sequence[tuple[float, str]]] = {
-    # ColorBrewer's OrRd, PuBu and Greys: lightness falls monotonically, which suits every kind of colour vision and
-    # print; OrRd does not start at white, the colour of the page.
-    "probability": ((0, "#fff3df"), (0.25, "#fdd49e"), (0.5, "#fc8d59"), (0.75, "#d7301f"), (1, "#7f0000")),
+    "probability": ((0, PASS), (0.5, BETWEEN), (1, FAIL)),
+    # ColorBrewer's PuBu and Greys: lightness falls monotonically, which suits every kind of colour vision and print.
     "quality_loss": ((0, "#f3eef7"), (0.25, "#bfcbe3"), (0.5, "#74a9cf"), (0.75, "#0570b0"), (1, "#02304f")),
     "tests": ((0, "#f2f2f2"), (0.25, "#cfd3d6"), (0.5, "#9aa1a7"), (0.75, "#63696f"), (1, "#25282b")),
 }
@@ -29,11 +28,6 @@ DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 _FONT = {"family": 'system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif', "size": 12, "color": INK}
 _ROW, _LEAST, _MOST = 17, 230, 560
 """Height of a map's row, and smallest and largest height of a map, pixels."""
-
-
-def colour_of_simulator(index: int) -> str:
-    """Choose the colour of a simulator's lines, siblings first: `#1f77b4`."""
-    return "#{:02x}{:02x}{:02x}".format(*PALETTE[index % len(PALETTE)])
 
 
 def layouts(rows: int) -> dict[str, Any]:
@@ -185,10 +179,18 @@ def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlatio
     grid = {"showgrid": True, "gridcolor": "#e8ebef", "zeroline": True, "zerolinecolor": "#9aa1a7"}
     shares = sorted({c.baseline for c in correlations if c.baseline is not None})
     chance = [
-        {"type": "line", "x0": s, "x1": s, "y0": 0, "y1": 1, "xref": "x2", "yref": "paper",
-         "line": {"color": SOFT, "dash": "dot", "width": 1.5}}
+        {
+            "type": "line",
+            "x0": s,
+            "x1": s,
+            "y0": 0,
+            "y1": 1,
+            "xref": "x2",
+            "yref": "paper",
+            "line": {"color": SOFT, "dash": "dot", "width": 1.5},
+        }
         for s in shares
-    ]  # fmt: skip
+    ]
     return _layout(
         margin={"l": 8, "r": 12, "t": 36, "b": 40},
         height=90 + 34 * len(labels),
@@ -221,7 +223,7 @@ def density_chart(table: Table) -> dict[str, Any]:
             x=middles,
             y=[row[2 + k] for row in table.rows],
             mode="lines+markers",
-            line={"shape": "hvh", "width": 2, "dash": DASHES[k % len(DASHES)], "color": colour_of_simulator(k)},
+            line={"shape": "hvh", "width": 2, "dash": DASHES[k % len(DASHES)], "color": SERIES[k % len(SERIES)]},
             name=column.name,
             hovertemplate="%{y:.2f}",
         )

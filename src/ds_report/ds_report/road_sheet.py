@@ -6,26 +6,27 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_analysis.common.chart import write
 from ds_analysis.common.statistics import Array
+from ds_base.figures import draw_figure
+from ds_base.palette import SERIES
 from ds_road import Road
 from ds_road.geometry import arc_lengths
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SPACING = 0.1
 """Distance between the points to tape out, m at the car's size; chosen: on bends with a radius of 0.25 m, the
 narrowest, the chord between two points leaves the arc by 5 mm, less than the width of tape."""
-_PER_METRE = 10
+_PER_METRE = round(1 / SPACING)
 _MARGIN = 0.25
 """m at the car's size around the road, so that the grid's origin lies beside it."""
 _PIXELS = 900
-_LEFT, _TOP, _BOTTOM, _RIGHT = 60, 56, 46, 24
-_FAINT, _FAINTER = (190, 190, 190), (228, 228, 228)
-_EDGE, _CENTRE, _LANE = (20, 20, 20), (205, 150, 0), (0, 114, 178)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,13 +83,19 @@ def sheet_of(road: Road, scale: float) -> RoadSheet:
     ]
     extent = np.vstack(lines[1:3]).max(axis=0) / scale - corner + _MARGIN
     return RoadSheet(
-        width=float(extent[0]), height=float(extent[1]), stations=stations, centre=scaled[0], left=scaled[1],
-        right=scaled[2], lane=scaled[3], lane_width=road.lane_width / scale,
-    )  # fmt: skip
+        width=float(extent[0]),
+        height=float(extent[1]),
+        stations=stations,
+        centre=scaled[0],
+        left=scaled[1],
+        right=scaled[2],
+        lane=scaled[3],
+        lane_width=road.lane_width / scale,
+    )
 
 
 def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
-    """Draw a road on white, for print: edges black, centre line amber, driven lane dotted, a grid of whole metres.
+    """Draw a road on white, for print: edges black, centre line amber, driven lane dotted, a grid of half metres.
 
     Args:
         sheet: road at the car's size.
@@ -98,41 +105,21 @@ def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
         (rows, columns, 3) uint8 RGB.
     """
     scale = _PIXELS / max(sheet.width, sheet.height)
-    columns, rows = int(np.ceil(sheet.width * scale)), int(np.ceil(sheet.height * scale))
-    image = np.full((rows + _TOP + _BOTTOM, max(columns + _LEFT + _RIGHT, 560), 3), 255, np.uint8)
+    size = max(round(sheet.width * scale) + 90, 560), round(sheet.height * scale) + 110
 
-    def at(points: Array) -> NDArray[np.int32]:
-        x, y = np.asarray(points, np.float64).reshape(-1, 2).T
-        return np.round(16 * np.column_stack((_LEFT + x * scale, _TOP + rows - y * scale))).astype(np.int32)
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        axes.set_aspect("equal")
+        axes.set(xlim=(0.0, sheet.width), ylim=(0.0, sheet.height), xlabel="m", ylabel="m")
+        axes.set(xticks=np.arange(0.0, sheet.width, 0.5), yticks=np.arange(0.0, sheet.height, 0.5))
+        axes.set_title(f"{title}\ngrid 0.5 m; black: white edge lines; amber: yellow centre line; arrow: start")
+        for line, colour in ((sheet.left, "black"), (sheet.right, "black"), (sheet.centre, "#cd9600")):
+            axes.plot(*line.T, color=colour, linewidth=2.5)
+        axes.plot(*sheet.lane[::2].T, ".", color=SERIES[0], markersize=4)
+        across = np.stack((sheet.left, sheet.right))[:, :-1:_PER_METRE]
+        axes.plot(*np.moveaxis(across, 2, 0), color="#bebebe", linewidth=1)
+        ahead = 0.35 * sheet.lane_width * (sheet.lane[1] - sheet.lane[0]) / np.hypot(*(sheet.lane[1] - sheet.lane[0]))
+        side = np.array((-ahead[1], ahead[0]))
+        axes.fill(*(sheet.lane[0] + np.array([1.6 * ahead, side, -side])).T, color=SERIES[0])
 
-    def line(points: Array, colour: tuple[int, int, int], width: int) -> None:
-        cv2.polylines(image, [at(points)], False, colour, width, cv2.LINE_AA, 4)
-
-    for axis, (extent, other) in enumerate(((sheet.width, sheet.height), (sheet.height, sheet.width))):
-        for half in range(int(2 * extent) + 1):
-            ends = np.array([[half / 2, 0.0], [half / 2, other]])
-            line(ends[:, ::-1] if axis else ends, _FAINTER if half % 2 else _FAINT, 1)
-            if half % 2 == 0:
-                x, y = (at(ends[:1, ::-1] if axis else ends[:1]) // 16)[0]
-                write(image, f"{half // 2}", (int(x) - 22, int(y) + 4) if axis else (int(x) - 4, int(y) + 18), 0.42)
-    for edge in (sheet.left, sheet.right):
-        line(edge, _EDGE, 3)
-    line(sheet.centre, _CENTRE, 3)
-    for point in at(sheet.lane[::2]):
-        cv2.circle(image, (int(point[0]), int(point[1])), 2 << 4, _LANE, -1, cv2.LINE_AA, 4)
-    for k in range(len(sheet.stations)):
-        if k % _PER_METRE == 0 and k < len(sheet.stations) - 1:
-            line(np.array([sheet.left[k], sheet.right[k]]), _FAINT, 1)
-    ahead = sheet.lane[1] - sheet.lane[0]
-    ahead = ahead / np.hypot(*ahead)
-    side = np.array((-ahead[1], ahead[0]))
-    half_lane = 0.35 * sheet.lane_width
-    arrow = sheet.lane[0] + np.array([1.6 * ahead * half_lane, side * half_lane, -side * half_lane])
-    cv2.fillPoly(image, [at(arrow)], _LANE, cv2.LINE_AA, 4)
-    write(image, title, (12, 22), 0.52)
-    write(image, "grid 0.5 m; black: white edge lines; amber: yellow centre line; arrow: start", (12, 42), 0.42)
-    size = (
-        f"{sheet.width:.1f} x {sheet.height:.1f} m, length {sheet.stations[-1]:.1f} m, lanes {sheet.lane_width:.3f} m"
-    )
-    write(image, size, (12, image.shape[0] - 10), 0.45)
-    return image
+    return draw_figure(*size, draw)

@@ -7,21 +7,21 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ds_analysis.common.heatmap import bounds_of, draw_map
 from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
-from ds_analysis.common.table import Table
 from ds_analysis.paper.merge_case import merge_case_table, merge_cases
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts
 from ds_analysis.real.records import RecordError, read_drives
 from ds_analysis.siblings.analysis import analyse, analysis_tables
-from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_base.folder_files import StoreError
 from ds_base.installation import ds_command
+from ds_base.table import Table
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
-from ds_report.page_data import data_address
+from ds_report.heatmap import bounds_of, draw_map
+from ds_report.pages import data_address
+from ds_report.sibling_pictures import draw_failures, draw_matrix
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,21 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_analysis.common.heatmap import bounds_of, draw_map
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.selection import SEED, choose_split
-from ds_analysis.common.table import Column, Table
 from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import Study
 from ds_analysis.prediction.car import CarPrediction, predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
 from ds_analysis.siblings.failure_patterns import nestings
-from ds_base.atomic_files import write_whole
 from ds_base.installation import ds_command
+from ds_base.table import Column, Table, styled
 from ds_orchestrator.maps.feature_map import slices_of
-from ds_report.html_report import environment
-from ds_report.page_data import data_address
+from ds_report.heatmap import bounds_of, draw_map
+from ds_report.pages import data_address, write_page
 from ds_report.verdict_picture import draw_verdicts
 
 PAGE = "report.html"
@@ -44,7 +42,9 @@ def write_study_page(folder: Path, study: Study) -> Path:
             unpredicted = str(error)
     shown = {map_id: made for map_id, made in maps_of_study(study).items() if not map_id.operator}
     bounds = bounds_of(shown.values())
-    page = environment().get_template("study.html.j2").render(
+    return write_page(
+        folder / PAGE,
+        "study.html.j2",
         title=folder.resolve().name,
         sentence=f"{len(table)} tests on {', '.join(study.simulators)}" if car is None else car.sentence,
         sentences=[*_about_car(car), *(_where(table, name) for name in table.simulators)],
@@ -60,9 +60,7 @@ def write_study_page(folder: Path, study: Study) -> Path:
         verdicts="" if car is None else data_address(draw_verdicts(car.verdicts, "Predicted failures on a car")),
         tables=tables,
         features=study.features,
-    )  # fmt: skip
-    write_whole(folder / PAGE, page)
-    return folder / PAGE
+    )
 
 
 def _about_car(car: CarPrediction | None) -> list[str]:
@@ -101,11 +99,12 @@ def simulator_table(study: Study) -> Table:
         name="simulators",
         title="What was read",
         columns=[
-            Column("simulator"), Column("tests", "count"), Column("drives", "count"), Column("failed", "number"),
-            Column("tests whose repeats disagree", "number"),
+            Column("simulator"),
+            *styled("count", "tests", "drives"),
+            *styled("number", "failed", "tests whose repeats disagree"),
         ],
         rows=rows,
-    )  # fmt: skip
+    )
 
 
 def pair_table(table: OutcomeTable) -> Table:
@@ -116,17 +115,28 @@ def pair_table(table: OutcomeTable) -> Table:
         if both.any():
             (one,) = [each for each in nestings(table.select(both)) if (each.first, each.second) == pair]
             rows.append(
-                (*pair, one.both, one.only_first, one.only_second, one.neither, one.second_given_first,
-                 one.second_given_first_interval, one.first_given_second, one.first_given_second_interval)
-            )  # fmt: skip
+                (
+                    *pair,
+                    one.both,
+                    one.only_first,
+                    one.only_second,
+                    one.neither,
+                    one.second_given_first,
+                    one.second_given_first_interval,
+                    one.first_given_second,
+                    one.first_given_second_interval,
+                )
+            )
     names = ("both fail", "only the first", "only the second", "none")
     shares = ("second fails where the first does", "95 %", "first fails where the second does", "95 % ")
     return Table(
         name="pairs",
         title="Whose failures lie inside whose",
         columns=[
-            Column("first"), Column("second"), *(Column(name, "count") for name in names),
+            Column("first"),
+            Column("second"),
+            *(Column(name, "count") for name in names),
             *(Column(name, "number") for name in shares),
         ],
         rows=rows,
-    )  # fmt: skip
+    )

@@ -8,12 +8,12 @@ from collections.abc import Mapping
 import cv2
 import numpy as np
 
-from ds_analysis.common.chart import INK, Picture, Rgb, write
-from ds_analysis.common.heatmap import COLOURS, EMPTY, GRID, bounds_of_cells, draw_grid, ink_on
 from ds_analysis.prediction.verdicts import CellVerdict, Verdicts
+from ds_base.palette import BETWEEN, FAIL, INK, PASS, Rgb, ink_on, rgb
 from ds_orchestrator.search.features import Cell
+from ds_report.heatmap import EMPTY, GRID, Picture, bounds_of_cells, draw_grid, write
 
-FILLS: Mapping[str, Rgb] = {"safe": COLOURS[0], "disputed": COLOURS[1], "fails": COLOURS[2], "untested": EMPTY}
+FILLS: Mapping[str, Rgb] = {"safe": rgb(PASS), "disputed": rgb(BETWEEN), "fails": rgb(FAIL), "untested": EMPTY}
 """Colours as in the maps of failure probabilities; verdicts are written as words, too."""
 _SIZE = 78, 40
 
@@ -60,4 +60,4 @@ def _draw(patch: Picture, cell: CellVerdict | None) -> None:
     write(patch, verdict, (6, 16), 0.4, ink=ink)
     write(patch, f"{cell.rate:.2f} n={cell.tests}{driven}", (6, 32), 0.3 if driven else 0.35, ink=ink)
     if cell.driven:
-        cv2.rectangle(patch, (2, 2), (_SIZE[0] - 2, _SIZE[1] - 2), INK, 2)
+        cv2.rectangle(patch, (2, 2), (_SIZE[0] - 2, _SIZE[1] - 2), rgb(INK), 2)

@@ -50,12 +50,17 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
     rng = np.random.default_rng(list(f"{test.test_id} {simulator}".encode()))
     worst = float(np.abs(trajectory[:, 4]).max())
     return Execution(
-        test_id=test.test_id, simulator=simulator,
+        test_id=test.test_id,
+        simulator=simulator,
         outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
-        message="", fitness=2.0 - worst, max_lateral_position=worst, steps=steps - 1,
-        simulated_seconds=(steps - 1) / 20, trajectory_sha256=trajectory_sha256(trajectory),
+        message="",
+        fitness=2.0 - worst,
+        max_lateral_position=worst,
+        steps=steps - 1,
+        simulated_seconds=(steps - 1) / 20,
+        trajectory_sha256=trajectory_sha256(trajectory),
         drive=DriveArrays(trajectory, rng.normal(0.0, 0.05, steps - 1)),
-    )  # fmt: skip
+    )
 
 
 def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> list[tuple[Test, list[Execution]]]:

@@ -271,10 +271,16 @@ DRIVE = {"simulator": "bullet", "road_id": "x", "seed": 1, "began": 0.0}
 @pytest.mark.parametrize(
     "content",
     [
-        "", "{}", "[1]", '{"updated": "NaN"}', '{"updated": 1, "drives": [{}]}', '{"updated": 1, "done": 1e99}',
-        json.dumps({"updated": 1, "drives": [DRIVE] * 300}), json.dumps({"updated": 1, "drives": [DRIVE] * 10_000}),
+        "",
+        "{}",
+        "[1]",
+        '{"updated": "NaN"}',
+        '{"updated": 1, "drives": [{}]}',
+        '{"updated": 1, "done": 1e99}',
+        json.dumps({"updated": 1, "drives": [DRIVE] * 300}),
+        json.dumps({"updated": 1, "drives": [DRIVE] * 10_000}),
     ],
-)  # fmt: skip
+)
 def test_a_live_file_of_other_content_is_ignored(tmp_path: Path, content: str) -> None:
     (tmp_path / ".live.json").write_text(content)
     assert read_live(tmp_path, 1.0) is None
@@ -301,11 +307,15 @@ def test_the_server_answers_only_reading_requests_of_this_machine(tmp_path: Path
         query = urlencode({"test": "bullet-0-0001", "simulator": EVIL})
         assert "not shipped" in json.loads(server.ask(f"/drive.json?{query}")[1])["pictures"]["note"]
         for path, method, host, expected in (
-            ("/", "GET", "evil.example", 403), ("/state.json", "GET", "evil.example:80", 403), ("/", "POST", "", 405),
-            ("/drive.json", "GET", "", 404), ("/drive.json?test=x&simulator=bullet", "GET", "", 404),
-            ("/campaign.sqlite", "GET", "", 404), ("/../campaign.sqlite", "GET", "", 404),
+            ("/", "GET", "evil.example", 403),
+            ("/state.json", "GET", "evil.example:80", 403),
+            ("/", "POST", "", 405),
+            ("/drive.json", "GET", "", 404),
+            ("/drive.json?test=x&simulator=bullet", "GET", "", 404),
+            ("/campaign.sqlite", "GET", "", 404),
+            ("/../campaign.sqlite", "GET", "", 404),
             ("/state.json", "PUT", "", 405),
-        ):  # fmt: skip
+        ):
             assert server.ask(path, method, **({"Host": host} if host else {}))[0] == expected, (path, method)
         port = urlsplit(server.address).port
         assert port is not None

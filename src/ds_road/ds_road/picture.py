@@ -4,59 +4,34 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.figures import draw_figure
+from ds_base.palette import ASPHALT, CENTRE_LINE, EDGE_LINE, GRASS, SERIES
 from ds_road.road import Road, RoadError
 
-GRASS, ASPHALT, WHITE, YELLOW = (120, 165, 105), (105, 105, 110), (245, 245, 245), (235, 200, 40)
-RED, BLACK = (215, 40, 40), (20, 20, 20)
-PALETTE = ((31, 119, 180), (255, 127, 14), (214, 39, 140), (148, 103, 189), (0, 190, 190))
-"""Colours of trajectories, in order; distinguishable with red-green colour blindness."""
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
 SMALLEST, LARGEST = 320, 4000
 """Limits of the longer side, pixels; chosen: the caption fits, and drawing takes a few hundred megabytes at most."""
-_MARGIN = 10.0
-_TRAJECTORY_MARGIN = 30.0
-_SUPERSAMPLING = 3
-_SHIFT = 4
-_FAR = 2.0**28
-_ROW = 20
-_STRIP = 30
+_MARGIN, _TRAJECTORY_MARGIN = 10.0, 30.0
+_CAPTION, _ROW, _STRIP = 76, 20, 30
 
-
-@dataclass(frozen=True)
-class _View:
-    """Supersampled canvas, scaled down at the end for smooth lines, and its place in the road frame."""
-
-    canvas: NDArray[np.uint8]
-    left: float
-    top: float
-    scale: float
-
-    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Convert points in the road frame (m) to canvas coordinates in units of 1/16 pixel."""
-        flipped = np.stack((points[:, 0] - self.left, self.top - points[:, 1]), axis=1)
-        return np.round(np.clip((flipped * self.scale - 0.5) * (1 << _SHIFT), -_FAR, _FAR)).astype(np.int32)
-
-    def fill(self, points: NDArray[np.float64], colour: tuple[int, int, int]) -> None:
-        cv2.fillPoly(self.canvas, [self.pixels(points)], colour, cv2.LINE_8, _SHIFT)
-
-    def line(self, points: NDArray[np.float64], colour: tuple[int, int, int], width: float) -> None:
-        thickness = max(round(width * _SUPERSAMPLING), 1)
-        cv2.polylines(self.canvas, [self.pixels(points)], False, colour, thickness, cv2.LINE_8, _SHIFT)
-
-    def disc(self, centre: NDArray[np.float64], colour: tuple[int, int, int]) -> None:
-        """Draw a disc with a white rim, the same size in every picture."""
-        (x, y), one = self.pixels(centre[None])[0].tolist(), _SUPERSAMPLING << _SHIFT
-        for pixels, inner in ((6, WHITE), (4, colour)):
-            cv2.circle(self.canvas, (x, y), pixels * one, inner, cv2.FILLED, cv2.LINE_8, _SHIFT)
+Array = NDArray[np.float64]
 
 
 def draw(
-    road: Road, *, trajectories: Mapping[str, NDArray[np.float64]] | None = None, size: int = 640, caption: bool = True
+    road: Road,
+    *,
+    trajectories: Mapping[str, Array] | None = None,
+    colours: Mapping[str, str] | None = None,
+    size: int = 640,
+    caption: bool = True,
 ) -> NDArray[np.uint8]:
     """Draw a road: white edges, yellow centre line, start as triangle, end as square.
 
@@ -66,6 +41,7 @@ def draw(
         road: road to draw, valid or not.
         trajectories: name -> (n, 2) positions, m, drawn over the road with a legend. A trajectory that strays more
             than 30 m from the area of the road is cut off at the border of the picture.
+        colours: name -> colour of a trajectory; those of `ds_base.palette.SERIES` in order if None.
         size: longer side of the picture without its caption, pixels, 320 to 4000.
         caption: whether to write id, length and features below the picture.
 
@@ -83,109 +59,99 @@ def draw(
     if not SMALLEST <= size <= LARGEST:
         raise RoadError(f"picture size is {size}, expected {SMALLEST} to {LARGEST} pixels")
     paths = {name: _path(name, path) for name, path in (trajectories or {}).items()}
-    view = _view_of(road, list(paths.values()), size)
-    for quad in np.stack((road.left_edge[:-1], road.left_edge[1:], road.right_edge[1:], road.right_edge[:-1]), axis=1):
-        view.fill(quad, ASPHALT)
-    for edge in (road.left_edge, road.right_edge):
-        view.line(edge, WHITE, 2)
-    view.line(road.points, YELLOW, 2)
-    colours = [PALETTE[index % len(PALETTE)] for index in range(len(paths))]
-    for path, colour in zip(paths.values(), colours, strict=True):
-        view.line(path, colour, 2)
-    if not road.sampled and not paths:
-        for point in road.control_points:
-            _star(view, np.array(point))
-    _ends(view, road)
-    for path, colour in zip(paths.values(), colours, strict=True):
-        if len(path):
-            view.disc(path[-1], colour)
-    rows, columns = (side // _SUPERSAMPLING for side in view.canvas.shape[:2])
-    image = np.asarray(cv2.resize(view.canvas, (columns, rows), interpolation=cv2.INTER_AREA), np.uint8)
-    _legend(image, dict(zip(paths, colours, strict=True)))
-    _scale_bar(image, view.scale / _SUPERSAMPLING)
-    return np.vstack((image, _caption(road, columns))) if caption else image
+    low, high = _extent(road, paths)
+    width, height = high - low
+    scale = min(size / width, (size - _STRIP) / height)
+    columns, rows = (max(round(side), size * 5 // 8) for side in (width * scale, height * scale + _STRIP))
+    corner = (low + high - np.array((columns, rows + _STRIP)) / scale) / 2  # a strip for the scale bar below the road
+    footer = _CAPTION if caption else 0
+
+    def paint(figure: Figure) -> None:
+        axes = map_axes(figure, road, corner, scale, (columns, rows), footer)
+        for index, (name, path) in enumerate(paths.items()):
+            colour = (colours or {}).get(name) or SERIES[index % len(SERIES)]
+            end = [-1] if len(path) else []
+            axes.plot(*path.T, color=EDGE_LINE, linewidth=3.5, alpha=0.7, zorder=4)  # dark colours on asphalt
+            (line,) = axes.plot(*path.T, color=colour, linewidth=1.7, label=name, zorder=4)
+            line.set(marker="o", markevery=end, markersize=7, markeredgecolor=EDGE_LINE)
+        if paths:
+            axes.legend(loc="upper left", fontsize=10)
+        elif not road.sampled:
+            axes.plot(*np.transpose(road.control_points), "*", color="#d72828", markersize=13, markeredgecolor="black")
+        for marker, at, step in (
+            ((3, 0), road.lane_centre[0], np.diff(road.lane_centre[:2], axis=0)[0]),
+            ((4, 0), road.lane_centre[-1], np.diff(road.lane_centre[-2:], axis=0)[0]),
+        ):
+            turned = float(np.degrees(np.arctan2(step[1], step[0]))) - 90.0 + 45.0 * (marker[0] == 4)
+            axes.plot(*at, marker=(*marker, turned), color="black", markersize=13, zorder=3)
+        _scale_bar(axes, columns, footer, scale)
+        if caption:
+            _write_caption(figure, road, columns)
+
+    return draw_figure(columns, rows + footer, paint)
 
 
-def _path(name: str, path: NDArray[np.float64]) -> NDArray[np.float64]:
+def map_axes(figure: Figure, road: Road, corner: Array, scale: float, size: tuple[int, int], footer: int = 0) -> Axes:
+    """Draw a road on grass.
+
+    Args:
+        figure: empty figure.
+        road: the road.
+        corner: position of the map's lower left corner in the road frame, m.
+        scale: pixels per metre.
+        size: columns and rows of the map, pixels.
+        footer: rows of the figure below the map, pixels.
+    """
+    columns, rows = size
+    figure.set_layout_engine("none")
+    axes = figure.add_axes((0.0, footer / (rows + footer), 1.0, rows / (rows + footer)), facecolor=GRASS)
+    axes.set(xlim=(corner[0], corner[0] + columns / scale), ylim=(corner[1], corner[1] + rows / scale))
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    axes.fill(*np.vstack((road.left_edge, road.right_edge[::-1])).T, color=ASPHALT, linewidth=0)
+    for line, colour in ((road.left_edge, EDGE_LINE), (road.right_edge, EDGE_LINE), (road.points, CENTRE_LINE)):
+        axes.plot(*line.T, color=colour, linewidth=1.5, scalex=False, scaley=False)
+    axes.set_autoscale_on(False)
+    return axes
+
+
+def _path(name: str, path: Array) -> Array:
     positions = np.asarray(path, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1] < 2 or not np.isfinite(positions[:, :2]).all():
         raise RoadError(f"trajectory {name}: array of shape {positions.shape}, expected (n, 2) finite metres")
     return positions[:, :2]
 
 
-def _view_of(road: Road, paths: list[NDArray[np.float64]], size: int) -> _View:
-    """Empty canvas that covers the whole road, and the trajectories where they stay near it."""
+def _extent(road: Road, paths: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Corners of the whole road, and of the trajectories where they stay near it, with a margin, m."""
     surface = np.vstack((road.left_edge, road.right_edge, np.array(road.control_points)))
-    low, high = surface.min(axis=0), surface.max(axis=0)
-    near = np.vstack((surface, *(np.clip(path, low - _TRAJECTORY_MARGIN, high + _TRAJECTORY_MARGIN) for path in paths)))
-    low, high = near.min(axis=0) - _MARGIN, near.max(axis=0) + _MARGIN
-    width, height = (float(side) for side in high - low)
-    scale = min(size / width, (size - _STRIP) / height)
-    columns, rows = max(round(width * scale), size * 5 // 8), max(round(height * scale) + _STRIP, size * 5 // 8)
-    middle = (low + high) / 2 - (0.0, _STRIP / 2 / scale)  # space for the scale bar below the road
-    canvas = np.full((rows * _SUPERSAMPLING, columns * _SUPERSAMPLING, 3), GRASS, np.uint8)
-    left, top = middle + np.array((-columns, rows)) / (2 * scale)
-    return _View(canvas, float(left), float(top), scale * _SUPERSAMPLING)
+    low, high = surface.min(axis=0) - _TRAJECTORY_MARGIN, surface.max(axis=0) + _TRAJECTORY_MARGIN
+    near = np.vstack((surface, *(np.clip(path, low, high) for path in paths.values())))
+    return near.min(axis=0) - _MARGIN, near.max(axis=0) + _MARGIN
 
 
-def _star(view: _View, centre: NDArray[np.float64]) -> None:
-    """Draw a red five-pointed star with a dark rim, the same size in every picture."""
-    angle = np.pi / 2 + np.arange(10) * np.pi / 5
-    radius = np.where(np.arange(10) % 2 == 0, 1.0, 0.42)
-    shape = np.stack((radius * np.cos(angle), radius * np.sin(angle)), axis=1)
-    for pixels, colour in ((9.5, BLACK), (7.0, RED)):
-        view.fill(centre + shape * pixels * _SUPERSAMPLING / view.scale, colour)
-
-
-def _ends(view: _View, road: Road) -> None:
-    """Mark the start with a black triangle that points ahead, and the end with a black square."""
-    lane, half = road.lane_centre, 0.4 * road.lane_width
-    triangle = np.array(((2.4, 0.0), (0.0, 1.0), (0.0, -1.0)))
-    square = np.array(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)))
-    for shape, at, step in ((triangle, lane[0], lane[1] - lane[0]), (square, lane[-1], lane[-1] - lane[-2])):
-        ahead = step / np.hypot(*step)
-        axes = np.array((ahead, (ahead[1], -ahead[0])))
-        view.fill(at + half * shape @ axes, BLACK)
-
-
-def _legend(image: NDArray[np.uint8], colours: Mapping[str, tuple[int, int, int]]) -> None:
-    """Write the names of the trajectories at the upper left."""
-    for index, (name, colour) in enumerate(colours.items()):
-        row = 22 + _ROW * index
-        cv2.line(image, (10, row - 5), (34, row - 5), colour, 3, cv2.LINE_AA)
-        _write(image, name, (42, row))
-
-
-def _scale_bar(image: NDArray[np.uint8], scale: float) -> None:
+def _scale_bar(axes: Axes, columns: int, footer: int, scale: float) -> None:
     """Draw a scale bar at the lower right: a round number of metres, at most a fifth of the picture wide."""
-    max_length = image.shape[1] / 5 / scale
-    power = 10.0 ** np.floor(np.log10(max_length))
-    metres = max(factor * power for factor in (1, 2, 5) if factor * power <= max_length)
-    right, row = image.shape[1] - 14, image.shape[0] - 14
-    left = round(right - metres * scale)
-    cv2.line(image, (left, row), (right, row), BLACK, 2)
-    for end in (left, right):
-        cv2.line(image, (end, row - 4), (end, row + 4), BLACK, 2)
-    _write(image, f"{metres:g} m", (left, row - 10))
+    power = 10.0 ** np.floor(np.log10(columns / 5 / scale))
+    metres = max(factor * power for factor in (1, 2, 5) if factor * power * scale <= columns / 5)
+    right, row = columns - 14, footer + 12
+    axes.annotate(
+        "",
+        (right - metres * scale, row),
+        (right, row),
+        xycoords="figure pixels",
+        arrowprops={"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "shrinkA": 0, "shrinkB": 0},
+    )
+    axes.annotate(f"{metres:g} m", (right, row + 6), xycoords="figure pixels", ha="right", fontsize=10)
 
 
-def _caption(road: Road, width: int) -> NDArray[np.uint8]:
-    """White footer with id, features and validity."""
+def _write_caption(figure: Figure, road: Road, columns: int) -> None:
+    """Write id, features and validity below the picture, smaller where the picture is narrow."""
     text = [
         f"{road.road_id}   {road.length:.0f} m{'   left lane' if road.lane == 'left' else ''}",
         f"turns {road.turns_count}   curvature {road.curvature:.3f} /m",
         "valid" if road.validity.valid else f"not valid: {road.validity.reason}",
     ]
-    footer = np.full((16 + _ROW * len(text), width, 3), 255, np.uint8)
-    for index, content in enumerate(text):
-        _write(footer, content, (10, 22 + _ROW * index))
-    return footer
-
-
-def _write(image: NDArray[np.uint8], text: str, at: tuple[int, int]) -> None:
-    """Write black text, scaled down if it would exceed the width of the picture."""
-    available = image.shape[1] - at[0] - 6
-    width = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]
-    cv2.putText(
-        image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.45 * min(1.0, available / max(width, 1)), BLACK, 1, cv2.LINE_AA
-    )
+    for index, line in enumerate(text):
+        size = min(10.0, (columns - 16) / (0.85 * max(len(line), 1)))
+        figure.text(10, _CAPTION - 22 - _ROW * index, line, transform=None, fontsize=size)

@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ds_base.errors import InputError
 from ds_base.extension import installed, plugin_of
+from ds_base.palette import SERIES
 
 if TYPE_CHECKING:
     from ds_sim.simulator import Simulator, SimulatorSpec  # NumPy would delay every help text
@@ -108,6 +110,24 @@ def path_moved(path: str, start: Path, end: Path) -> str:
         'nets/mine.yaml'
     """
     return path if os.path.isabs(path) else os.path.relpath(start / path, end)
+
+
+def colours_of(names: Sequence[str]) -> dict[str, str]:
+    """Colour of each of several simulators: a shipped one's is always the same, the others take free ones in order.
+
+    Examples:
+        >>> from ds_sim.registry import colours_of
+        >>> colours_of(["bullet", "mine:Sim"])["bullet"] == colours_of(["donkey", "bullet"])["bullet"]
+        True
+    """
+    own = dict(zip(SIMULATORS, SERIES, strict=False))
+    colours: dict[str, str] = {}
+    for name in names:
+        colour = own.get(SimulatorName.parse(name).base)
+        if colour is not None and colour not in colours.values():
+            colours[name] = colour
+    free = cycle([colour for colour in SERIES if colour not in colours.values()] or SERIES)
+    return {name: colours.get(name) or next(free) for name in names}
 
 
 def label_of(name: str) -> str:

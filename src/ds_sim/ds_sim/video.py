@@ -14,7 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.errors import InputError
+from ds_base.figures import draw_figure
+from ds_base.palette import FAIL_ON_DARK, PASS, SERIES, rgb
 from ds_road import Road
+from ds_road.picture import map_axes
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import three_digits
@@ -30,8 +33,8 @@ PANEL = 300
 CODEC = "mp4v"
 """MPEG-4 part 2: OpenCV's wheels write it without a system codec, and desktop players read it."""
 _MAP = 280
-_GRASS, _ASPHALT, _WHITE, _TRAJECTORY = (92, 130, 80), (90, 90, 95), (240, 240, 240), (255, 160, 60)
-_BACKGROUND, _TEXT, _FAINT, _GOOD, _BAD = (24, 26, 30), (235, 235, 235), (110, 115, 120), (90, 200, 120), (240, 80, 70)
+_BACKGROUND, _TEXT, _FAINT, _TRAJECTORY = (24, 26, 30), (235, 235, 235), (110, 115, 120), rgb(SERIES[2])
+_GOOD, _BAD = rgb(PASS), rgb(FAIL_ON_DARK)
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4
 _LINE = 46
@@ -166,13 +169,9 @@ class _Panel:
         low, high = surface.min(axis=0) - 4.0, surface.max(axis=0) + 4.0
         self._scale = _MAP / float((high - low).max())
         self._origin = (low + high) / 2 - _MAP / 2 / self._scale
-        self._map = np.full((_MAP, _MAP, 3), _GRASS, np.uint8)
-        for start in range(len(road.left_edge) - 1):
-            pair = slice(start, start + 2)
-            quad = np.vstack((road.left_edge[pair], road.right_edge[pair][::-1]))
-            cv2.fillPoly(self._map, [self._pixels(quad)], _ASPHALT, cv2.LINE_8, _SHIFT)
-        for edge in (road.left_edge, road.right_edge):
-            cv2.polylines(self._map, [self._pixels(edge)], False, _WHITE, 1, cv2.LINE_AA, _SHIFT)
+        self._map = draw_figure(
+            _MAP, _MAP, lambda figure: map_axes(figure, road, self._origin, self._scale, (_MAP, _MAP))
+        )
         self._previous: NDArray[np.float64] | None = None
 
     def draw(self, observation: Observation, command: Command | None) -> NDArray[np.uint8]:
@@ -191,7 +190,7 @@ class _Panel:
         nose = 6.0 / self._scale * np.array([math.cos(vehicle.yaw), math.sin(vehicle.yaw)])
         side = 0.6 * np.array([-nose[1], nose[0]])
         arrow = here + np.array([nose, side - nose, -side - nose])
-        cv2.fillPoly(view, [self._pixels(arrow)], _BAD, cv2.LINE_AA, _SHIFT)
+        cv2.fillPoly(view, [self._pixels(arrow)], _TEXT, cv2.LINE_AA, _SHIFT)
         _write(panel, self._title, (left, 19))
         row = top + _MAP + 26
         _write(panel, f"{observation.time:6.2f} s", (left, row))

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from ds_base.palette import SERIES, rgb
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
@@ -45,8 +46,8 @@ def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRec
     image = [o.image for o in resimulate("donkey", run)][-1]
     shown = cv2.resize(frames[40][:, :960], (320, 160), interpolation=cv2.INTER_AREA)
     assert np.abs(shown - image).mean() < 6.0
-    # The trail, orange on the map, grows.
-    trail = [int(((f[28:308, 970:1250] - (255, 160, 60)) ** 2).sum(axis=2).__lt__(60**2).sum()) for f in frames]
+    # The trail on the map, grows.
+    trail = [int(((f[28:308, 970:1250] - rgb(SERIES[2])) ** 2).sum(axis=2).__lt__(60**2).sum()) for f in frames]
     assert trail[40] > trail[5] + 10
 
 

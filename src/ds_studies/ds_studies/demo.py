@@ -14,12 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from ds_analysis.sensitivity.factors import factors_named
+from ds_analysis.sensitivity.result import Sensitivity
 from ds_base.atomic_files import write_json
 from ds_base.folder_files import make_folder
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
+from ds_report.sensitivity_page import SensitivityPage
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -29,9 +32,7 @@ from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
-from ds_studies.sensitivity.analysis import Sensitivity, analyse_sensitivity
-from ds_studies.sensitivity.factors import factors_named
-from ds_studies.sensitivity.page import SensitivityPage
+from ds_studies.sensitivity.analysis import analyse_sensitivity
 from ds_studies.sensitivity.ranges import ranges_of
 
 DRIVER = "dave2"

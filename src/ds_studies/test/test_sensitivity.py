@@ -14,33 +14,30 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ds_analysis.common.table import TablesError
+from ds_analysis.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
+from ds_analysis.sensitivity.result import RoadResult, Sensitivity, coverage, networks_table, threshold_of
+from ds_base.table import TableError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
+from ds_report.sensitivity_picture import draw_sensitivity
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.registry import make_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 from ds_studies.sensitivity import analysis, measurement
-from ds_studies.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
 from ds_studies.sensitivity.measurement import (
     GATE,
     MOST_SEGMENTS,
     TESTED,
     Bracket,
-    RoadResult,
     candidate_roads,
     choose_roads,
-    coverage,
     first_failure,
     measure,
-    threshold_of,
 )
-from ds_studies.sensitivity.networks import networks_table
-from ds_studies.sensitivity.picture import draw_sensitivity
 
 LAG = next(factor for factor in all_factors() if factor.name == "steering_lag")
 
@@ -243,7 +240,7 @@ def test_an_analysis_goes_on_where_it_stopped(
     monkeypatch.setattr(analysis, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
     factors = factors_named(["line_contrast", "steering_lag"])
 
-    def once(driver: str = "dave2") -> tuple[analysis.Sensitivity, MadeUpEngine]:
+    def once(driver: str = "dave2") -> tuple[Sensitivity, MadeUpEngine]:
         engine = MadeUpEngine()
         engines.append(engine)
         found = analysis.analyse_sensitivity(
@@ -314,5 +311,5 @@ def test_several_networks_come_in_one_sorted_table(engines: list[MadeUpEngine]) 
     assert list(table.rows[1]) == ["chauffeur", 1, (5 / 16 + 1) / 2, lag.title, 1.0, 5 / 16]
     assert [row[0] for row in table.sorted_by("network").rows] == ["chauffeur", "dave2"]
     assert [row[0] for row in table.sorted_by("-network").rows] == ["dave2", "chauffeur"]
-    with pytest.raises(TablesError, match="no column 'speed' to sort by: expected one of network, roads, mean"):
+    with pytest.raises(TableError, match="no column 'speed' to sort by: expected one of network, roads, mean"):
         table.sorted_by("speed")

@@ -11,6 +11,7 @@ import pytest
 
 from ds_bags.messages import typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_report.fit_picture import draw_fit
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.batch import Lanes
 from ds_twin_donkey.dynamics import rollout
@@ -23,7 +24,6 @@ from ds_twin_donkey.excitation import (
     simulated_recording,
 )
 from ds_twin_donkey.fit import FitSettings, fit
-from ds_twin_donkey.fit_picture import draw_fit
 from ds_twin_donkey.located import Mounting, find_mounting, fit_located, rough_start
 from ds_twin_donkey.logs import Drive, Log, LogError, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters

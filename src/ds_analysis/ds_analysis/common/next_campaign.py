@@ -96,11 +96,13 @@ def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int], sensit
     own = (config.search.population, config.search.iterations, config.search.runs)
     size = next((n for n, s in SIZES.items() if (s.population, s.iterations, s.runs) == own), "small")
     under = f"--sensitivity {shlex.quote(sensitivity)} " if sensitivity else ""
-    return " ".join([
-        f"ds campaign init {name}.yaml --driver {shlex.quote(config.driver)} --sims {_simulators(config)}",
-        f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
-        f"{under}&& ds campaign run {name}.yaml --out {name} --engine local",
-    ])  # fmt: skip
+    return " ".join(
+        [
+            f"ds campaign init {name}.yaml --driver {shlex.quote(config.driver)} --sims {_simulators(config)}",
+            f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
+            f"{under}&& ds campaign run {name}.yaml --out {name} --engine local",
+        ]
+    )
 
 
 def _simulators(config: CampaignConfig) -> str:

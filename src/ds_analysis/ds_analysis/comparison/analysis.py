@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 
 from ds_analysis.common.selection import ALPHA
-from ds_analysis.common.table import p_in_words
 from ds_analysis.comparison.paired_drives import Network, PairedCounts, PairedDrive, adjusted, fewest_changes
 from ds_analysis.comparison.sequential import TOLERANCE
+from ds_base.table import p_in_words
+from ds_base.words import count
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
 
 Verdict = Literal["worse", "better", "not significant"]
@@ -396,8 +397,3 @@ def _changes(counts: PairedCounts, what: str) -> str:
 
 def _signed(difference: float) -> str:
     return f"{abs(100 * difference):.0f} {'more' if difference > 0 else 'fewer'}"
-
-
-def count(number: int, what: str) -> str:
-    """Count in words: `1 drive`, `2 drives`."""
-    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -9,9 +9,9 @@ from dataclasses import asdict
 from typing import Any
 
 from ds_analysis.common.selection import ALPHA
-from ds_analysis.common.table import Column, Table, Value, p_in_words
 from ds_analysis.comparison.analysis import Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedCounts, PairedDrive
+from ds_base.table import Column, Table, Value, p_in_words, styled
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import label_of
 
@@ -28,21 +28,30 @@ def simulator_table(comparison: Comparison) -> Table:
         counts, random = row.counts, row.unsearched
         rows.append(
             (
-                row.simulator + (" (twin)" if row.simulator == comparison.twin else ""), counts.tests,
-                counts.reference_failures, counts.candidate_failures, counts.newly_fail, counts.fixed,
-                counts.difference, counts.interval, row.p_adjusted,
+                row.simulator + (" (twin)" if row.simulator == comparison.twin else ""),
+                counts.tests,
+                counts.reference_failures,
+                counts.candidate_failures,
+                counts.newly_fail,
+                counts.fixed,
+                counts.difference,
+                counts.interval,
+                row.p_adjusted,
                 *((f"+{random.newly_fail} -{random.fixed} /{random.tests}",) if with_random else ()),
-                row.margin_change, row.verdict,
+                row.margin_change,
+                row.verdict,
             )
-        )  # fmt: skip
+        )
     return Table(
         name="compared_networks",
         title=f"{comparison.candidate.label} against {comparison.reference.label}",
         columns=[
-            Column("simulator"), Column("tests", "count"), Column("reference", "count"),
-            Column("candidate", "count"), Column("newly fail", "count"), Column("fixed", "count"),
-            Column("difference", "number"), Column("95 %", "number"), Column("p (Holm)", "p"),
-            *((Column("random roads"),) if with_random else ()), Column("margin, m", "number"),
+            Column("simulator"),
+            *styled("count", "tests", "reference", "candidate", "newly fail", "fixed"),
+            *styled("number", "difference", "95 %"),
+            Column("p (Holm)", "p"),
+            *((Column("random roads"),) if with_random else ()),
+            Column("margin, m", "number"),
             Column("on other roads"),
         ],
         rows=rows,
@@ -52,7 +61,7 @@ def simulator_table(comparison: Comparison) -> Table:
             "the lane's edge. On other roads: whether such a difference is significant (p below 0.05)."
             + (" Random roads: newly fail, fixed, and all, of tests that no search chose." if with_random else "")
         ],
-    )  # fmt: skip
+    )
 
 
 def networks_table(comparisons: Sequence[Comparison]) -> Table:
@@ -80,15 +89,17 @@ def networks_table(comparisons: Sequence[Comparison]) -> Table:
         name="networks",
         title=f"Networks against {first.reference.label}",
         columns=[
-            Column("network"), *(Column(f"fails on {name}", "count") for name in names), Column("fails", "count"),
-            Column("newly fail", "count"), Column("fixed", "count"), Column("verdict"),
+            Column("network"),
+            *(Column(f"fails on {name}", "count") for name in names),
+            *styled("count", "fails", "newly fail", "fixed"),
+            Column("verdict"),
         ],
         rows=rows,
         notes=[
             f"Of {', '.join(f'{n} tests on {name}' for n, name in zip(tests, names, strict=True))}. Verdicts are "
             "corrected for the simulators (Holm) and for the number of candidates (Bonferroni)."
         ],
-    )  # fmt: skip
+    )
 
 
 def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
@@ -112,15 +123,15 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
         name="compared_cells",
         title="Cells of the feature map that changed",
         columns=[
-            Column("simulator"), *(Column(axis.title) for axis in comparison.features), Column("tests", "count"),
-            Column("newly fail", "count"), Column("fixed", "count"), Column("difference", "number"),
-            Column("95 %", "number"), Column("p (BH)", "p"),
+            Column("simulator"),
+            *(Column(axis.title) for axis in comparison.features),
+            *styled("count", "tests", "newly fail", "fixed"),
+            *styled("number", "difference", "95 %"),
+            Column("p (BH)", "p"),
         ],
         rows=rows,
-        notes=[
-            f"p by Benjamini and Hochberg over {len(comparison.cells)} cells of all simulators; {smallest}.{left}"
-        ],
-    )  # fmt: skip
+        notes=[f"p by Benjamini and Hochberg over {len(comparison.cells)} cells of all simulators; {smallest}.{left}"],
+    )
 
 
 def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
@@ -141,19 +152,25 @@ def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
         name="compared_tests",
         title="Every test, the worst change first" if every else title,
         columns=[
-            Column("test"), Column("simulator"), *((Column("change"),) if every else ()), Column("reference"),
-            Column("candidate"), Column("margin of reference, m", "number"), Column("of candidate, m", "number"),
+            *styled("text", "test", "simulator"),
+            *((Column("change"),) if every else ()),
+            *styled("text", "reference", "candidate"),
+            *styled("number", "margin of reference, m", "of candidate, m"),
         ],
         rows=[
             (
-                drive.test.name, drive.simulator, *((drive.change,) if every else ()),
-                _words(drive.reference.outcome.name), _words(drive.candidate.outcome.name), drive.reference.fitness,
+                drive.test.name,
+                drive.simulator,
+                *((drive.change,) if every else ()),
+                _words(drive.reference.outcome.name),
+                _words(drive.candidate.outcome.name),
+                drive.reference.fitness,
                 drive.candidate.fitness,
             )
             for drive in shown[:most]
         ],
         notes=["Margin: smallest distance to the lane's edge, negative outside.", *left],
-    )  # fmt: skip
+    )
 
 
 def command_of(drive: PairedDrive, driver: str, road_file: str) -> str:
@@ -197,10 +214,8 @@ def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[s
         ],
         "tests": [_test(drive, comparison, road_files) for drive in comparison.drives],
         "excluded": comparison.excluded,
-        "left_out": [
-            dict(zip(("test", "simulator", "reason"), one, strict=True)) for one in comparison.left_out
-        ],
-    }  # fmt: skip
+        "left_out": [dict(zip(("test", "simulator", "reason"), one, strict=True)) for one in comparison.left_out],
+    }
 
 
 def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> dict[str, Any]:

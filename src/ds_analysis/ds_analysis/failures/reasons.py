@@ -11,8 +11,8 @@ import numpy as np
 
 from ds_analysis.common.driven_road import arc_lengths, lateral_profile
 from ds_analysis.common.statistics import Array
-from ds_analysis.common.table import Column, Table
 from ds_analysis.siblings.failure_patterns import LOOK_BACK, STRAIGHT_BELOW, departure
+from ds_base.table import Column, Table, styled
 from ds_driver.control.command_habits import command_habits
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution, Test
@@ -85,7 +85,7 @@ def where(group: Sequence[Reason]) -> str:
 
 def groups_table(groups: Groups) -> Table:
     """Tabulate groups of failures, one row each."""
-    columns = [Column("the driver"), Column("failures", "count"), Column("where"), Column("for example")]
+    columns = [Column("the driver"), Column("failures", "count"), *styled("text", "where", "for example")]
     rows = [(kind, len(group), where(group), group[0].test_id) for kind, group in groups.items()]
     return Table(name="failures", title="Failures by what led there", columns=columns, rows=rows)
 
@@ -116,9 +116,11 @@ def reason_of(test: Test, execution: Execution) -> Reason:
         numbers += f", steers {since:.1f} s after the bend began" if led == "steers late" else ""
     under = ", ".join(in_words(name, value) for name, value in test.conditions.changed.items())
     return Reason(
-        test.test_id, execution.simulator, f"{how}: it {led}" if led else how,
+        test.test_id,
+        execution.simulator,
+        f"{how}: it {led}" if led else how,
         f"{numbers}, {under}" if under else numbers,
-    )  # fmt: skip
+    )
 
 
 def _steering_into_bend(road: Road, arc: Array, steering: Array, side: int) -> tuple[str, float]:

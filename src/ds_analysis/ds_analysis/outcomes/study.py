@@ -381,9 +381,17 @@ def study_of(table: OutcomeTable) -> Study:
         for column, name in enumerate(table.simulators):
             if table.states[k, column] in (State.COMPLETED, State.FAILED):
                 rows.append(
-                    (test, 0, name, table.states[k, column] == State.FAILED, table.lateral[k, column],
-                     table.limits[k, column], str(table.families[k]), *table.features[k])
-                )  # fmt: skip
+                    (
+                        test,
+                        0,
+                        name,
+                        table.states[k, column] == State.FAILED,
+                        table.lateral[k, column],
+                        table.limits[k, column],
+                        str(table.families[k]),
+                        *table.features[k],
+                    )
+                )
     frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names])
     return Study(
         rows=frame, features=table.feature_names, axes=axes_of(frame, table.feature_names[:2]), twin=table.twin

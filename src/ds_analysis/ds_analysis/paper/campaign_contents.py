@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-from ds_analysis.common.table import Column, Table
+from ds_base.table import Column, Table, styled
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
@@ -62,12 +62,8 @@ def excluded_table(data: CampaignData) -> Table:
         name="excluded_tests",
         title="Tests by which no network can be judged",
         columns=[
-            Column("test"),
-            Column("simulator"),
-            Column("state"),
-            Column("why"),
-            Column("line contrast at the start", "number"),
-            Column("share of road with invisible lines", "number"),
+            *styled("text", "test", "simulator", "state", "why"),
+            *styled("number", "line contrast at the start", "share of road with invisible lines"),
             Column("conditions"),
         ],
         rows=[

@@ -12,7 +12,6 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from ds_analysis.common.statistics import RESAMPLES
-from ds_analysis.common.table import Table
 from ds_analysis.paper.correlation import Correlation, PairedDifference, check_robustness, evaluate, paired_differences
 from ds_analysis.paper.open_loop import architecture_of, kind_of
 from ds_analysis.paper.paper_tables import (
@@ -26,6 +25,7 @@ from ds_analysis.paper.paper_tables import (
 from ds_base.atomic_files import write_json
 from ds_base.folder_files import StoreError, read_file
 from ds_base.installation import ds_command
+from ds_base.table import Table
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
 

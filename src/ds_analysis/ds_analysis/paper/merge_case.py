@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ds_analysis.common.statistics import Bools, Indices, families_of
-from ds_analysis.common.table import Column, Table
+from ds_base.table import Column, Table
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.algebra import jeffreys_interval
 

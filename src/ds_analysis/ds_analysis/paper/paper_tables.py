@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from ds_analysis.common.statistics import Array, caution_of
-from ds_analysis.common.table import Column, Table, Value
 from ds_analysis.paper.correlation import Correlation, PairedDifference, RobustnessCheck
 from ds_analysis.paper.steering_error_stats import BINS, MERGED, RANGE, ErrorComparison, ErrorRobustnessCheck, densities
+from ds_base.table import Column, Table, Value, styled
 
 Kind = Literal["sim", "real"]
 
@@ -143,15 +143,11 @@ def correlation_tables(
             for share in sorted(shares)
         ]
         columns = [
-            Column("vs DT"),
-            Column("simulator"),
+            *styled("text", "vs DT", "simulator"),
             Column("cells", "count"),
-            Column("r", "number"),
-            Column("r, 95 %", "number"),
+            *styled("number", "r", "r, 95 %"),
             Column("p", "p"),
-            Column("AUC-PRC", "number"),
-            Column("AUC-PRC, 95 %", "number"),
-            Column("paper: r", "number"),
+            *styled("number", "AUC-PRC", "AUC-PRC, 95 %", "paper: r"),
             Column("paper: p", "p"),
             Column("paper: AUC-PRC", "number"),
         ]
@@ -162,13 +158,9 @@ def correlation_tables(
 def paired_difference_table(paired_differences: Sequence[PairedDifference], siblings: Sequence[str]) -> Table:
     """Tabulate the differences between the merged map and each sibling's: the paper's claim, with an interval."""
     columns = [
-        Column("question"),
-        Column("DSS minus"),
+        *styled("text", "question", "DSS minus"),
         Column("cells", "count"),
-        Column("r", "number"),
-        Column("r, 95 %", "number"),
-        Column("AUC-PRC", "number"),
-        Column("AUC-PRC, 95 %", "number"),
+        *styled("number", "r", "r, 95 %", "AUC-PRC", "AUC-PRC, 95 %"),
     ]
     rows: list[list[Value]] = []
     for g in paired_differences:
@@ -192,10 +184,7 @@ def robustness_table(robustness_checks: Sequence[RobustnessCheck], reasons: Sequ
         reasons: reasons why the numbers allow no conclusion.
     """
     columns = [
-        Column("how"),
-        Column("map"),
-        Column("against"),
-        Column("value"),
+        *styled("text", "how", "map", "against", "value"),
         Column("cells", "count"),
         Column("r", "number"),
         Column("p", "p"),
@@ -242,14 +231,12 @@ def error_tables(
         rows[-1] += [c.mean_squared, c.distance, c.p, c.effect, c.power, c.enough and round(c.enough), alike]
         rows[-1] += [paper.distance, paper.p] if paper else [None] * 2
     columns = [
-        Column("vs DT"),
-        Column("simulator"),
+        *styled("text", "vs DT", "simulator"),
         Column("images", "count"),
         Column("MSE", "number"),
         Column("distance", "small"),
         Column("p", "p"),
-        Column("Cohen's d", "number"),
-        Column("power", "number"),
+        *styled("number", "Cohen's d", "power"),
         Column("enough images", "count"),
         Column("alike"),
         Column("paper: distance", "small"),
@@ -265,7 +252,7 @@ def error_tables(
     others: list[list[Value]] = [
         [v.what, role_of(v.name, siblings), v.distance, v.p, v.power] for v in robustness_checks
     ]
-    heads = [Column("how"), Column("who"), Column("distance", "small"), Column("p", "p"), Column("power", "number")]
+    heads = [*styled("text", "how", "who"), Column("distance", "small"), Column("p", "p"), Column("power", "number")]
     names = [*siblings, twin]
     columns_of = {name: densities(errors[name]) for name in names}
     width = RANGE / BINS

@@ -18,6 +18,7 @@ from ds_analysis.prediction.verdicts import TOLERATED_RATE, Verdicts, judge
 from ds_analysis.real.certificate import Bet, Certificate, certify
 from ds_analysis.real.proposal import Proposed, candidates_of, open_drives, read_proposed
 from ds_analysis.real.records import RealDrive, RecordError, read_drives
+from ds_base.words import listed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +81,7 @@ class CarPrediction:
         """The answer in one line."""
         counts, tests = self.verdicts.counts, self.verdicts.undriven
         names = self.table.siblings
-        named = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+        named = listed(names)
         cells = sum(counts.values()) - counts["untested"]
         rows = np.array([self.table.rows[one.test_id] for one in tests], np.intp)
         expected, low, high = self.prediction.failures(rows)

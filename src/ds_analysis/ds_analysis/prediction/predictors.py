@@ -26,8 +26,8 @@ from ds_analysis.common.statistics import (
     auc_prc_or_reason,
     splits_of,
 )
-from ds_analysis.common.table import Column, Table
 from ds_analysis.prediction.mixture import Prediction
+from ds_base.table import Column, Table
 from ds_orchestrator.maps.algebra import OPERATORS, jeffreys_interval
 
 
@@ -183,10 +183,17 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
                 difference=None if other is None else float(other[0]),
                 difference_interval=ends,
                 average_precision=auc_prc_or_reason(probability, truth)[0],
-                verdict="baseline" if other is None else "too few" if few
-                else "adds" if high < 0.0 else "worse" if low > 0.0 else "adds nothing",
+                verdict="baseline"
+                if other is None
+                else "too few"
+                if few
+                else "adds"
+                if high < 0.0
+                else "worse"
+                if low > 0.0
+                else "adds nothing",
             )
-        )  # fmt: skip
+        )
     return PredictorComparison(
         twin=table.twin,
         tests=len(rows),

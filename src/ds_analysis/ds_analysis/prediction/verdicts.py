@@ -14,8 +14,8 @@ import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools
-from ds_analysis.common.table import Column, Table
 from ds_analysis.prediction.mixture import Prediction
+from ds_base.table import Column, Table, styled
 from ds_orchestrator.search.features import Feature
 
 Verdict = Literal["fails", "safe", "disputed", "untested"]
@@ -205,8 +205,9 @@ def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
         title="Predicted failures per cell",
         columns=[
             *(Column(feature.name) for feature in found.features),
-            Column("tests", "count"), Column("driven", "count"),
-            Column("failure rate", "number"), Column("90 %", "number"), Column("verdict"),
+            *styled("count", "tests", "driven"),
+            *styled("number", "failure rate", "90 %"),
+            Column("verdict"),
         ],
         rows=[
             (*label, one.tests, one.driven, one.rate, one.interval, one.verdict)
@@ -217,4 +218,4 @@ def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
             f"A cell fails if more than {found.tolerated:.0%} of tests like its own would fail, and is safe if fewer "
             f"would; either is meant to be wrong at most {ERROR_RATE:.0%} of the time. Otherwise it is disputed."
         ],
-    )  # fmt: skip
+    )

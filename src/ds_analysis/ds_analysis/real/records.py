@@ -212,11 +212,17 @@ def read_drives(folder: Path) -> list[RealDrive]:
     study = read_study(folder)
     imported = [
         RealDrive(
-            test_id=test_id, failed=failed, outcome="failed" if failed else "completed", max_lateral_position=None,
-            who="imported", when="", source=FILE, drawn=study.car_drawn,
+            test_id=test_id,
+            failed=failed,
+            outcome="failed" if failed else "completed",
+            max_lateral_position=None,
+            who="imported",
+            when="",
+            source=FILE,
+            drawn=study.car_drawn,
         )
         for test_id, failed in study.car_outcomes().items()
-    ]  # fmt: skip
+    ]
     return added(imported, read_recorded(folder))
 
 

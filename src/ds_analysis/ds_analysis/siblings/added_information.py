@@ -11,6 +11,7 @@ import numpy as np
 from ds_analysis.common.cross_validation import FOLDS, REPEATS, Columns, auc_roc, bits, predict_failures, predict_with
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND, Array, Bools, Interval, interval_over_families
+from ds_base.words import listed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,8 +161,7 @@ class AddedInformation:
     @property
     def sentence(self) -> str:
         """What was found, in one line."""
-        known = ["features", *self.beyond]
-        beyond = known[0] if len(known) == 1 else f"{', '.join(known[:-1])} and {known[-1]}"
+        beyond = listed(["features", *self.beyond])
         if self.bits is None:
             return f"what {self.sibling} adds about {self.about} beyond {beyond}: {self.caution}"
         ends = f" ({self.interval[0]:z.3f} to {self.interval[1]:z.3f})" if self.interval else ""

@@ -10,10 +10,10 @@ from typing import Any
 
 from ds_analysis.common.cross_validation import REPEATS
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.common.table import Column, Table
 from ds_analysis.siblings.added_information import AddedInformation, Baseline, Score, baseline_of, information_about
 from ds_analysis.siblings.failure_patterns import KINDS, Departures, Nesting, departures_of, nestings
 from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
+from ds_base.table import Column, Table, styled
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,19 +122,25 @@ def _nesting_table(nesting: Sequence[Nesting]) -> Table:
         name="sibling_nesting",
         title="Do failures lie inside each other? Roads on which both, one or none fails",
         columns=[
-            Column("pair"), Column("both", "count"), Column("first only", "count"), Column("second only", "count"),
-            Column("neither", "count"), Column("second fails where first does", "number"), Column("95 %", "number"),
-            Column("first fails where second does", "number"), Column("95 % of that", "number"),
+            Column("pair"),
+            *styled("count", "both", "first only", "second only", "neither"),
+            *styled("number", "second fails where first does", "95 %", "first fails where second does", "95 % of that"),
         ],
         rows=[
             (
-                f"{one.first}, {one.second}", one.both, one.only_first, one.only_second, one.neither,
-                one.second_given_first, one.second_given_first_interval, one.first_given_second,
+                f"{one.first}, {one.second}",
+                one.both,
+                one.only_first,
+                one.only_second,
+                one.neither,
+                one.second_given_first,
+                one.second_given_first_interval,
+                one.first_given_second,
                 one.first_given_second_interval,
             )
             for one in nesting
         ],
-    )  # fmt: skip
+    )
 
 
 def _baseline_table(baselines: Sequence[Baseline]) -> Table:
@@ -148,14 +154,16 @@ def _baseline_table(baselines: Sequence[Baseline]) -> Table:
         name="sibling_baseline",
         title="The undriven baseline: failures predicted without driving, from road features and conditions",
         columns=[
-            Column("failures on"), Column("failures", "count"), Column("roads", "count"), Column("entropy", "number"),
-            Column("predicted from"), Column("AUC-ROC", "number"), Column("95 %", "number"),
-            Column("Brier score", "number"), Column("95 % of Brier", "number"), Column("bits left", "number"),
+            Column("failures on"),
+            *styled("count", "failures", "roads"),
+            Column("entropy", "number"),
+            Column("predicted from"),
+            *styled("number", "AUC-ROC", "95 %", "Brier score", "95 % of Brier", "bits left"),
             Column("chosen on other roads"),
         ],
         rows=rows,
         notes=[one.caution for one in baselines if one.caution],
-    )  # fmt: skip
+    )
 
 
 def _score_row(score: Score | None) -> tuple[Any, ...]:
@@ -169,19 +177,31 @@ def _residual_table(residuals: Sequence[ResidualCorrelation]) -> Table:
         name="sibling_residuals",
         title="What is left: correlation of lateral positions beyond the best feature",
         columns=[
-            Column("pair"), Column("largest per road", "number"), Column("95 %", "number"),
-            Column("beyond the best feature", "number"), Column("95 % of it", "number"),
-            Column("per place, beyond curvature", "number"), Column("95 % of that", "number"),
+            Column("pair"),
+            *styled(
+                "number",
+                "largest per road",
+                "95 %",
+                "beyond the best feature",
+                "95 % of it",
+                "per place, beyond curvature",
+                "95 % of that",
+            ),
         ],
         rows=[
             (
-                f"{one.first}, {one.second}", one.plain, one.plain_interval, one.roads, one.roads_interval,
-                one.places, one.places_interval,
+                f"{one.first}, {one.second}",
+                one.plain,
+                one.plain_interval,
+                one.roads,
+                one.roads_interval,
+                one.places,
+                one.places_interval,
             )
             for one in residuals
         ],
         notes=list(dict.fromkeys(part for one in residuals if one.caution for part in one.caution.split("; "))),
-    )  # fmt: skip
+    )
 
 
 def _information_table(information: Sequence[AddedInformation]) -> Table:
@@ -189,15 +209,21 @@ def _information_table(information: Sequence[AddedInformation]) -> Table:
         name="sibling_information",
         title="Information that each sibling adds, bits a road",
         columns=[
-            Column("about"), Column("sibling"), Column("beyond"), Column("bits left before", "number"),
-            Column("adds", "number"), Column("95 %", "number"), Column("verdict"),
+            *styled("text", "about", "sibling", "beyond"),
+            *styled("number", "bits left before", "adds", "95 %"),
+            Column("verdict"),
         ],
         rows=[
             (
-                one.about, one.sibling, ", ".join(("features", *one.beyond)), one.left, one.bits, one.interval,
+                one.about,
+                one.sibling,
+                ", ".join(("features", *one.beyond)),
+                one.left,
+                one.bits,
+                one.interval,
                 one.verdict,
             )
             for one in information
         ],
         notes=list(dict.fromkeys(one.caution for one in information if one.caution)),
-    )  # fmt: skip
+    )

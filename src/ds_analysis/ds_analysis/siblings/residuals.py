@@ -106,8 +106,9 @@ def _road_residuals(table: OutcomeTable, simulator: str, repeats: int) -> Array:
 
 def _place_residuals(table: OutcomeTable) -> dict[str, list[Array]]:
     """Per simulator and road the lateral positions minus what the curvature at the place predicts, m."""
-    longest = [max((len(table.profiles[name][k]) for name in table.simulators), default=0)
-               for k in range(len(table.roads))]  # fmt: skip
+    longest = [
+        max((len(table.profiles[name][k]) for name in table.simulators), default=0) for k in range(len(table.roads))
+    ]
     curvatures = [
         lane_curvature(road.lane_centre, np.arange(1.0, count + 1.0) * GRID)
         for road, count in zip(table.roads, longest, strict=True)

@@ -16,10 +16,12 @@ def bets_of(truth: Bools, predicted: Array, order: Indices, drawn: Bools) -> lis
     for row, by_chance in zip(order, drawn, strict=True):
         found.append(
             Bet(
-                failed=bool(truth[row]), drawn=bool(by_chance), predicted=float(predicted[row]),
+                failed=bool(truth[row]),
+                drawn=bool(by_chance),
+                predicted=float(predicted[row]),
                 mean_predicted=float(predicted[left].mean()),
             )
-        )  # fmt: skip
+        )
         left[row] = False
     return found
 
@@ -66,8 +68,10 @@ def test_good_predictions_narrow_the_bounds_and_bad_ones_cost_little() -> None:
         truth = rng.random(200) < 0.4
         order = rng.permutation(200)[:60]
         for name, predicted in (
-            ("good", np.where(truth, 0.97, 0.03)), ("none", np.full(200, 0.4)), ("bad", rng.permutation(truth) * 1.0),
-        ):  # fmt: skip
+            ("good", np.where(truth, 0.97, 0.03)),
+            ("none", np.full(200, 0.4)),
+            ("bad", rng.permutation(truth) * 1.0),
+        ):
             found = certify(bets_of(truth, predicted, order, np.ones(60, bool)), 200)
             widths[name].append(found.high - found.low)
     good, none, bad = (float(np.mean(widths[name])) for name in ("good", "none", "bad"))

@@ -51,7 +51,7 @@ def test_the_logistic_fit_is_that_of_a_general_optimiser() -> None:
             [loss(best.x + a + b) - loss(best.x + a - b) - loss(best.x - a + b) + loss(best.x - a - b) for a in step]
             for b in step
         ]
-    ) / (4e-8)  # fmt: skip
+    ) / (4e-8)
     assert found.covariance == pytest.approx(np.linalg.inv(hessian), rel=1e-3, abs=1e-4)
 
 

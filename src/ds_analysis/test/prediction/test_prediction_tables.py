@@ -97,10 +97,13 @@ def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
     gone = {*excluded, ("bullet-0-0001", "bullet")}
     table = table_of_campaign(
         CampaignData(
-            config=data.config, tests=data.tests, gates=excluded, errors=data.errors,
+            config=data.config,
+            tests=data.tests,
+            gates=excluded,
+            errors=data.errors,
             executions=tuple(e for e in data.executions if (e.test_id, e.simulator) not in gone),
         )
-    )  # fmt: skip
+    )
     assert [State(s) for s in table.states[:3, 0]][:2] == [State.EXCLUDED, State.ERROR]
     assert not table.known("bullet")[:2].any() and not table.failed("bullet")[:2].any()
     assert table.on_siblings.tolist() == [False, False] + [True] * 14

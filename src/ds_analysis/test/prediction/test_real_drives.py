@@ -81,9 +81,15 @@ def test_the_certificate_holds_whoever_proposes_records_and_stops(tmp_path: Path
 def real_drive(test_id: str, failed: bool, **more: Any) -> RealDrive:
     outcome = "failed" if failed else "completed"
     return RealDrive(
-        test_id=test_id, failed=bool(failed), outcome=outcome, max_lateral_position=None, who="A", when="", source="",
+        test_id=test_id,
+        failed=bool(failed),
+        outcome=outcome,
+        max_lateral_position=None,
+        who="A",
+        when="",
+        source="",
         **more,
-    )  # fmt: skip
+    )
 
 
 def test_proposals_continue_one_random_order_and_a_drive_counts_once(tmp_path: Path) -> None:
@@ -169,13 +175,23 @@ def test_conditions_are_set_in_the_car_s_own_lengths_and_speeds(tmp_path: Path) 
         "line_contrast=0.4617371566636695,visibility=48,camera_pitch=3deg,illuminance=1000,speed_limit=4,steering_lag=0.2"
     )
     drive = ProposedDrive(
-        test_id="a", road=ROADS[0], conditions=conditions, features={}, scale=16.0, probability=0.5, drawn=True,
+        test_id="a",
+        road=ROADS[0],
+        conditions=conditions,
+        features={},
+        scale=16.0,
+        probability=0.5,
+        drawn=True,
         siblings={"bullet": "failed"},
-    )  # fmt: skip
+    )
     assert drive.to_set == {
-        "line_contrast": "0.462", "visibility": "3 m (48 m at full scale)", "camera_pitch": "3 degrees",
-        "illuminance": "1000 lx", "speed_limit": "0.25 m/s (4 m/s at full scale)", "steering_lag": "0.2 s",
-    }  # fmt: skip
+        "line_contrast": "0.462",
+        "visibility": "3 m (48 m at full scale)",
+        "camera_pitch": "3 degrees",
+        "illuminance": "1000 lx",
+        "speed_limit": "0.25 m/s (4 m/s at full scale)",
+        "steering_lag": "0.2 s",
+    }
     assert replace(drive, scale=1.0).to_set["visibility"] == "48 m"
     text = (write_drives_to_do(tmp_path, 1, [drive]) / "README.md").read_text()
     assert all(f"- set {name} to {value}: " in text for name, value in drive.to_set.items())

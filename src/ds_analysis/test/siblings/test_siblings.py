@@ -21,10 +21,10 @@ from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable, State,
 from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.failure_patterns import nestings
-from ds_analysis.siblings.pictures import draw_failures, draw_matrix
 from ds_analysis.siblings.residuals import residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.executor import execution_of
+from ds_report.sibling_pictures import draw_failures, draw_matrix
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
@@ -53,9 +53,13 @@ def made_up(
     if profiles is not None:
         decoders = np.array([[partial(np.asarray, one) for one in of] for of in profiles.values()], object).T
     return OutcomeTable.of(
-        roads[: len(together)], states_of(together >= 2.0), together, siblings=tuple(lateral), decoders=decoders,
+        roads[: len(together)],
+        states_of(together >= 2.0),
+        together,
+        siblings=tuple(lateral),
+        decoders=decoders,
         conditions=conditions,
-    )  # fmt: skip
+    )
 
 
 def states_of(failed: NDArray[np.bool_]) -> NDArray[np.int8]:
@@ -276,8 +280,12 @@ def record(road: Road, outcome: Outcome, *, seed: int = 0, offset: float = 0.25)
     run = RunRecord(scenario=Scenario(road, seed=seed), outcome=outcome)
     for step, arc in enumerate(np.linspace(0.0, 30.0, 31)):
         vehicle = VehicleState(x=0.0, y=float(arc), yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
-        lane = LaneState(lateral_position=offset, lateral_distance=2.0 - abs(offset),
-                         preview_lateral_position=offset, arc_length=float(arc))  # fmt: skip
+        lane = LaneState(
+            lateral_position=offset,
+            lateral_distance=2.0 - abs(offset),
+            preview_lateral_position=offset,
+            arc_length=float(arc),
+        )
         run.observations.append(
             Observation(
                 image=NO_IMAGE, step=step, time=step * 0.05, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING

@@ -42,10 +42,10 @@ def bag_drive(
         Interrupted: the user stopped it; nothing is written.
     """
     from ds_analysis.paper.open_loop import evaluate_recording, write_answers
-    from ds_analysis.paper.steering_error_plots import draw_errors
     from ds_analysis.paper.steering_error_stats import distances, pooled_errors, summarise
     from ds_bags.layout import BagError
     from ds_driver.data.recordings import open_recording
+    from ds_report.steering_error_pictures import draw_errors
 
     recordings = [open_recording(folder, reading) for folder in folders]
     if out is not None and out.exists() and not out.is_dir():

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ds_base.palette import FAIL, PASS
 from ds_cli.output import Result
 
 if TYPE_CHECKING:
@@ -106,7 +107,6 @@ def write_comparison(
     found: Comparison, out: Path, unmet: Sequence[str], *, junit: Path | None, markdown: Path | None
 ) -> Result:
     """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows."""
-    from ds_analysis.common.table import write_tables
     from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
     from ds_analysis.comparison.ci_results import cases_of, junit_of
     from ds_analysis.comparison.tables import (
@@ -120,6 +120,7 @@ def write_comparison(
     )
     from ds_base.atomic_files import write_json
     from ds_base.installation import ds_command
+    from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
 
     road_files = write_roads(found, out / "worse")
@@ -186,12 +187,12 @@ def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
 
 
 def _difference_grid(grid: Grid) -> Table:
-    """A map of differences for a terminal: red where tests newly fail, green where they are fixed."""
+    """A map of differences for a terminal: `FAIL` where tests newly fail, `PASS` where they are fixed."""
     table = Table(caption=f"{grid.across} →", box=SIMPLE, pad_edge=False, padding=(0, 1))
     table.add_column(f"{grid.up} ↑", justify="right", no_wrap=True)
     for label in grid.columns:
         table.add_column(label, justify="center", min_width=7, no_wrap=True)
     for label, cells in grid.rows:
-        styles = {"+": "bold red", "−": "bold green", "": "dim"}
+        styles = {"+": f"bold {FAIL}", "−": f"bold {PASS}", "": "dim"}
         table.add_row(label, *(Text(cell.text or "·", style=styles.get(cell.text[:1], "")) for cell in cells))
     return table

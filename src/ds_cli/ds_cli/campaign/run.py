@@ -117,7 +117,7 @@ def campaign(
 
 def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], Result], sort: str | None) -> Result:
     """Run a campaign for each network, in a folder of its own, and join their failure rates in one table."""
-    from ds_analysis.common.table import Column, Table
+    from ds_base.table import Column, Table
     from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     results, rows, simulators = [], [], []

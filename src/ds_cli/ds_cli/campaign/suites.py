@@ -57,7 +57,7 @@ def suite_make_command(
 
     The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
     """
-    from ds_analysis.comparison.analysis import count
+    from ds_base.words import count
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_orchestrator.search.features import feature_of
     from ds_studies.suite.suite_file import SuiteError, suite_of, write_suite

@@ -56,7 +56,6 @@ def predict_command(
     from dataclasses import replace
 
     from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError
-    from ds_analysis.common.table import write_tables
     from ds_analysis.outcomes.folders import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.prediction.mixture import predict
@@ -64,6 +63,7 @@ def predict_command(
     from ds_analysis.prediction.verdicts import cell_table, judge
     from ds_base.atomic_files import write_json, write_whole
     from ds_base.folder_files import make_folder
+    from ds_base.table import write_tables
     from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
 

@@ -53,9 +53,13 @@ def _recorded(
         driven = "" if found.share is None else f" after {found.share:.0%} of the road"
         raise RecordError(f"{path}: the recording tells no verdict{driven}: expected --outcome, such as completed")
     values = {
-        "test_id": test, "outcome": outcome, "who": who or "", "when": when or found.when,
-        "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale), "note": "",
-    }  # fmt: skip
+        "test_id": test,
+        "outcome": outcome,
+        "who": who or "",
+        "when": when or found.when,
+        "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale),
+        "note": "",
+    }
     return drive_of(values, {test: road.lane_width / 2}, scale, path.name)
 
 
@@ -127,12 +131,12 @@ def propose_command(
     Each call continues the same random order, so that `ds real update` can bound the car's failures whenever you stop.
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
     """
-    from ds_analysis.common.table import Column, Table
     from ds_analysis.outcomes.folders import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.certificate import drives_until
     from ds_analysis.real.proposal import candidates_of, propose
     from ds_base.folder_files import locked
+    from ds_base.table import Column, Table
     from ds_report.drives_on_the_car import TO_FILL, write_drives_to_do
 
     with locked(folder):
@@ -144,16 +148,21 @@ def propose_command(
         name="proposal",
         title=f"Drives on the car, drawn at random, after {len(car.drives)} real drives",
         columns=[
-            Column("test"), Column("P(fails)", "number"), Column("siblings that fail", "count"), Column("conditions"),
+            Column("test"),
+            Column("P(fails)", "number"),
+            Column("siblings that fail", "count"),
+            Column("conditions"),
         ],
         rows=[
             (
-                one.test_id, one.probability, list(one.siblings.values()).count("failed"),
+                one.test_id,
+                one.probability,
+                list(one.siblings.values()).count("failed"),
                 ", ".join(f"{name} {value}" for name, value in one.to_set.items()),
             )
             for one in found
         ],
-    )  # fmt: skip
+    )
     tests = len(car.proposed.population) or len(candidates_of(car.table))
     sure = None if certify is None else drives_until(certify, tests)
     following = ds_command("real", "record", folder, place / TO_FILL, "--who", "NAME", "--when", "DATE")

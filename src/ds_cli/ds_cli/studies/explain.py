@@ -45,9 +45,9 @@ def explain_command(
     test: it is driven again with camera, look, vehicle, delays and conditions exchanged between the two, each alone and
     all combinations, and each part gets its share of the failure.
     """
-    from ds_analysis.common.table import write_tables
     from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of, where
     from ds_base.folder_files import make_folder
+    from ds_base.table import write_tables
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign

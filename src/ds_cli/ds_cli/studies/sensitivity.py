@@ -79,15 +79,15 @@ def sensitivity_command(
     """
     from rich.console import Console
 
-    from ds_analysis.common.table import write_tables
+    from ds_analysis.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
+    from ds_analysis.sensitivity.result import Sensitivity, networks_table
     from ds_base.folder_files import make_folder
+    from ds_base.table import write_tables
     from ds_orchestrator.campaign.engine import DriveSettings
+    from ds_report.sensitivity_page import SensitivityPage
+    from ds_report.sensitivity_picture import draw_sensitivity
     from ds_sim.camera.encodings import png
-    from ds_studies.sensitivity.analysis import Sensitivity, analyse_sensitivity
-    from ds_studies.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
-    from ds_studies.sensitivity.networks import networks_table
-    from ds_studies.sensitivity.page import SensitivityPage
-    from ds_studies.sensitivity.picture import draw_sensitivity
+    from ds_studies.sensitivity.analysis import analyse_sensitivity
 
     drivers = [driver_named(name, backend, "cpu") for name in several(driver) or [driver]]
     names = every_or_named(sims)

@@ -15,7 +15,8 @@ from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.camera_pictures import SPACINGS, render_drive, replay_frames
-from ds_report.page_data import in_words, simulator_rows
+from ds_report.page_data import simulator_rows
+from ds_report.pages import outcome_in_words
 from ds_report.watch.campaign_reader import Snapshot
 from ds_road.geometry import arc_lengths
 from ds_sim.registry import make_simulator, received_simulator
@@ -98,19 +99,28 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "tests": len(counted.tests),
         "lane": round(data.tests[0].road.lane_width, 3) if data.tests else 4.0,
         "simulators": [
-            {**row, "failures": failures[row["name"]], "tests": tests[row["name"]],
-             "latest": snapshot.latest.get(row["name"])}
+            {
+                **row,
+                "failures": failures[row["name"]],
+                "tests": tests[row["name"]],
+                "latest": snapshot.latest.get(row["name"]),
+            }
             for row in simulator_rows(config)
         ],
         "stages": [
-            {"name": stage.name, "done": stage.done, "expected": stage.expected, "failures": stage.failures,
-             "state": stage.state}
+            {
+                "name": stage.name,
+                "done": stage.done,
+                "expected": stage.expected,
+                "failures": stage.failures,
+                "state": stage.state,
+            }
             for stage in stages
         ],
         "axes": _axes(snapshot),
         "maps": _maps(snapshot),
         "now": [_under_way(drive, by_road, snapshot.at) for drive in (live.drives if live else [])],
-    }  # fmt: skip
+    }
 
 
 def _state(snapshot: Snapshot) -> str:
@@ -197,7 +207,7 @@ def drive_lines(test: Test, execution: Execution, names: list[str]) -> dict[str,
     commands = steering[np.minimum(steps, len(steering) - 1)] if len(steering) else steering
     moved = np.hypot(*np.diff(path[steps][:, :2], axis=0).T) if len(steps) > 1 else np.empty(0)
     run = {
-        "outcome": in_words(execution.outcome),
+        "outcome": outcome_in_words(execution.outcome),
         "failed": execution.outcome.is_failure,
         "seconds": execution.simulated_seconds,
         "fitness": execution.fitness,

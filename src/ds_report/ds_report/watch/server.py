@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from jinja2 import ChoiceLoader, PackageLoader
 from tornado.httpserver import HTTPServer
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
@@ -21,7 +20,7 @@ from ds_base.errors import InputError, RunError
 from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_report.camera_pictures import translates
-from ds_report.html_report import environment
+from ds_report.pages import render
 from ds_report.watch.campaign_reader import CampaignReader
 from ds_report.watch.page_state import DrivePictures, drive_lines, page_state
 
@@ -167,13 +166,8 @@ class _Drive(_Handler):
 
 def page_of(reader: CampaignReader) -> str:
     """Write the page; its script asks for everything else."""
-    templates = environment()
-    assert templates.loader is not None
-    templates.loader = ChoiceLoader([PackageLoader("ds_report.watch"), templates.loader])
-    config = reader.config
-    return templates.get_template("watch.html.j2").render(
-        config=config, folder=str(reader.folder), paired=translates(config.driver)
-    )
+    paired = translates(reader.config.driver)
+    return render("watch.html.j2", config=reader.config, folder=str(reader.folder), paired=paired)
 
 
 async def serve(

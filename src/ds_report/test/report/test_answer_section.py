@@ -27,9 +27,14 @@ def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8)
 
 def drive(test_id: str, *, failed: bool) -> RealDrive:
     return RealDrive(
-        test_id=test_id, failed=failed, outcome="failed" if failed else "completed", max_lateral_position=None,
-        who="Ada", when="2026-03-01", source="here",
-    )  # fmt: skip
+        test_id=test_id,
+        failed=failed,
+        outcome="failed" if failed else "completed",
+        max_lateral_position=None,
+        who="Ada",
+        when="2026-03-01",
+        source="here",
+    )
 
 
 def test_real_drives_are_marked_and_change_the_answer(tmp_path: Path) -> None:

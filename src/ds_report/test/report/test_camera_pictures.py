@@ -86,8 +86,13 @@ def test_the_worst_of_every_cell_comes_first() -> None:
 
     # t1 fails on two simulators, t4 comes closer to the edge than t2, t3 failed too; t5 has no cell.
     assert [chosen(most) for most in (0, 1, 2, 3, 4, 9)] == [
-        [], ["t1"], ["t1", "t4"], ["t1", "t2", "t4"], ["t1", "t2", "t3", "t4"], ["t1", "t2", "t3", "t4"],
-    ]  # fmt: skip
+        [],
+        ["t1"],
+        ["t1", "t4"],
+        ["t1", "t2", "t4"],
+        ["t1", "t2", "t3", "t4"],
+        ["t1", "t2", "t3", "t4"],
+    ]
 
 
 def test_replays_show_failed_drives_first_and_stay_within_their_bound() -> None:

@@ -108,9 +108,18 @@ def test_a_report_says_what_each_sibling_adds(tmp_path: Path) -> None:
 def test_correlations_of_an_earlier_version_are_read(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
     row = {
-        "name": "union_path_to_x:Sim", "value": "quality", "cells": 9, "r": 0.5, "p": 0.1, "reason": "", "baseline": 0,
-        "r_interval": [0.1, 0.9], "auc": None, "auc_interval": None, "auc_reason": "why",
-    }  # fmt: skip
+        "name": "union_path_to_x:Sim",
+        "value": "quality",
+        "cells": 9,
+        "r": 0.5,
+        "p": 0.1,
+        "reason": "",
+        "baseline": 0,
+        "r_interval": [0.1, 0.9],
+        "auc": None,
+        "auc_interval": None,
+        "auc_reason": "why",
+    }
     (tmp_path / "maps" / "correlations.json").write_text(json.dumps([row]))
     (found,) = read_correlations(tmp_path, TWO)
     assert found.map == MapId.union("path_to_x:Sim") and found.value == "quality_loss"

@@ -14,7 +14,7 @@ from ds_analysis.failures.reasons import Reason
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_report.failure_section import failure_section
-from ds_report.html_report import environment
+from ds_report.pages import render
 
 
 def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_path: Path) -> None:
@@ -31,7 +31,7 @@ def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_pat
         assert (group.worst.test_id, group.worst.simulator) in failed
         assert sum(int(words.split()[0]) for words in group.where.split(", ")) == group.failures
         assert "-".join(map(str, data.cells[group.worst.test_id])) in group.address
-    html = environment().get_template("failures.html.j2").render(failures=section)
+    html = render("failures.html.j2", failures=section)
     assert re.findall(r'href="#cell=[-\d]+&amp;test=([^"]+)"', html) == [
         group.worst.test_id for group in section.groups
     ]

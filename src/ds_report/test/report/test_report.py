@@ -18,9 +18,10 @@ import pytest
 from report_campaigns import EVIL, make_campaign, make_execution, make_tests, report_of, results, road, set_conditions
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_analysis.common.table import Column, Table
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, evaluate, paired_differences
+from ds_base.table import Column, Table
+from ds_base.words import duration
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
@@ -29,7 +30,7 @@ from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
 from ds_report.findings import RoadOutcomes, best_split, road_outcomes, summarise, where_it_fails
-from ds_report.html_report import duration, write_report
+from ds_report.html_report import write_report
 from ds_report.page_data import page_data
 from ds_road import Road
 from ds_sim.conditions.model import Conditions

@@ -414,9 +414,13 @@ def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path
     assert "infeasible: the autopilot ends stuck" in words
     field = opened.page.locator("#cell input[type=search]")
     for terms, kept in (
-        ("visibility < 60", {kinds[0]}), ("visibility>60, friction=0.5", {kinds[1]}), ("fri", {kinds[1]}),
-        ("visibility < 60, friction", set()), ("fog", set()), ("", set(kinds)),
-    ):  # fmt: skip
+        ("visibility < 60", {kinds[0]}),
+        ("visibility>60, friction=0.5", {kinds[1]}),
+        ("fri", {kinds[1]}),
+        ("visibility < 60, friction", set()),
+        ("fog", set()),
+        ("", set(kinds)),
+    ):
         field.fill(terms)
         assert sorted(opened.tests()) == [test.test_id for test in tests if test.conditions in kept], terms
     assert opened.complaints == []

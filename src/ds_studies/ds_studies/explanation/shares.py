@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from itertools import chain, combinations
 from typing import Any
 
-from ds_analysis.common.table import Column, Table
+from ds_base.table import Column, Table, styled
 from ds_orchestrator.store.model import Execution
 from ds_sim.registry import label_of
 
@@ -106,9 +106,13 @@ class Explanation:
             {"parts": sorted(subset), "loss": loss, "failed": loss == 1.0} for subset, loss in self.losses.items()
         ]
         return {
-            "test_id": self.test_id, "fails": self.fails, "against": self.against, "sentence": self.sentence,
-            "shares": self.shares, "drives": drives,
-        }  # fmt: skip
+            "test_id": self.test_id,
+            "fails": self.fails,
+            "against": self.against,
+            "sentence": self.sentence,
+            "shares": self.shares,
+            "drives": drives,
+        }
 
     def table(self) -> Table:
         """Tabulate the parts, the largest share first."""
@@ -117,11 +121,12 @@ class Explanation:
             name=f"explanation_{self.test_id}_{label_of(self.fails)}",
             title=f"{self.test_id}: fails on {self.fails}, not on {self.against} ({len(self.losses)} drives)",
             columns=[
-                Column("part"), Column("share", "number"), Column(f"alone on {self.against}"),
-                Column(f"{self.fails} without it"),
+                Column("part"),
+                Column("share", "number"),
+                *styled("text", f"alone on {self.against}", f"{self.fails} without it"),
             ],
             rows=[(p, share, end[self.brings(p)], end[not self.cures(p)]) for p, share in self.shares.items()],
-        )  # fmt: skip
+        )
 
     @property
     def sentence(self) -> str:
@@ -145,9 +150,11 @@ class Explanation:
             f"default {CONDITIONS}" if part == CONDITIONS else f"the {part} of {self.against}"
             for part in filter(self.cures, shares)
         ]
-        cured = f"With {_joined(cures, 'or')} alone it completes there." if cures else (
-            f"No single part of {self.against} makes it complete there."
-        )  # fmt: skip
+        cured = (
+            f"With {_joined(cures, 'or')} alone it completes there."
+            if cures
+            else (f"No single part of {self.against} makes it complete there.")
+        )
         return f"{self.test_id} fails on {self.fails} because of {because}. {cured}"
 
 

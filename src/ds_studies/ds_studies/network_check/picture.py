@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.figures import WIDTH, draw_figure, short_name
+from ds_base.palette import SERIES
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.images import prepare
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_driver.networks.user_class import UserClassPilot
-from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
 from ds_sim.simulator import FRAME_TIME
 from ds_studies.network_check.diagnosis import NetworkCheck
 from ds_studies.network_check.recording import Recording
@@ -63,8 +64,8 @@ def draw_check(found: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[
                 axes.set_axis_off()
                 axes.set_title(title)
             moments = np.arange(len(one.steering))
-            chart.plot(moments, one.steering, color=COLOURS[5], label="autopilot", linewidth=3, alpha=0.4)
-            chart.plot(moments, found.steering[one.simulator], color=COLOURS[1], label="network", linewidth=1)
+            chart.plot(moments, one.steering, color=SERIES[4], label="autopilot", linewidth=3, alpha=0.4)
+            chart.plot(moments, found.steering[one.simulator], color=SERIES[0], label="network", linewidth=1)
             chart.set_title("steering, -1 left to +1 right")
             chart.legend(loc="upper right", ncols=2, fontsize=7)
         seconds = FRAME_TIME * (recordings[-1].frames[1].step - recordings[-1].frames[0].step)

@@ -6,15 +6,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-from ds_analysis.common.table import Column, Table, Value
+from ds_analysis.sensitivity.factors import LEVELS, Factor
+from ds_analysis.sensitivity.result import Sensitivity, Threshold, Verdict, threshold_of
 from ds_base.progress import SILENT, Progress, logger_of
 from ds_driver.control.autopilot import AUTOPILOT
-from ds_driver.networks.network_driver import sees_translated
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.engine import DriveSettings, Engine
 from ds_orchestrator.campaign.executor import Executor, Listener, NoOutcomeError
@@ -27,20 +26,15 @@ from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import spec_of
 from ds_sim.scenario import Scenario
-from ds_studies.sensitivity.factors import LEVELS, Factor
 from ds_studies.sensitivity.measurement import (
     GATE,
     SEGMENTS,
     TESTED,
     Fails,
-    Threshold,
-    Verdict,
     candidate_roads,
     choose_roads,
-    coverage,
     is_applicable,
     measure,
-    threshold_of,
 )
 
 
@@ -92,107 +86,8 @@ class Drives:
 
 
 LOG = logger_of(__name__)
-Watch = Callable[["Sensitivity"], None]
+Watch = Callable[[Sensitivity], None]
 """Called with what is known after each measurement; the others are `pending`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Sensitivity:
-    """How strong each condition must be for a driver to fail.
-
-    Attributes:
-        driver: name of the driver.
-        simulators: names of the simulators.
-        factors: what was varied.
-        needed: number of roads on each simulator.
-        roads: roads of each simulator; fewer than needed where the driver does not complete enough by default.
-        thresholds: results by the factor's position and the simulator.
-    """
-
-    driver: str
-    simulators: Sequence[str]
-    factors: Sequence[Factor]
-    needed: int
-    roads: Mapping[str, Sequence[Scenario]]
-    thresholds: Mapping[tuple[int, str], Threshold]
-
-    @property
-    def order(self) -> list[int]:
-        """Positions of the factors, the most sensitive one first: least strength withstood on any simulator."""
-
-        def least(position: int) -> float:
-            found = [self.thresholds[position, name] for name in self.simulators]
-            return min((one.withstood or 1.0 for one in found if one.verdict == "fails"), default=2.0)
-
-        return sorted(range(len(self.factors)), key=lambda position: (least(position), position))
-
-    @property
-    def errors(self) -> list[str]:
-        """One line for each measurement that ended in an error."""
-        return [
-            f"{one.factor.title} on {one.simulator}: {one.message}" for one in self.thresholds.values() if one.message
-        ]
-
-    def document(self) -> dict[str, Any]:
-        """Convert to JSON values."""
-        return {
-            "driver": self.driver,
-            "translated_images": sees_translated(self.driver),
-            "simulators": list(self.simulators),
-            "roads": {name: [one.road.road_id for one in of] for name, of in self.roads.items()},
-            "interval_coverage": coverage(self.needed),
-            "thresholds": [
-                self.thresholds[position, name].document() for position in self.order for name in self.simulators
-            ],
-        }
-
-    def table(self) -> Table:
-        """One row for each factor, the most sensitive first, one column for each simulator."""
-        rows: list[list[Value]] = [
-            [self.factors[k].title, *(self.thresholds[k, name].text for name in self.simulators)] for k in self.order
-        ]
-        notes = [
-            f"first failure of the median of {self.needed} roads (of the first to the last road, which hold the median "
-            f"of all roads with a probability of {coverage(self.needed):.0%})"
-        ]
-        notes += [
-            f"{name}: {self.driver} completes {len(of)} of {self.needed} roads without any condition: "
-            "nothing can be said about conditions"
-            for name, of in self.roads.items()
-            if len(of) < self.needed
-        ]
-        if len(self.factors) > 1:
-            notes.append(f"the order is that of these {self.needed} roads: on others, another condition may come first")
-        if sees_translated(self.driver):
-            notes.append(
-                f"{self.driver} sees translated images, and a generator may undo what a condition does to them: this "
-                "says nothing about its network on images of a real camera under these conditions"
-            )
-        columns = [Column("condition"), *(Column(name) for name in self.simulators)]
-        title = f"Strength at which {self.driver} first fails"
-        return Table(name="sensitivity", title=title, columns=columns, rows=rows, notes=notes)
-
-    def long_table(self) -> Table:
-        """One row for each factor and simulator, with every number."""
-        rows: list[list[Value]] = []
-        for one in (self.thresholds[k, name] for k in self.order for name in self.simulators):
-            values = one.document()
-            first, last = values["interval"]
-            rows.append([
-                one.factor.name, one.factor.unit, one.factor.end, one.simulator, one.verdict, values["first_fails"],
-                first, last, values["completes"], values["excluded_from"], one.withstood, len(one.roads),
-            ])  # fmt: skip
-        return Table(
-            name="sensitivity_values",
-            title=f"Strength at which {self.driver} first fails, in numbers",
-            columns=[
-                Column("condition"), Column("unit"), Column("hardest", "number"), Column("simulator"),
-                Column("verdict"), Column("first fails", "number"), Column("first road fails", "number"),
-                Column("last road fails", "number"), Column("completes", "number"),
-                Column("excluded from", "number"), Column("share of range", "number"), Column("roads", "count"),
-            ],
-            rows=rows,
-        )  # fmt: skip
 
 
 def analyse_sensitivity(

@@ -7,8 +7,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+from ds_analysis.sensitivity.factors import COMPANIONS
 from ds_sim.conditions.model import FIELDS, ConditionsError
-from ds_studies.sensitivity.factors import COMPANIONS
 
 MILDEST = {"visibility": 1000.0}
 """Mild end of a range, where the simulator's own world has none; chosen: the upper limit of fog (WMO-No. 8)."""

@@ -9,7 +9,7 @@ const data = { simulators: [], lane: 4, pictures: {}, paired: {{ paired | tojson
 
 const EVERY = 1000; // ms between two readings of the state
 const HOLD = 20; // steps for which the end of a drive stays
-const LOW = [120, 198, 121], HALF = [254, 224, 130], HIGH = [178, 24, 43];
+const [LOW, HALF, HIGH] = {{ [palette.rgb(palette.PASS), palette.rgb(palette.BETWEEN), palette.rgb(palette.FAIL)] | tojson }};
 const element = (id) => document.getElementById(id);
 const players = new Map(); // simulator -> its card
 let paused = matchMedia("(prefers-reduced-motion: reduce)").matches;

@@ -35,7 +35,7 @@ _TEX = {"&": r"\&", "%": r"\%", "_": r"\_", "#": r"\#", "$": r"\$", "{": r"\{", 
 _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless{}", ">": r"\textgreater{}"}
 
 
-class TablesError(InputError):
+class TableError(InputError):
     """Stored tables that cannot be read, or a column that a table does not have."""
 
 
@@ -45,6 +45,11 @@ class Column:
 
     name: str
     style: Style = "text"
+
+
+def styled(style: Style, *names: str) -> list[Column]:
+    """Columns of one style."""
+    return [Column(name, style) for name in names]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +64,7 @@ class Table:
         notes: sentences below the table.
 
     Examples:
-        >>> from ds_analysis import Table
-        >>> from ds_analysis.common.table import Column
+        >>> from ds_base.table import Column, Table
         >>> columns = [Column("simulator"), Column("failures")]
         >>> table = Table(name="failures", title="Failures", columns=columns, rows=[("bullet", 3)])
         >>> print(table.csv(), end="")
@@ -81,12 +85,12 @@ class Table:
             column: its name; a minus before it sorts from large to small.
 
         Raises:
-            TablesError: the table has no such column.
+            TableError: the table has no such column.
         """
         names = [c.name for c in self.columns]
         name = column if column in names else column.removeprefix("-")
         if name not in names:
-            raise TablesError(f"no column {column!r:.60} to sort by: expected one of {', '.join(names)}")
+            raise TableError(f"no column {column!r:.60} to sort by: expected one of {', '.join(names)}")
         place, found = names.index(name), []
         for missing in (False, True):
             part = [row for row in self.rows if (row[place] is None) is missing]
@@ -222,7 +226,7 @@ def read_tables(path: Path) -> list[Table]:
     """Read what `keep_tables` wrote; empty if there is no such file.
 
     Raises:
-        TablesError: the file does not hold tables.
+        TableError: the file does not hold tables.
     """
     try:
         tables = _KEPT.validate_json(read_regular(path, _LARGEST_FILE, follow_links=False))
@@ -232,7 +236,7 @@ def read_tables(path: Path) -> list[Table]:
         return []
     except (OSError, ValueError) as error:
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
-        raise TablesError(f"{path} cannot be read ({reason}): remove it, or give `ds evaluate` --data again") from None
+        raise TableError(f"{path} cannot be read ({reason}): remove it, or give `ds evaluate` --data again") from None
     return tables
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ds_road.figures import COLOURS, WIDTH, draw_figure
+from ds_base.figures import WIDTH, draw_figure
+from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.fit import Fit
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MAX_WINDOWS = 6
+MAX_WINDOWS = len(SERIES)
 """Number of windows drawn; chosen: as many as can be distinguished."""
 
 
@@ -36,7 +37,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
         for k in range(len(chosen)):
             times = (k * frames + np.arange(frames)) * FRAME_TIME
             for values, style in ((measured[k], "."), (fitted[k], "-")):
-                drawn = {"color": COLOURS[k], "markersize": 3, "linewidth": 1}
+                drawn = {"color": SERIES[k], "markersize": 3, "linewidth": 1}
                 ways.plot(*(values[:, :2] - origins[k]).T, style, **drawn)
                 speeds.plot(times, values[:, 3], style, **drawn)
                 yaw_rates.plot(times, values[:, 4], style, **drawn)
@@ -57,8 +58,6 @@ def _histograms(fit: Fit, axes: Axes) -> None:
         left = left[np.isfinite(left)]
         if left.size and fit.rms[name] > 0.0:
             height, _ = np.histogram(left / fit.rms[name], edges, density=True)
-            axes.plot(
-                0.5 * (edges[1:] + edges[:-1]), height, color=COLOURS[index], label=f"{name}: {fit.rms[name]:.2g}"
-            )
+            axes.plot(0.5 * (edges[1:] + edges[:-1]), height, color=SERIES[index], label=f"{name}: {fit.rms[name]:.2g}")
     axes.set(title="Measured minus fitted, over its rms", xlabel="rms", ylabel="density")
     axes.legend(loc="upper left")

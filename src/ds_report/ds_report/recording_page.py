@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import base64
-import html
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,14 +11,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.figures import WIDTH, draw_figure
+from ds_base.palette import SERIES
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.locate import Fit
 from ds_recording.located import Located
 from ds_recording.odometry import summary
 from ds_recording.recording import Views
 from ds_recording.track import Track
-from ds_road.figures import COLOURS, WIDTH, draw_figure
-from ds_sim.camera.encodings import png
+from ds_report.pages import data_address, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,13 +29,9 @@ PICTURES, ACROSS = 12, 4
 """Pictures with fitted lines, and how many lie beside each other."""
 SHOWN = (0.3, 6.0)
 """Distance ahead of the car within which lines are drawn, lane widths."""
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:1140px;margin:2em auto;padding:0 1em;color:#222}"
-    "img{max-width:100%}table{border-collapse:collapse}td,th{padding:.2em 1em .2em 0;text-align:left}"
-)
 
 
-def write_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
+def write_recording_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
     """Write the page.
 
     Args:
@@ -58,25 +54,27 @@ def write_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
         "Motion": summary(about),
         "Steering": _steering(about["steering"]),
     }
-    table = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in rows.items())
-    sections = [
-        ("The track from above", "Driven line on the road; crosses are images that could not be located.",
-         draw_figure(WIDTH, 620, lambda figure: _from_above(figure, located, fit))),
-        ("Over time", "What lines and motion leave unexplained, and what was driven.",
-         draw_figure(WIDTH, 760, lambda figure: _over_time(figure, located, fit))),
-        ("Pictures", "Fitted lines drawn in: yellow is the centre line, white the edges; grey ones are not located.",
-         contact_sheet(views, located.camera, located.lane_width, fit)),
-    ]  # fmt: skip
-    body = "".join(
-        f'<h2>{title}</h2><p>{text}</p><img alt="{title}" src="data:image/png;base64,'
-        f'{base64.b64encode(png(image)).decode()}">'
-        for title, text, image in sections
+
+    def drawn(height: int, draw: Callable[[Figure, Located, Fit], None]) -> str:
+        return data_address(draw_figure(WIDTH, height, lambda figure: draw(figure, located, fit)))
+
+    lines = "Fitted lines drawn in: yellow is the centre line, white the edges; grey ones are not located."
+    sheet = contact_sheet(views, located.camera, located.lane_width, fit)
+    return write_page(
+        path,
+        "recording.html.j2",
+        source=about["source"],
+        rows=rows,
+        pictures=[
+            (
+                "The track from above",
+                "Driven line on the road; crosses are images that could not be located.",
+                drawn(620, _from_above),
+            ),
+            ("Over time", "What lines and motion leave unexplained, and what was driven.", drawn(760, _over_time)),
+            ("Pictures", lines, data_address(sheet)),
+        ],
     )
-    path.write_text(
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>Located recording</title><style>{_STYLE}</style>'
-        f"<h1>Where the car was</h1><table>{table}</table>{body}</html>\n"
-    )
-    return path
 
 
 def _steering(steering: dict[str, float] | None) -> str:
@@ -94,9 +92,9 @@ def _from_above(figure: Figure, located: Located, fit: Fit) -> None:
         line = located.track.beside(offset * located.lane_width).points
         line = np.vstack((line, line[:1])) if located.track.closed else line
         axes.plot(*line.T, color=colour, linewidth=1)
-    axes.plot(located.column("x_m"), located.column("y_m"), ".", color=COLOURS[0], markersize=2)
+    axes.plot(located.column("x_m"), located.column("y_m"), ".", color=SERIES[0], markersize=2)
     lost = fit.solution.poses[~fit.located, :2] * located.lane_width
-    axes.plot(*lost.T, "x", color=COLOURS[1], markersize=4)
+    axes.plot(*lost.T, "x", color=SERIES[1], markersize=4)
     axes.set(xlabel="x, m", ylabel="y, m")
     axes.set_aspect("equal", "datalim")
 
@@ -104,16 +102,16 @@ def _from_above(figure: Figure, located: Located, fit: Fit) -> None:
 def _over_time(figure: Figure, located: Located, fit: Fit) -> None:
     first, second, third, fourth = figure.subplots(4, 1, sharex=True)
     times = fit.evidence.times
-    first.plot(times, fit.solution.residuals * located.lane_width, ".", markersize=2, color=COLOURS[0])
+    first.plot(times, fit.solution.residuals * located.lane_width, ".", markersize=2, color=SERIES[0])
     first.set(title="Median distance of painted lines from the fitted ones", ylabel="m")
-    second.plot(times, fit.solution.agree, ".", markersize=2, color=COLOURS[2])
+    second.plot(times, fit.solution.agree, ".", markersize=2, color=SERIES[2])
     second.set(title="Share of an image's line points that agree", ylim=(0, 1.05))
     time = located.column("time_s")
     offset, std = located.column("lateral_m"), located.column("std_lateral_m")
     third.fill_between(time, offset - 2 * std, offset + 2 * std, color="#cccccc")
-    third.plot(time, offset, linewidth=1, color=COLOURS[0])
+    third.plot(time, offset, linewidth=1, color=SERIES[0])
     third.set(title="Offset to the right of the road's centre line, with two standard deviations", ylabel="m")
-    fourth.plot(time, located.column("speed_mps"), linewidth=1, color=COLOURS[1])
+    fourth.plot(time, located.column("speed_mps"), linewidth=1, color=SERIES[1])
     fourth.set(title="Speed", ylabel="m/s", xlabel="s")
 
 

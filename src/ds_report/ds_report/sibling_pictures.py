@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ds_analysis.common.chart import Picture
 from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable
-from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
+from ds_base.figures import WIDTH, draw_figure, short_name
+from ds_base.palette import FAIL, PASS
+from ds_report.heatmap import Picture
 from ds_sim.conditions.text import three_digits
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None)
     Args:
         table: at least one test, with a verdict on every simulator.
         feature: name of one of its features; the same axis for every simulator.
-        vector: see `ds_road.figures.draw_figure`.
+        vector: see `ds_base.figures.draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -34,8 +35,8 @@ def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None)
         panels = figure.subplots(len(table.simulators), sharex=True, squeeze=False)[:, 0]
         for axes, name in zip(panels, table.simulators, strict=True):
             failed, lateral = table.failed(name), table.largest_lateral(name)
-            axes.plot(values[~failed], lateral[~failed], "o", color=COLOURS[0], fillstyle="none")
-            axes.plot(values[failed], lateral[failed], "o", color=COLOURS[1])
+            axes.plot(values[~failed], lateral[~failed], "o", color=PASS, fillstyle="none")
+            axes.plot(values[failed], lateral[failed], "o", color=FAIL)
             title = f"{name}: fails on {int(failed.sum())} of {len(failed)} roads (discs)"
             axes.set(title=title, ylabel="largest lateral position, m", ylim=limits)
         panels[-1].set_xlabel(_with_unit(feature))
@@ -55,8 +56,8 @@ def draw_matrix(table: OutcomeTable, feature: str, vector: Path | None = None) -
         axes = figure.subplots()
         for row, name in enumerate(table.simulators):
             failed = np.flatnonzero(table.failed(name)[order])
-            axes.barh(row, len(order), height=0.85, color="#cddeeb")
-            axes.bar(failed, 0.85, 1.0, row - 0.425, align="edge", color=COLOURS[1], edgecolor="white", linewidth=0.5)
+            axes.barh(row, len(order), height=0.85, color=PASS)
+            axes.bar(failed, 0.85, 1.0, row - 0.425, align="edge", color=FAIL, edgecolor="white", linewidth=0.5)
         shown = np.unique(np.round(np.linspace(0, len(order) - 1, 9)).astype(int))
         axes.set_xticks(shown + 0.5, [three_digits(value) for value in table.feature(feature)[order[shown]]])
         axes.set_yticks(range(len(table.simulators)), map(short_name, table.simulators))

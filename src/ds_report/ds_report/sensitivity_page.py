@@ -6,11 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from ds_base.atomic_files import write_whole
+from ds_analysis.sensitivity.result import Sensitivity
 from ds_report.camera_pictures import CameraPicture, camera_pictures
-from ds_report.html_report import environment
+from ds_report.pages import write_page
 from ds_sim.conditions.words import in_words
-from ds_studies.sensitivity.analysis import Sensitivity
 
 RELOAD = 3
 """Seconds after which an unfinished page asks for itself again; chosen: about a measurement."""
@@ -30,15 +29,16 @@ class SensitivityPage:
     def write(self, found: Sensitivity) -> None:
         """Write what is known."""
         pending = sum(one.verdict == "pending" for one in found.thresholds.values())
-        text = environment().get_template("sensitivity.html.j2").render(
+        write_page(
+            self.path,
+            "sensitivity.html.j2",
             found=found,
             rows=[(found.factors[k], [found.thresholds[k, name] for name in found.simulators]) for k in found.order],
             pictures={found.factors[k].title: self._picture(found, k) for k in found.order},
             pending=pending,
             total=len(found.thresholds),
             reload=RELOAD,
-        )  # fmt: skip
-        write_whole(self.path, text)
+        )
 
     def _picture(self, found: Sensitivity, position: int) -> tuple[str, CameraPicture] | None:
         """The view on the simulator that withstands least, at the strength at which its median road fails."""

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from ds_road.figures import draw_figure
+from ds_base.figures import draw_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws feature maps in the style of the paper's figures: green without failures, red where every test fails."""
+"""Draws feature maps in the style of the paper's figures (4.4.2), with a colour for each share of failures."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from ds_analysis.common.chart import INK, Picture, Rgb, text_width, write
 from ds_base.atomic_files import write_whole
+from ds_base.palette import INK, Rgb, colour_of_share, ink_on, rgb
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
 from ds_orchestrator.search.features import Cell, Feature
 from ds_sim.camera.encodings import png
 from ds_sim.registry import label_of
 
+Picture = NDArray[np.uint8]
 Value = Literal["probability", "quality_loss"]
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
 
 VALUE_TITLES: dict[Value, str] = {
     "probability": "failure probability",
@@ -26,11 +29,9 @@ VALUE_TITLES: dict[Value, str] = {
 }
 _FILE_ENDINGS: dict[Value, str] = {"probability": "probability", "quality_loss": "quality"}
 """End of the PNG files' names; the same as in earlier versions."""
-COLOURS: tuple[Rgb, Rgb, Rgb] = ((120, 198, 121), (254, 224, 130), (178, 24, 43))
-"""Colours at 0, 0.5 and 1: green to red (paper 4.4.2); the red end is darker, so that the order survives in grey."""
 EMPTY: Rgb = (240, 240, 240)
 _HATCH: Rgb = (205, 205, 205)
-_PALE: Rgb = (250, 250, 250)
+_INK = rgb(INK)
 GRID: Rgb = (150, 150, 150)
 _CELL_WIDTH, _CELL_HEIGHT = 60, 34
 _LEFT, _TOP, _RIGHT, _BOTTOM = 72, 66, 78, 52
@@ -69,20 +70,6 @@ def bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
     """Compute the smallest bounds with some cells, at least one."""
     turns, curvature = [cell[0] for cell in cells], [cell[1] for cell in cells]
     return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
-
-
-def colour_of(value: float) -> Rgb:
-    """Compute the RGB of a value in [0, 1], linear between `COLOURS`; values outside are clipped."""
-    mixed = [np.interp(value, (0.0, 0.5, 1.0), [colour[k] for colour in COLOURS]) for k in range(3)]
-    return (round(mixed[0]), round(mixed[1]), round(mixed[2]))
-
-
-def ink_on(colour: Rgb) -> Rgb:
-    """Choose dark or pale text, whichever has the higher contrast to a colour (contrast ratio of WCAG 2)."""
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
-    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    # Both contrasts are equal where (luminance + 0.05)^2 = 1.05 x 0.063; 0.063 belongs to the dark ink.
-    return INK if luminance > 0.207 else _PALE
 
 
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Picture:
@@ -191,7 +178,7 @@ def _draw_cell(patch: Picture, cell: MapCell | None, value: Value, excluded: int
         write(patch, apart, (middle, 29), 0.33, anchor="middle")
     else:
         number = float(getattr(cell, value))
-        colour = colour_of(number)
+        colour = colour_of_share(number)
         ink = ink_on(colour)
         inside[:] = colour
         write(patch, f"{number:.2f}", (middle, 17), 0.5, ink=ink, anchor="middle")
@@ -203,7 +190,7 @@ def _draw_colour_bar(image: Picture, corner: tuple[int, int]) -> None:
     """Draw the colours from 1 at the top to 0 at the bottom, and a sample of an empty cell."""
     left, top = corner
     for row in range(_BAR_HEIGHT):
-        image[top + row, left : left + _BAR_WIDTH] = colour_of(1.0 - row / (_BAR_HEIGHT - 1))
+        image[top + row, left : left + _BAR_WIDTH] = colour_of_share(1.0 - row / (_BAR_HEIGHT - 1))
     cv2.rectangle(image, (left, top), (left + _BAR_WIDTH, top + _BAR_HEIGHT), GRID, 1)
     for number in (0.0, 0.5, 1.0):
         baseline = top + round((1.0 - number) * _BAR_HEIGHT) + 4
@@ -224,3 +211,24 @@ def _write_upwards(image: Picture, text: str, at: tuple[int, int]) -> None:
     turned = cv2.rotate(strip, cv2.ROTATE_90_COUNTERCLOCKWISE)
     top = min(max(at[1] - turned.shape[0] // 2, 0), image.shape[0] - turned.shape[0])
     image[top : top + turned.shape[0], at[0] : at[0] + turned.shape[1]] = turned
+
+
+def write(
+    image: Picture,
+    text: str,
+    at: tuple[int, int],
+    size: float,
+    *,
+    ink: Rgb = _INK,
+    anchor: Literal["start", "middle", "end"] = "start",
+    thickness: int = 1,
+) -> None:
+    """Write text with its start, middle or end at a pixel of the baseline."""
+    width = text_width(text, size, thickness)
+    left = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
+    cv2.putText(image, text, (left, at[1]), _FONT, size, ink, thickness, cv2.LINE_AA)
+
+
+def text_width(text: str, size: float, thickness: int = 2) -> int:
+    """Width of a text, pixels."""
+    return int(cv2.getTextSize(text, _FONT, size, thickness)[0][0])

@@ -13,7 +13,8 @@ import numpy as np
 from ds_analysis.common.statistics import Array
 from ds_analysis.paper.open_loop import WORST, Answers
 from ds_analysis.paper.steering_error_stats import EDGES, density, pooled_errors
-from ds_road.figures import COLOURS, WIDTH, draw_figure
+from ds_base.figures import WIDTH, draw_figure
+from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def _densities(errors: dict[str, Array], figure: SubFigure) -> None:
     axes.axvline(0.0, color="#969696", linewidth=1)
     for number, (group, values) in enumerate(errors.items()):
         label = f"{group}: mean size {np.abs(values).mean():.3f}, {values.size} images"
-        axes.stairs(density(values), EDGES, color=COLOURS[number % len(COLOURS)], linewidth=1.5, label=label)
+        axes.stairs(density(values), EDGES, color=SERIES[number % len(SERIES)], linewidth=1.5, label=label)
     axes.set(title="Density of the steering errors", xlabel="answered minus recorded: left < 0 < right")
     axes.set(xlim=(-reach, reach), ylim=(0.0, None))
     axes.legend(loc="upper left")
@@ -65,7 +66,7 @@ def _over_time(answers: Answers, figure: SubFigure) -> None:
     """Draw steering over the image number, since a recording's clock may differ from the drive's."""
     axes = figure.subplots()
     axes.plot(answers.index, answers.recorded, color="black", linewidth=1.5, label="recorded")
-    axes.plot(answers.index, answers.answered, color=COLOURS[1], linewidth=1, label="answered")
+    axes.plot(answers.index, answers.answered, color=SERIES[1], linewidth=1, label="answered")
     title = answers.name if answers.name == answers.group else f"{answers.name} ({answers.group})"
     axes.set(title=title, xlabel="image", xlim=(answers.index[0], answers.index[-1]), ylim=(-1.05, 1.05))
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)

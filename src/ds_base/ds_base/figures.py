@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#966e00", "#464646")
-"""Okabe and Ito's palette, safe for red-green colour blindness; repeats for further groups."""
 WIDTH = 1140
 """Pixels across a page of panels."""
 _DPI = 100
@@ -32,7 +30,7 @@ _STYLE: dict[Any, Any] = {
 
 
 def draw_figure(
-    width: int, height: int, draw: Callable[[Figure], None], vector: Path | None = None
+    width: int, height: int, draw: Callable[[Figure], object], vector: Path | None = None
 ) -> NDArray[np.uint8]:
     """Draw a figure.
 

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.figures import COLOURS, WIDTH, draw_figure, short_name
-from ds_studies.sensitivity.analysis import Sensitivity
-from ds_studies.sensitivity.factors import LEVELS
+from ds_analysis.sensitivity.factors import LEVELS
+from ds_analysis.sensitivity.result import Sensitivity
+from ds_base.figures import WIDTH, draw_figure, short_name
+from ds_sim.registry import colours_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,7 +26,7 @@ def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[
 
     Args:
         found: the analysis.
-        vector: see `ds_road.figures.draw_figure`.
+        vector: see `ds_base.figures.draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
@@ -34,8 +35,7 @@ def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        for index, name in enumerate(found.simulators):
-            colour = COLOURS[index % len(COLOURS)]
+        for index, (name, colour) in enumerate(colours_of(found.simulators).items()):
             axes.barh(np.nan, np.nan, color=colour, label=short_name(name))
             for row, position in enumerate(found.order):
                 one, at, end = found.thresholds[position, name], row - 0.4 + (index + 0.5) * share, 0.0

@@ -1,0 +1,318 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How strong each condition must be for a driver to fail: result of a sensitivity analysis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from ds_analysis.sensitivity.factors import LEVELS, Factor
+from ds_base.table import Column, Table, Value, styled
+from ds_driver.networks.network_driver import sees_translated
+from ds_sim.conditions.text import three_digits
+from ds_sim.scenario import Scenario
+
+
+@dataclass(frozen=True, kw_only=True)
+class RoadResult:
+    """One factor on one road; levels of strength are those of `Factor`.
+
+    Attributes:
+        completes: highest level that the driver completes below the one at which it fails.
+        fails: next level that may be driven, at which it fails; None if it fails at none, or cannot be judged there.
+        excluded: that level if the driver fails there and cannot be judged; else None.
+    """
+
+    completes: int
+    fails: int | None = None
+    excluded: int | None = None
+
+    @property
+    def withstands_all(self) -> bool:
+        """Whether the driver completes the strongest value."""
+        return self.fails is None and self.excluded is None
+
+
+Verdict = Literal[
+    "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error", "pending"
+]
+"""fails: on the median road; completes: it does not, up to the hardest value; infeasible: where it begins to fail on
+the median road, the autopilot fails, too; lines invisible: where it begins to fail, they are; not applicable: the
+simulator cannot realise the condition; fails by default: too few roads are completed without any condition; error: a
+drive ended in an error; pending: not measured yet."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Threshold:
+    """Where a driver first fails, for one factor on one simulator. Levels are as in `Factor`; None is beyond the range.
+
+    Attributes:
+        simulator: name of the simulator.
+        factor: what is varied.
+        verdict: what was found.
+        roads: results of the roads.
+        message: one line about an error; else "".
+    """
+
+    simulator: str
+    factor: Factor
+    verdict: Verdict
+    roads: Sequence[RoadResult] = ()
+    message: str = ""
+
+    @property
+    def fails(self) -> int | None:
+        """Lowest level at which at least half of the roads fail."""
+        return _median([road.fails for road in self.roads])
+
+    @property
+    def interval(self) -> tuple[int | None, int | None]:
+        """Levels at which the first and the last road fail."""
+        levels = sorted((road.fails for road in self.roads), key=_beyond_last)
+        return (levels[0], levels[-1]) if levels else (None, None)
+
+    @property
+    def excluded(self) -> int | None:
+        """Level from which the median road cannot be judged: at least half of the roads fail or are excluded there."""
+        return None if self.fails else _median([road.fails or road.excluded for road in self.roads])
+
+    @property
+    def withstood(self) -> float | None:
+        """Share of the range up to the failure of the median road, or as far as it was tested; None without roads."""
+        if not self.roads:
+            return None
+        return (self.fails or self.excluded or LEVELS) / LEVELS
+
+    @property
+    def text(self) -> str:
+        """What was found, in a few words: the value at which the driver first fails, and the values of all roads."""
+        if self.verdict == "fails" and self.fails:
+            beyond = "never" if any(road.withstands_all for road in self.roads) else "not judged"
+            values = [three_digits(self.factor.value(level)) if level else beyond for level in self.interval]
+            median = three_digits(self.factor.value(self.fails))
+            return median if values == [median, median] else f"{median} ({' to '.join(dict.fromkeys(values))})"
+        if self.verdict == "completes":
+            return "no failure"
+        if self.verdict in ("infeasible", "lines invisible") and self.excluded:
+            return f"{self.verdict} from {three_digits(self.factor.value(self.excluded))}"
+        return self.verdict
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values; a value beyond the range is None."""
+        fails = self.fails if self.verdict == "fails" else None
+        first, last = self.interval if fails else (None, None)
+        completes = next((road.completes for road in self.roads if fails and road.fails == fails), None)
+        return {
+            "condition": self.factor.name,
+            "unit": self.factor.unit,
+            "start": _finite(self.factor.start),
+            "end": self.factor.end,
+            "simulator": self.simulator,
+            "verdict": self.verdict,
+            "first_fails": self._value(fails),
+            "interval": [self._value(first), self._value(last)],
+            "completes": self._value(completes),
+            "excluded_from": self._value(self.excluded),
+            "share_of_range": self.withstood,
+            "message": self.message,
+            "roads": [
+                {
+                    "completes": self._value(road.completes),
+                    "fails": self._value(road.fails),
+                    "excluded_from": self._value(road.excluded),
+                }
+                for road in self.roads
+            ],
+        }
+
+    def _value(self, level: int | None) -> float | None:
+        return None if level is None else _finite(self.factor.value(level))
+
+
+def threshold_of(simulator: str, factor: Factor, roads: Sequence[RoadResult], error: str = "") -> Threshold:
+    """Judge the results of the roads of one factor on one simulator."""
+    found = Threshold(simulator=simulator, factor=factor, verdict="completes", roads=roads, message=error)
+    if error:
+        return replace(found, verdict="error")
+    if found.fails is not None:
+        return replace(found, verdict="fails")
+    if found.excluded is None:
+        return found
+    return replace(found, verdict="infeasible" if factor.moves_vehicle else "lines invisible")
+
+
+def coverage(roads: int) -> float:
+    """Probability that the median of all roads lies between the first and the last of some roads (order statistics)."""
+    return 1.0 - 2.0 ** (1 - roads)
+
+
+def _median(levels: Sequence[int | None]) -> int | None:
+    """Lowest level that at least half of the levels do not exceed; None is above all."""
+    return sorted(levels, key=_beyond_last)[(len(levels) - 1) // 2] if levels else None
+
+
+def _beyond_last(level: int | None) -> int:
+    return LEVELS + 1 if level is None else level
+
+
+def _finite(value: float) -> float | None:
+    """A value for JSON; the visibility of clear air is infinite, which is None."""
+    return value if math.isfinite(value) else None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """How strong each condition must be for a driver to fail.
+
+    Attributes:
+        driver: name of the driver.
+        simulators: names of the simulators.
+        factors: what was varied.
+        needed: number of roads on each simulator.
+        roads: roads of each simulator; fewer than needed where the driver does not complete enough by default.
+        thresholds: results by the factor's position and the simulator.
+    """
+
+    driver: str
+    simulators: Sequence[str]
+    factors: Sequence[Factor]
+    needed: int
+    roads: Mapping[str, Sequence[Scenario]]
+    thresholds: Mapping[tuple[int, str], Threshold]
+
+    @property
+    def order(self) -> list[int]:
+        """Positions of the factors, the most sensitive one first: least strength withstood on any simulator."""
+
+        def least(position: int) -> float:
+            found = [self.thresholds[position, name] for name in self.simulators]
+            return min((one.withstood or 1.0 for one in found if one.verdict == "fails"), default=2.0)
+
+        return sorted(range(len(self.factors)), key=lambda position: (least(position), position))
+
+    @property
+    def errors(self) -> list[str]:
+        """One line for each measurement that ended in an error."""
+        return [
+            f"{one.factor.title} on {one.simulator}: {one.message}" for one in self.thresholds.values() if one.message
+        ]
+
+    def document(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {
+            "driver": self.driver,
+            "translated_images": sees_translated(self.driver),
+            "simulators": list(self.simulators),
+            "roads": {name: [one.road.road_id for one in of] for name, of in self.roads.items()},
+            "interval_coverage": coverage(self.needed),
+            "thresholds": [
+                self.thresholds[position, name].document() for position in self.order for name in self.simulators
+            ],
+        }
+
+    def table(self) -> Table:
+        """One row for each factor, the most sensitive first, one column for each simulator."""
+        rows: list[list[Value]] = [
+            [self.factors[k].title, *(self.thresholds[k, name].text for name in self.simulators)] for k in self.order
+        ]
+        notes = [
+            f"first failure of the median of {self.needed} roads (of the first to the last road, which hold the median "
+            f"of all roads with a probability of {coverage(self.needed):.0%})"
+        ]
+        notes += [
+            f"{name}: {self.driver} completes {len(of)} of {self.needed} roads without any condition: "
+            "nothing can be said about conditions"
+            for name, of in self.roads.items()
+            if len(of) < self.needed
+        ]
+        if len(self.factors) > 1:
+            notes.append(f"the order is that of these {self.needed} roads: on others, another condition may come first")
+        if sees_translated(self.driver):
+            notes.append(
+                f"{self.driver} sees translated images, and a generator may undo what a condition does to them: this "
+                "says nothing about its network on images of a real camera under these conditions"
+            )
+        columns = [Column("condition"), *(Column(name) for name in self.simulators)]
+        title = f"Strength at which {self.driver} first fails"
+        return Table(name="sensitivity", title=title, columns=columns, rows=rows, notes=notes)
+
+    def long_table(self) -> Table:
+        """One row for each factor and simulator, with every number."""
+        rows: list[list[Value]] = []
+        for one in (self.thresholds[k, name] for k in self.order for name in self.simulators):
+            values = one.document()
+            first, last = values["interval"]
+            rows.append(
+                [
+                    one.factor.name,
+                    one.factor.unit,
+                    one.factor.end,
+                    one.simulator,
+                    one.verdict,
+                    values["first_fails"],
+                    first,
+                    last,
+                    values["completes"],
+                    values["excluded_from"],
+                    one.withstood,
+                    len(one.roads),
+                ]
+            )
+        return Table(
+            name="sensitivity_values",
+            title=f"Strength at which {self.driver} first fails, in numbers",
+            columns=[
+                *styled("text", "condition", "unit"),
+                Column("hardest", "number"),
+                *styled("text", "simulator", "verdict"),
+                *styled(
+                    "number",
+                    "first fails",
+                    "first road fails",
+                    "last road fails",
+                    "completes",
+                    "excluded from",
+                    "share of range",
+                ),
+                Column("roads", "count"),
+            ],
+            rows=rows,
+        )
+
+
+def networks_table(found: Sequence[Sensitivity]) -> Table:
+    """Tabulate which share of each condition's range every network withstands, on the simulator where that is least.
+
+    Args:
+        found: one analysis for each network, all of the same factors and simulators.
+    """
+    factors = found[0].factors
+    rows: list[list[Value]] = []
+    for one in found:
+        least: list[float | None] = []
+        for position in range(len(factors)):
+            withstood = [one.thresholds[position, name].withstood for name in one.simulators]
+            least.append(min((share for share in withstood if share is not None), default=None))
+        known = [share for share in least if share is not None]
+        weakest = factors[one.order[0]].title if known and min(known) < 1.0 else "none"
+        completed = sum(map(len, one.roads.values()))
+        rows.append([one.driver, completed, sum(known) / len(known) if known else None, weakest, *least])
+    return Table(
+        name="networks",
+        title="Share of each condition's range that a network withstands",
+        columns=[
+            Column("network"),
+            Column("roads", "count"),
+            Column("mean", "number"),
+            Column("weakest to"),
+            *(Column(factor.title, "number") for factor in factors),
+        ],
+        rows=rows,
+        notes=[
+            "On the simulator where that is least; 1: no failure up to the hardest value. Roads: completed without any "
+            f"condition, of {found[0].needed * len(found[0].simulators)}; each network is tested on its own. "
+            "Weakest to: the smallest of these shares, on these roads."
+        ],
+    )
