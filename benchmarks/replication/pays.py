@@ -55,7 +55,7 @@ class Case:
 def cases_of(table: Path) -> Iterator[Case]:
     """Every case of a stored campaign."""
     data = read(table)
-    failed = {(one.test_id, one.simulator): one.outcome.is_failure for one in data.verdicts}
+    failed = data.failed
     verdicts = {s: np.array([failed[test.test_id, s] for test in data.tests]) for s in data.config.simulators}
     families = families_of([test.road for test in data.tests])
     names = sorted(set(data.cells.values()))

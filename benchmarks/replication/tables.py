@@ -29,11 +29,11 @@ from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import check_robustness, evaluate
 from ds_analysis.paper.paper_tables import RQ2, RQ3, PaperRow, role_of
 from ds_base.figures import WIDTH, draw_figure
+from ds_base.intervals import jeffreys_interval
 from ds_base.palette import BETWEEN, FAIL, PASS
 from ds_base.palette import SERIES as GROUPS
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.maps.algebra import jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_sim.camera.encodings import png
 
@@ -189,7 +189,7 @@ def _computed_otherwise(driven: Driven, main: dict[str, dict[str, Score]]) -> It
 def _counts(driven: Driven) -> Iterator[Row]:
     """What failed, and what agreement is worth: per test and per cell of the map."""
     data = driven.data
-    failed = {(one.test_id, one.simulator): one.outcome.is_failure for one in data.verdicts}
+    failed = data.failed
     for simulator in data.config.simulators:
         shares = [
             float(np.mean([one.outcome.is_failure for one in run.verdicts if one.simulator == simulator]))

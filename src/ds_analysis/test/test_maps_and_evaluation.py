@@ -17,7 +17,8 @@ from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.statistics import Array
 from ds_analysis.paper.correlation import check_robustness, correlate, evaluate, paired_differences
-from ds_orchestrator.maps.algebra import apply, jeffreys_interval, merge, merged_interval, union
+from ds_base.intervals import jeffreys_interval
+from ds_orchestrator.maps.algebra import apply, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, feature_of

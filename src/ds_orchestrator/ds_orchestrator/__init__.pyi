@@ -6,7 +6,7 @@ from .campaign.folder import CampaignData, config_of, open_store, prepare_folder
 from .campaign.runner import Campaign
 from .campaign.status import Stage, stages_of
 from .engines.drive_tests import Callbacks, GivenDrives, drive_tests
-from .maps.algebra import OPERATORS, MergeOperator, jeffreys_interval, merge, pool, union
+from .maps.algebra import OPERATORS, MergeOperator, merge, pool, union
 from .maps.campaign_maps import MapPlan, build_maps
 from .maps.feature_map import FeatureMap, MapCell, MapId, map_ids, maps_frame
 from .search.algorithms import (
@@ -68,7 +68,6 @@ __all__ = [
     "config_of",
     "drive_tests",
     "feature_of",
-    "jeffreys_interval",
     "map_ids",
     "maps_frame",
     "merge",

@@ -96,7 +96,7 @@ def road_outcomes(data: CampaignData) -> RoadOutcomes:
     """Decide which roads of a campaign fail, by rule 1 of this module."""
     data = data.distinct
     config = data.config
-    done = {(e.test_id, e.simulator): e.outcome.is_failure for e in data.verdicts}
+    done = data.failed
     if config.twin and any(simulator == config.twin for _, simulator in done):
         where, judges = f"the twin {config.twin}", [config.twin]
     else:
@@ -355,10 +355,9 @@ def _coverage(data: CampaignData) -> str:
 
 def _failures(data: CampaignData) -> str:
     parts = []
-    for name in data.config.simulators:
-        outcomes = [e.outcome.is_failure for e in data.verdicts if e.simulator == name]
-        share = f" ({100 * sum(outcomes) / len(outcomes):.0f} %)" if outcomes else ""
-        parts.append(f"{sum(outcomes)} of {len(outcomes)}{share} on {name}")
+    for name, failed in data.failures.items():
+        share = "" if failed.rate is None else f" ({100 * failed.rate:.0f} %)"
+        parts.append(f"{failed.failures} of {failed.tests}{share} on {name}")
     return f"It failed {listed(parts)}."
 
 

@@ -55,10 +55,10 @@ def first_screen(data: CampaignData, folder: str = ".") -> FirstScreen:
         data: contents of the campaign's store.
         folder: campaign folder, as the command names it.
     """
-    step, command = _next_step(data, _failures(data), folder)
+    step, command = _next_step(data, folder)
     where = where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN
     data = data.distinct
-    failed = _failures(data)
+    failed = data.failed
     driven = [test for test in data.tests if any(name in failed for name in _keys(test, data.config.simulators))]
     return FirstScreen(
         where=where,
@@ -71,10 +71,6 @@ def first_screen(data: CampaignData, folder: str = ".") -> FirstScreen:
 
 Failures = Mapping[tuple[str, str], bool]
 """Test and simulator -> whether the driver failed; only verdicts."""
-
-
-def _failures(data: CampaignData) -> Failures:
-    return {(one.test_id, one.simulator): one.outcome.is_failure for one in data.verdicts}
 
 
 def _keys(test: Test, names: Sequence[str]) -> list[tuple[str, str]]:
@@ -129,18 +125,13 @@ def _of_agreement(
     return f"{start}{who} {did}, of which the twin fails {'all' if both == own else both}, and {missed}."
 
 
-def _next_step(data: CampaignData, failed: Failures, folder: str) -> tuple[str, str]:
+def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
     """What to do now and the command for it, by rule 3 of this module."""
     config = data.config
-    missing = len(data.tests) * len(config.simulators) - len(failed) - len(data.excluded)
-    if not failed or (missing and not config.elites_only):
+    missing = len(data.tests) * len(config.simulators) - len(data.failed) - len(data.excluded)
+    if not data.failed or (missing and not config.elites_only):
         return "The campaign is not finished: go on with it.", shlex.join(("ds", "campaign", "resume", folder))
-    tally = {
-        name: (sum(of), len(of))
-        for name in config.simulators
-        if (of := [lost for (_, simulator), lost in failed.items() if simulator == name])
-    }
-    if proposed := proposal(tally, config):
+    if proposed := proposal({name: count for name, count in data.failures.items() if count.tests}, config):
         return proposed.sentence, proposed.command
     if config.twin is None:
         return "Drive on your car the tests that tell most about it.", shlex.join(("ds", "real", "propose", folder))

@@ -24,7 +24,6 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
-from ds_orchestrator.store.model import Execution
 from ds_orchestrator.store.store import seconds_of
 from ds_report.camera_pictures import (
     CAMERA_PLACE,
@@ -129,7 +128,7 @@ def write_report(
         answer=answer,
         failures=failures,
         further_maps=further_maps,
-        outcomes=_outcome_table(config, data.distinct.executions),
+        outcomes=_outcome_table(data.distinct),
         verdicts=_VERDICTS,
         stages=stages_of(data),
         seconds=seconds_of(notes),
@@ -200,18 +199,18 @@ def _a_test(data: CampaignData) -> str:
     return "a road" if plain else "a road and its conditions"
 
 
-def _outcome_table(config: CampaignConfig, executions: Sequence[Execution]) -> list[dict[str, Any]]:
+def _outcome_table(data: CampaignData) -> list[dict[str, Any]]:
     """Count outcomes, one row per simulator."""
     rows = []
-    for name in config.simulators:
-        judged = [e for e in executions if e.simulator == name and e.outcome.is_verdict]
+    for name, failed in data.failures.items():
+        judged = [e for e in data.verdicts if e.simulator == name]
         rows.append(
             {
                 "simulator": name,
-                "role": "twin" if name == config.twin else "sibling",
-                "tests": len(judged),
+                "role": "twin" if name == data.config.twin else "sibling",
+                "tests": failed.tests,
                 "counts": Counter(e.outcome for e in judged),
-                "failed": sum(e.outcome.is_failure for e in judged),
+                "failed": failed.failures,
                 "max_lateral_position": float(np.mean([e.max_lateral_position for e in judged])) if judged else None,
                 "seconds": sum(e.simulated_seconds for e in judged),
             }

@@ -26,7 +26,7 @@ import numpy as np
 from scipy.stats import beta, t
 
 from ds_analysis.common.statistics import Array, Bools, Indices, Interval, splits_of
-from ds_orchestrator.maps.algebra import LEVEL
+from ds_base.intervals import LEVEL
 
 PERMUTATIONS = 199
 """Permutations of a test of a split; chosen: p is a multiple of 0.005."""

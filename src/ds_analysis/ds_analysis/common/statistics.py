@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import DegenerateDataWarning, NearConstantInputWarning, bootstrap, pearsonr
 
-from ds_orchestrator.maps.algebra import LEVEL
+from ds_base.intervals import LEVEL
 from ds_orchestrator.maps.feature_map import FeatureMap
 from ds_orchestrator.search.features import Cell
 from ds_road import Road

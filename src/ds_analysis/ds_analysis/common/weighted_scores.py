@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from ds_analysis.common.statistics import Array, Indices
-from ds_orchestrator.maps.algebra import LEVEL
+from ds_base.intervals import LEVEL
 
 _NO_WIDTH = 1e-9
 """Width below which an interval is a single point."""

@@ -10,7 +10,8 @@ import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.outcomes.study import Study, axes_of
-from ds_orchestrator.maps.algebra import OPERATORS, jeffreys_interval, merge
+from ds_base.intervals import jeffreys_interval
+from ds_orchestrator.maps.algebra import OPERATORS, merge
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import Cell, column_axis
 

@@ -14,9 +14,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ds_analysis.common.statistics import Bools, Indices, families_of
+from ds_base.intervals import jeffreys_interval
 from ds_base.table import Column, Table
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.maps.algebra import jeffreys_interval
 
 Advice = Literal["product", "mean", "hardest sibling", "drive"]
 ERROR_RATE = 0.05
@@ -103,8 +103,8 @@ def merge_cases(data: CampaignData, driven: Mapping[str, bool]) -> list[MergeCas
     Empty with a single sibling or without common tests. A scenario counts once.
     """
     failed: dict[str, dict[str, bool]] = {test.test_id: {} for test in data.tests}
-    for execution in data.verdicts:
-        failed[execution.test_id][execution.simulator] = execution.outcome.is_failure
+    for (test_id, simulator), has_failed in data.failed.items():
+        failed[test_id][simulator] = has_failed
     for test_id in failed.keys() & driven.keys():
         failed[test_id][CAR] = driven[test_id]
     cases = []

@@ -27,8 +27,9 @@ from ds_analysis.common.statistics import (
     splits_of,
 )
 from ds_analysis.prediction.mixture import Prediction
+from ds_base.intervals import jeffreys_interval
 from ds_base.table import Column, Table
-from ds_orchestrator.maps.algebra import OPERATORS, jeffreys_interval
+from ds_orchestrator.maps.algebra import OPERATORS
 
 
 def features_alone(table: OutcomeTable) -> Array:

@@ -79,11 +79,7 @@ def lost_by(criteria: Criteria, comparison: Comparison, suite: Suite) -> bool:
 
 def unmet_in_campaign(criteria: Criteria, data: CampaignData) -> list[str]:
     """Criteria that a campaign does not meet."""
-    tally = {}
-    for name in data.config.simulators:
-        failed = [one.outcome.is_failure for one in data.verdicts if one.simulator == name]
-        tally[name] = (sum(failed), len(failed))
-    return criteria.unmet(tally)
+    return criteria.unmet(data.failures)
 
 
 def check_writable(*paths: Path | None) -> None:

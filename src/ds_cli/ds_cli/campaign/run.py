@@ -128,8 +128,7 @@ def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], 
         with closing(open_store(folder)) as store:
             data = read_campaign(store)
         simulators = data.config.simulators
-        failed = [[one.outcome.is_failure for one in data.verdicts if one.simulator == each] for each in simulators]
-        rows.append((name, len(data.tests), *(sum(of) / len(of) if of else None for of in failed)))
+        rows.append((name, len(data.tests), *(count.rate for count in data.failures.values())))
     table = Table(
         name="networks",
         title="Share of its tests on which each network fails",

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,6 +14,7 @@ from typing import get_args
 from ds_base.atomic_files import write_whole
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file
 from ds_base.installation import versions
+from ds_base.intervals import FailureCount
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName
@@ -184,6 +186,18 @@ class CampaignData:
     def verdicts(self) -> tuple[Execution, ...]:
         """Executions that ended in a verdict on the driver."""
         return tuple(e for e in self.executions if e.outcome.is_verdict)
+
+    @cached_property
+    def failed(self) -> dict[tuple[str, str], bool]:
+        """Test and simulator -> whether the driver failed, for verdicts alone."""
+        return {(one.test_id, one.simulator): one.outcome.is_failure for one in self.verdicts}
+
+    @cached_property
+    def failures(self) -> dict[str, FailureCount]:
+        """Failures on every simulator, in the order of the configuration."""
+        driven = Counter(simulator for _, simulator in self.failed)
+        failing = Counter(simulator for (_, simulator), failed in self.failed.items() if failed)
+        return {name: FailureCount(failing[name], driven[name]) for name in self.config.simulators}
 
     @cached_property
     def distinct(self) -> CampaignData:

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from ds_base.folder_files import StoreError, is_locked
+from ds_base.intervals import FailureCount
 from ds_driver.control.command_habits import Habit, command_habits
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, STAGES, CampaignData, config_of, open_store, read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
 from ds_orchestrator.store.store import Store
-from ds_sim.simulator import Outcome
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +57,7 @@ class Tally:
 
     Attributes:
         config: configuration of the campaign.
-        drives: group -> executions with a verdict, and how many of them failed.
+        drives: group -> failures among its executions.
         excluded: group -> tests by which no network can be judged there.
         migrating: sibling -> its tests that migrate; None while searches are not done.
         results: result -> number of executions and gates from which it was computed.
@@ -65,7 +65,7 @@ class Tally:
     """
 
     config: CampaignConfig
-    drives: Mapping[Group, tuple[int, int]]
+    drives: Mapping[Group, FailureCount]
     excluded: Mapping[Group, int]
     migrating: Mapping[str, int] | None
     results: Mapping[str, int]
@@ -75,12 +75,9 @@ class Tally:
     def of(cls, data: CampaignData) -> Tally:
         """Count what was read of a campaign."""
         config, of_test = data.config, {test.test_id: test for test in data.tests}
-        drives: dict[Group, tuple[int, int]] = {}
-        for execution in data.verdicts:
-            test = of_test[execution.test_id]
-            key = test.sibling, test.run, execution.simulator
-            done, failures = drives.get(key, (0, 0))
-            drives[key] = done + 1, failures + execution.outcome.is_failure
+        groups: dict[Group, list[bool]] = {}
+        for (test_id, simulator), failed in data.failed.items():
+            groups.setdefault((of_test[test_id].sibling, of_test[test_id].run, simulator), []).append(failed)
         searched, migrated = len(of_test) == _tests_of(config), set(of_test)
         if config.elites_only:
             migrated = elites_of(data.tests, data.verdicts, data.cells, ignored=data.given_up)
@@ -89,7 +86,7 @@ class Tally:
             searched = searched and set(of_test) <= decided | data.given_up
         return cls(
             config=config,
-            drives=drives,
+            drives={group: FailureCount(sum(failed), len(failed)) for group, failed in groups.items()},
             excluded=Counter((of_test[i].sibling, of_test[i].run, simulator) for i, simulator in data.excluded),
             migrating=Counter(of_test[test_id].sibling for test_id in migrated) if searched else None,
             results=data.results,
@@ -101,14 +98,10 @@ class Tally:
         """Let SQLite count, where no cell of a test is needed: the memory taken does not depend on the campaign."""
         if config.elites_only:
             return cls.of(read_campaign(store))
-        drives: dict[Group, tuple[int, int]] = {}
-        for sibling, run, simulator, outcome, count in store.group_counts():
-            done, failures = drives.get((sibling, run, simulator), (0, 0))
-            drives[sibling, run, simulator] = done + count, failures + count * Outcome[outcome].is_failure
         tests = store.count_tests_by_sibling()
         return cls(
             config=config,
-            drives=drives,
+            drives=store.failures_of_groups(),
             excluded=store.count_excluded(),
             migrating=tests if sum(tests.values()) == _tests_of(config) else None,
             results=store.results(),
@@ -134,9 +127,9 @@ class Tally:
         return [*stages, *(Stage(name=name, done=int(done), expected=1) for name, done in made)]
 
     def _stage(self, name: str, groups: Sequence[Group], expected: int | None) -> Stage:
-        drives = [self.drives.get(group, (0, 0)) for group in groups]
+        drives = [self.drives.get(group, FailureCount(0, 0)) for group in groups]
         excluded = sum(self.excluded.get(group, 0) for group in groups)
-        done, failures = (sum(numbers) for numbers in zip(*drives, strict=True))
+        failures, done = (sum(numbers) for numbers in zip(*drives, strict=True))
         return Stage(name=name, done=done + excluded, expected=expected, failures=failures, excluded=excluded)
 
 
@@ -196,7 +189,7 @@ class CampaignRow:
     state: str
     drives: int = 0
     drives_at_most: int = 0
-    failures: dict[str, tuple[int, int]] = field(default_factory=dict)
+    failures: Mapping[str, FailureCount] = field(default_factory=dict)
 
 
 def campaigns_below(folder: Path) -> Iterator[CampaignRow]:
@@ -223,17 +216,13 @@ def _row(folder: Path) -> CampaignRow:
     written = datetime.fromtimestamp(changed, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     try:
         with closing(open_store(folder)) as store:
-            config, counts = config_of(store), store.outcome_counts()
+            config, failures = config_of(store), store.failures()
             excluded = sum(not gate.is_valid for gate in store.gates().values())
             made, current = store.results().get("report"), store.count_results()
             sha256 = store.notes().get(DRIVER_SHA256, "")
     except (StoreError, ConfigError, OSError) as error:
         return CampaignRow(folder=folder, changed=written, state=str(error))
-    tally = dict.fromkeys(config.simulators, (0, 0))
-    for (simulator, outcome), number in counts.items():
-        failures, drives = tally[simulator]
-        tally[simulator] = failures + number * Outcome[outcome].is_failure, drives + number
-    drives = sum(counts.values())
+    drives = sum(count.tests for count in failures.values())
     complete = config.elites_only or drives + excluded >= config.executions_at_most
     state = "running" if is_locked(folder) else "done" if complete and made == current else "stopped"
     return CampaignRow(
@@ -244,5 +233,5 @@ def _row(folder: Path) -> CampaignRow:
         state=state,
         drives=drives,
         drives_at_most=config.executions_at_most,
-        failures=tally,
+        failures={name: failures.get(name, FailureCount(0, 0)) for name in config.simulators},
     )

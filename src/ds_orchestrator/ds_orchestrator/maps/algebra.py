@@ -10,20 +10,15 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaincinv
 
 from ds_base.extension import ExtensionError, installed, is_extension, load_extension, load_installed
+from ds_base.intervals import LEVEL, PRIOR, jeffreys_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
 from ds_orchestrator.store.model import Execution
 
-LEVEL = 0.95
-"""Coverage of intervals; chosen: the usual one, matching the paper's alpha of 0.05."""
 DRAWS = 20_000
 """Draws from the posterior; chosen: ends of an interval are accurate to about 0.005, in 1 ms."""
-_PRIOR = 0.5
-"""Both parameters of Jeffreys' prior of a probability, a Beta distribution."""
-
 Values = NDArray[np.float64]
 
 
@@ -112,25 +107,6 @@ def apply(operator: str, values: Sequence[float], tests: Sequence[int]) -> float
     return float(operator_of(operator).combine(pairs[:, 0], pairs[:, 1]))
 
 
-def jeffreys_interval(failures: int, tests: int) -> tuple[float, float]:
-    """Estimate a 95 % interval of a failure probability: equal tails of its Beta posterior under Jeffreys' prior.
-
-    Without failures the lower end is 0, without successes the upper end is 1, so that the interval contains the
-    observed share (Brown, Cai, DasGupta, Statistical Science 2001, section 4.1.2).
-
-    Examples:
-        >>> from ds_orchestrator import jeffreys_interval
-        >>> [round(end, 3) for end in jeffreys_interval(failures=0, tests=10)]
-        [0.0, 0.217]
-    """
-    tail = (1.0 - LEVEL) / 2.0
-    posterior = failures + _PRIOR, tests - failures + _PRIOR
-    return (
-        0.0 if failures == 0 else float(betaincinv(*posterior, tail)),
-        1.0 if failures == tests else float(betaincinv(*posterior, 1.0 - tail)),
-    )
-
-
 def merged_interval(operator: str, counts: Sequence[tuple[int, int]]) -> tuple[float, float]:
     """Estimate a 95 % interval of a merged probability from the siblings' posteriors, not from their intervals' ends.
 
@@ -157,7 +133,7 @@ def _merged_interval(operator: str, counts: tuple[tuple[int, int], ...]) -> tupl
     merge = operator_of(operator)
     failures, tests = np.array(counts, np.float64).T
     rng = np.random.default_rng([merge.seed, *(n for pair in counts for n in pair)])
-    draws = rng.beta((failures + _PRIOR)[:, None], (tests - failures + _PRIOR)[:, None], (len(counts), DRAWS))
+    draws = rng.beta((failures + PRIOR)[:, None], (tests - failures + PRIOR)[:, None], (len(counts), DRAWS))
     tail = (1.0 - LEVEL) / 2.0
     low, high = np.quantile(merge.combine(draws, tests), [tail, 1.0 - tail])
     merged = float(merge.combine(failures / tests, tests))

@@ -6,11 +6,12 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ds_base.folder_files import StoreError
+from ds_base.intervals import FailureCount
 from ds_orchestrator.store.model import Execution, Test, execution_of, row_of, test_of
 from ds_orchestrator.store.rows import (
     BagRow,
@@ -33,6 +34,7 @@ from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
 
 _SECONDS = "seconds "
+Key = TypeVar("Key", bound=Hashable)
 
 
 class Store:
@@ -301,15 +303,30 @@ class Store:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
+    def failures(self) -> dict[str, FailureCount]:
+        """Simulator -> failures among its executions."""
+        return self._failures(lambda row: row.simulator)
+
+    def failures_of_groups(self) -> dict[tuple[str, int, str], FailureCount]:
+        """Sibling and run of a search, and simulator -> failures among the executions of its tests there."""
+        return self._failures(lambda row: (row.sibling, row.run, row.simulator))
+
+    def _failures(self, key: Callable[[DriveCount], Key]) -> dict[Key, FailureCount]:
+        failures: Counter[Key] = Counter()
+        tests: Counter[Key] = Counter()
+        for row in self._drive_counts():
+            tests[key(row)] += row.executions
+            failures[key(row)] += row.executions * Outcome[row.outcome].is_failure
+        return {one: FailureCount(failures[one], count) for one, count in tests.items()}
+
     def outcome_counts(self) -> Counter[tuple[str, str]]:
         """Simulator and name of the outcome -> number of executions, in the order of `executions`."""
         counts: Counter[tuple[str, str]] = Counter()
-        for row in self.group_counts():
+        for row in self._drive_counts():
             counts[row.simulator, row.outcome] += row.executions
         return counts
 
-    def group_counts(self) -> list[DriveCount]:
-        """Number of executions by sibling and run of their test's search, simulator, and outcome."""
+    def _drive_counts(self) -> list[DriveCount]:
         return self._rows(
             DriveCount,
             "(SELECT sibling, run, simulator, outcome, count(*) AS executions, min(test_id) AS first FROM executions "

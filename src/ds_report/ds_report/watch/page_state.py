@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection
 from dataclasses import asdict
 from typing import Any
@@ -81,8 +80,6 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
     total = sum(stage.expected for stage in drives if stage.expected is not None)
     if any(stage.expected is None for stage in drives):
         total = config.executions_at_most
-    failures = Counter(e.simulator for e in counted.verdicts if e.outcome.is_failure)
-    tests = Counter(e.simulator for e in counted.verdicts)
     by_road: dict[tuple[str, int], list[Test]] = {}
     for test in data.tests:
         by_road.setdefault((test.road.road_id, test.seed), []).append(test)
@@ -99,12 +96,7 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "tests": len(counted.tests),
         "lane": round(data.tests[0].road.lane_width, 3) if data.tests else 4.0,
         "simulators": [
-            {
-                **row,
-                "failures": failures[row["name"]],
-                "tests": tests[row["name"]],
-                "latest": snapshot.latest.get(row["name"]),
-            }
+            {**row, **counted.failures[row["name"]]._asdict(), "latest": snapshot.latest.get(row["name"])}
             for row in simulator_rows(config)
         ],
         "stages": [
