@@ -43,14 +43,3 @@ def keys(model: BaseModel, prefix: str = "") -> dict[str, Any]:
 def test_the_configuration_page_has_every_key_with_its_default() -> None:
     rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \|", (DOCS / "configuration.md").read_text(), re.MULTILINE)
     assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig())
-
-
-def test_the_lines_of_the_troubleshooting_page_are_lines_of_the_code() -> None:
-    """The words between the values of a heading (an ellipsis) occur together in some source file."""
-    headings = re.findall(r"^### `(.*)`$", (DOCS / "troubleshooting.md").read_text(), re.MULTILINE)
-    sources = [path.read_text() for folder in ("src", "tools") for path in (ROOT / folder).rglob("*.py")]
-    joined = [re.sub(r'"\s*\n\s*f?"', "", text) for text in [*sources, (ROOT / "ds").read_text()]]
-    assert len(headings) >= 12
-    for heading in headings:
-        parts = [part.strip() for part in heading.split("…") if part.strip()]
-        assert any(all(part in text for part in parts) for text in joined), heading

@@ -85,13 +85,6 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     ).prepare()
 
 
-def test_nodes_are_thin() -> None:
-    nodes = [path for name, path in modules().items() if name.endswith("_node.py")]
-    assert len(nodes) >= 5
-    for path in nodes:
-        assert len(path.read_text().splitlines()) <= 200, path
-
-
 def test_the_science_imports_in_a_process_without_ros() -> None:
     """Isolated from the environment's paths, with ROS forbidden by name."""
     packages = [str(p.resolve()) for p in Path("src").glob("ds_*")]

@@ -39,10 +39,3 @@ def test_every_cell_runs_and_the_last_one_names_every_drive(tmp_path: Path, cell
         (f"softbody-0-000{number}", name) for number in (0, 1) for name in ("softbody", "donkey")
     }
     assert (tmp_path / "first_look" / "report.html").is_file()
-
-
-def test_links_of_the_notebook_lead_somewhere(cells: list[dict[str, str]]) -> None:
-    links = [
-        link for cell in cells if cell["type"] == "markdown" for link in re.findall(r"\]\(([^)]+)\)", cell["text"])
-    ]
-    assert links and all((EXAMPLES / link).is_file() for link in links)

@@ -23,15 +23,6 @@ def distribution_of(package: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return run_setup("setup.py", script_args=["--quiet", "build_py"], stop_after="commandline")
 
 
-def test_every_manifest_has_the_version_of_the_project() -> None:
-    manifests = sorted(ROOT.glob("src/*/package.xml"))
-    assert (
-        len(manifests) == len(PYTHON_PACKAGES) + 3
-    )  # ds_interfaces, simulation_interfaces and ds_bringup are built by CMake
-    versions = {file.parent.name: ElementTree.parse(file).findtext("version") for file in manifests}
-    assert versions == dict.fromkeys(versions, VERSION)
-
-
 @pytest.mark.parametrize("package", PYTHON_PACKAGES, ids=lambda package: package.name)
 def test_setup_installs_type_information_under_what_the_manifest_says(
     package: Path, monkeypatch: pytest.MonkeyPatch

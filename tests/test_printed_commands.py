@@ -19,7 +19,6 @@ from tests.command_line import ds
 
 from ds_bags.run_writer import write_bag
 from ds_base.installation import ds_command
-from ds_cli.verbs import VERBS
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.campaign.folder import store_of
@@ -51,20 +50,6 @@ def printed(text: str) -> list[str]:
     """The words after `ds` of the command in a line."""
     (command,) = re.findall(r"(?:next: |`)(ds [^`\n]+)", text)
     return shlex.split(command)[1:]
-
-
-def test_every_verb_in_a_message_exists() -> None:
-    found = {match for path in SOURCES for match in IN_TEXT.findall(path.read_text("utf-8"))}
-    assert len(found) > 30
-    for verb, second in found:
-        assert verb in VERBS, verb
-        assert not second or not VERBS[verb].verbs or second in VERBS[verb].verbs, (verb, second)
-
-
-def test_no_message_puts_a_name_into_a_command_without_quoting_it() -> None:
-    """`ds_command` quotes them; the pages have a function of their own."""
-    for path in (path for path in SOURCES if path.suffix == ".py"):
-        assert not re.search(r"(`|next: )(\./)?ds [a-z0-9][^`\n]*\{", path.read_text("utf-8")), path
 
 
 def test_init_prints_what_runs_next(here: Path) -> None:

@@ -19,8 +19,8 @@ import yaml
 
 from setup_tool import machine, ros, steps, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
-from setup_tool.machine import Need, Python
-from setup_tool.stamps import UNFINISHED, Stamps, digest, one_at_a_time
+from setup_tool.machine import Python
+from setup_tool.stamps import Stamps, one_at_a_time
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -31,24 +31,16 @@ def python(*, headers: bool = True, venv: bool = True) -> Python:
     return Python(here.executable, here.version, has_headers=headers, has_venv=venv, has_rclpy=False)
 
 
-def test_all_that_is_missing_is_named_in_one_line_with_the_command() -> None:
+def test_all_that_is_missing_is_named_in_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    clang = {"clang++", "clang"}  # another compiler than GCC will do
+    assert machine.find_needs(python(), which=lambda name: name if name in clang else None) == []
+    monkeypatch.setattr("os.geteuid", lambda: 1000)
     needs = machine.find_needs(python(headers=False, venv=False), which=lambda _: None)
     line = machine.missing_line(needs)
     assert "\n" not in line
     series = machine.debian_series(python())
-    assert line.endswith(f"apt-get install -y g++ gcc {series}-dev {series}-venv")
+    assert line.endswith(f"Type: sudo apt-get install -y g++ gcc {series}-dev {series}-venv")
     assert all(word in line for word in ("C++ compiler", "C compiler", "Python.h", "venv"))
-
-
-def test_a_complete_machine_needs_nothing() -> None:
-    assert machine.find_needs(python(), which=lambda name: f"/usr/bin/{name}") == []
-
-
-def test_another_compiler_than_gcc_will_do() -> None:
-    def which(name: str) -> str | None:
-        return "/usr/bin/clang++" if name in ("clang++", "clang") else None
-
-    assert machine.find_needs(python(), which=which) == []
 
 
 def test_a_missing_renderer_is_named_with_its_packages(tmp_path: Path) -> None:
@@ -59,11 +51,6 @@ def test_a_missing_renderer_is_named_with_its_packages(tmp_path: Path) -> None:
     assert machine.apt_command(needs)[3:] == ["libegl1", "libegl-mesa0", "libgl1-mesa-dri"]
     (tmp_path / "swrast_dri.so").touch()
     assert machine.find_renderer_needs(lambda name: None, [tmp_path]) == []
-
-
-def test_the_command_for_a_user_who_is_not_root_uses_sudo(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.geteuid", lambda: 1000)
-    assert machine.missing_line([Need("a C compiler", "gcc")]).endswith("Type: sudo apt-get install -y gcc")
 
 
 def test_a_python_that_is_named_but_not_there_is_refused() -> None:
@@ -105,7 +92,8 @@ def test_pip_installs_where_uv_finds_nothing(tmp_path: Path, monkeypatch: pytest
         with pytest.raises(CommandFailedError, match="is the network there"):
             setup._install("nowhere==1.0")
     assert list(tmp_path.glob(".venv/lib/python3.*/site-packages/only_here.py"))
-    assert "uv pip install" in (tmp_path / ".venv/setup.log").read_text()
+    log = (tmp_path / ".venv/setup.log").read_text()
+    assert "uv pip install" in log and "nowhere" in log
 
 
 @pytest.mark.parametrize(("flags", "wanted"), [("avx512f avx512_bf16", True), ("fma amx_bf16", True), ("avx2", False)])
@@ -125,38 +113,15 @@ def test_openvino_is_installed_where_the_processor_has_bfloat16(
         assert "openvino" not in [step.name for step in setup._steps()]
 
 
-def test_the_digest_sees_content_names_and_order(tmp_path: Path) -> None:
-    one, other = tmp_path / "one", tmp_path / "other"
-    one.write_text("a")
-    other.write_text("a")
-    digests = {
-        digest([one]),
-        digest([other]),
-        digest([one, other]),
-        digest([other, one]),
-        digest([tmp_path / "absent"]),
-        digest(["a"]),
-    }
-    assert len(digests) == 6
-    before = digest([one])
-    one.write_text("b")
-    assert digest([one]) != before
-
-
 def test_a_stamp_counts_for_its_inputs_only_and_not_while_its_step_runs(tmp_path: Path) -> None:
     stamps = Stamps(tmp_path / "stamps")
     assert not stamps.is_done("wheels", "1")
     stamps.begin("wheels")
     assert stamps.unfinished() == "wheels"
     stamps.finish("wheels", "1")
-    assert stamps.unfinished() is None
-    assert stamps.is_done("wheels", "1")
-    assert not stamps.is_done("wheels", "2")
+    assert stamps.unfinished() is None and stamps.is_done("wheels", "1") and not stamps.is_done("wheels", "2")
     stamps.begin("wheels")
-    assert not stamps.is_done("wheels", "1")
-    assert Stamps(tmp_path / "stamps").unfinished() == "wheels"
-    stamps.clear(UNFINISHED)
-    assert stamps.unfinished() is None
+    assert not stamps.is_done("wheels", "1") and Stamps(tmp_path / "stamps").unfinished() == "wheels"
 
 
 def _hold(folder: Path, held: Event, release: Event) -> None:
@@ -182,15 +147,6 @@ def test_the_second_set_up_waits_for_the_first(tmp_path: Path) -> None:
     assert time.monotonic() - begin < 20
     first.join(20)
     assert first.exitcode == 0
-
-
-def test_a_failing_program_leaves_its_output_in_the_log(tmp_path: Path) -> None:
-    with one_at_a_time(tmp_path, lambda: None) as lock:
-        console = Console(tmp_path / "setup.log", lock)
-        with pytest.raises(CommandFailedError, match="sh ended with status 3: look here") as caught:
-            console.run(["sh", "-c", "echo why; exit 3"], environment={}, folder=tmp_path, advice="look here")
-    assert caught.value.output == "why\n"
-    assert "why" in (tmp_path / "setup.log").read_text()
 
 
 def make_ros(prefix: Path) -> Path:

@@ -48,25 +48,14 @@ ROS_KEYS = {
     "ros2launch", "rosgraph_msgs", "rosidl_default_generators", "rosidl_default_runtime", "sensor_msgs", "std_msgs",
     "std_srvs", "tf2_msgs", "visualization_msgs",
 }  # fmt: skip
+WITHOUT_KEY = (
+    *("distributed", "lazy_loader", "llvmlite", "lz4", "markupsafe", "mcap", "msgspec", "numba", "onnx", "openvino"),
+    *("panda3d", "plotly", "pyarrow", "pymunk", "safetensors", "statsmodels", "zstandard"),
+)
 NO_KEY = {
     "backports": "backports.zstd",
-    "distributed": "distributed",
-    "lazy_loader": "lazy_loader",
-    "llvmlite": "llvmlite",
-    "lz4": "lz4",
-    "markupsafe": "markupsafe",
-    "mcap": "mcap",
-    "msgspec": "msgspec",
-    "numba": "numba",
-    "onnx": "onnx",
-    "openvino": "openvino",
-    "panda3d": "panda3d",
-    "plotly": "plotly",
-    "pyarrow": "pyarrow",
-    "pymunk": "pymunk",
-    "safetensors": "safetensors",
-    "statsmodels": "statsmodels",
     "vehiclemodels": "commonroad-vehicle-models",
+    **{name: name for name in WITHOUT_KEY},
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {

@@ -48,15 +48,3 @@ def test_files_are_collected_with_what_plain_set_up_installs(folder: Path) -> No
         if not plain & {normal(name) for name in distributions.get(module, [])}
     }
     assert files and not missing, f"use pytest.importorskip: {sorted(missing)}"
-
-
-@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.parent.name)
-def test_no_file_is_read_relative_to_the_root(folder: Path) -> None:
-    """`colcon test` runs in the folder of each package."""
-    relative = re.compile(r'Path(\("(docs|examples|requirements|src|tests|tools)/|\.cwd\(\))')
-    assert [file.name for file in sorted(folder.rglob("*.py")) if relative.search(file.read_text())] == []
-
-
-def test_plain_set_up_installs_the_plugin_that_reads_the_limit() -> None:
-    """Otherwise pytest reports `timeout` in pyproject.toml as an unknown option, and a test may hang forever."""
-    assert "pytest-timeout" in pins("build")

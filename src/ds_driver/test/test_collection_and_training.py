@@ -92,11 +92,6 @@ def test_given_roads_are_driven_under_the_conditions_of_their_tests(tmp_path: Pa
         given_roads(file, mutants=0, seed=1)
 
 
-def test_jpeg_changes_an_image_little() -> None:
-    image = np.tile(np.linspace(0, 255, 320, dtype=np.uint8)[None, :, None], (160, 1, 3))
-    assert np.abs(decode(jpeg(image)).astype(int) - image).max() <= 6
-
-
 def sample(simulator: str, road: int) -> Sample:
     return Sample(jpeg=b"", steering=0.0, simulator=simulator, road_id=str(road))
 

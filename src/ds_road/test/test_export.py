@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,8 +13,8 @@ import numpy as np
 import pytest
 import shapely
 
-from ds_road import Road, RoadError, generate, read_roads
-from ds_road.export import opendrive, sbft, write_all
+from ds_road import Road, RoadError, generate
+from ds_road.export import opendrive, write_all
 
 etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
 ROADS = {
@@ -93,16 +92,6 @@ def test_a_spline_is_exported_exactly() -> None:
         found.append(np.stack((x + u * np.cos(heading) - v * np.sin(heading),
                                y + u * np.sin(heading) + v * np.cos(heading)), axis=1))  # fmt: skip
     assert np.abs(np.vstack(found) - road.points).max() < 1e-6
-
-
-@pytest.mark.parametrize("name", ROADS)
-def test_sbft_is_read_back_as_the_same_centre_line(name: str, tmp_path: Path) -> None:
-    (tmp_path / "road.json").write_text(sbft(ROADS[name], name))
-    (back,) = read_roads(tmp_path / "road.json")
-    assert (back.points == ROADS[name].points).all() and back.lane_width == ROADS[name].lane_width
-    assert back.lane == ROADS[name].lane
-    document = json.loads((tmp_path / "road.json").read_text())
-    assert document["name"] == name and all(len(point) == 2 for point in document["road_points"])
 
 
 def test_files_are_named_after_the_roads_and_stay_in_their_folder(tmp_path: Path) -> None:

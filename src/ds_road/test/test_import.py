@@ -136,18 +136,6 @@ def test_a_spiral_is_eulers(tmp_path: Path) -> None:
     assert road.points[-1] - road.points[0] == pytest.approx((x, y), abs=1e-4)
 
 
-def test_another_reader_finds_the_same_line(tmp_path: Path) -> None:
-    drawing = mock.MagicMock()
-    drawing.text.Text = object
-    with mock.patch.dict(sys.modules, {"matplotlib": drawing, "matplotlib.pyplot": drawing.pyplot}):
-        from pyxodr.road_objects.network import RoadNetwork
-    text = opendrive(ROADS["random"], "random")
-    (tmp_path / "road.xodr").write_text(text)
-    (other,) = RoadNetwork(str(tmp_path / "road.xodr"), resolution=0.05).get_roads()
-    line = shapely.LineString(other.reference_line[:, :2])
-    assert shapely.distance(line, shapely.points(imported(text, tmp_path).points)).max() < 5e-3
-
-
 def test_a_lane_offset_shifts_the_line_and_roads_outside_of_the_box_move_in(tmp_path: Path) -> None:
     text = xodr((0, 5000.0, -70.0, 0.0, 100, "<line/>"), offset='<laneOffset s="0" a="2" b="0" c="0" d="0"/>')
     (tmp_path / "road.xodr").write_text(text)

@@ -58,21 +58,6 @@ def test_road_equals_that_of_maxitwo(vector: dict[str, Any]) -> None:
     assert bool(road.validity.reason) == (not road.validity.valid)
 
 
-def test_the_fast_surface_check_equals_the_slow_one() -> None:
-    """Random roads inside the box; about half of them cross themselves or fold."""
-    rng = np.random.default_rng(1)
-    verdicts: list[tuple[bool, bool]] = []
-    while len(verdicts) < 80:
-        turn = np.radians(rng.uniform(20, 140))
-        heading = np.cumsum(rng.uniform(-turn, turn, 8))
-        steps = rng.uniform(12, 25) * np.stack((np.cos(heading), np.sin(heading)), axis=1)
-        road = Road(np.vstack(((0, 0), np.cumsum(steps, axis=0))) + (125, 125))
-        if in_box(np.vstack((road.left_edge, road.right_edge))):
-            verdicts.append((road.validity.valid, surface_is_valid(road)))
-    assert [fast for fast, _ in verdicts] == [slow for _, slow in verdicts]
-    assert 20 <= sum(fast for fast, _ in verdicts) <= 60
-
-
 def test_a_maxitwo_compatible_road_starts_one_control_point_later() -> None:
     """maxitwo's spline of a mutant ignores the first control point: 96 samples instead of 115."""
     points = generate(np.random.default_rng(4)).control_points

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, VehicleState
-from ds_twin_donkey import dynamics
 from ds_twin_donkey.dynamics import CarModel, CarState, rollout
 from ds_twin_donkey.parameters import GRAVITY, SCALE, DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
@@ -70,22 +69,6 @@ def test_the_smallest_throttle_above_the_dead_band_moves_it_even_at_full_lock(st
     assert math.hypot(states[-1].speed, states[-1].lateral_speed) > 0.3
 
 
-def test_coasting_to_a_stop_follows_rolling_resistance_and_the_shorted_motor() -> None:
-    """m dv/dt = -c m g - k v, by hand: from v0 to rest in (m/k) ln(1 + k v0 / (c m g))."""
-    car = standing()
-    *_, moving = drive(car, 200, 0.0, 0.4)
-    states = list(drive(car, 120, 0.0, 0.0))
-    at = next(i for i, s in enumerate(states) if s.speed == 0.0)
-    weight = P.rolling_resistance * P.mass * GRAVITY
-    k = P.stall_force * P.drag_brake / P.free_speed
-    mass = P.mass + P.rotating_mass
-    by_hand = mass / k * math.log1p(k * moving.speed / SCALE / weight)
-    # The motor still drives until the command arrives and while its voltage decays.
-    assert by_hand < (at + 1) * FRAME_TIME < by_hand + P.command_delay + 2.0 * P.motor_lag
-    assert all(s.speed == 0.0 for s in states[at:])
-    assert 2.0 < moving.speed / by_hand < 2.5
-
-
 def test_the_steady_speed_balances_motor_and_rolling_resistance() -> None:
     """stall (duty - v / free) = c m g."""
     throttle = 0.4
@@ -94,36 +77,6 @@ def test_the_steady_speed_balances_motor_and_rolling_resistance() -> None:
     duty = P.start_duty + (P.full_duty - P.start_duty) * above
     speed = P.free_speed * (duty - P.rolling_resistance * P.mass * GRAVITY / P.stall_force)
     assert last.speed == pytest.approx(SCALE * speed, rel=1e-3)
-
-
-@pytest.mark.parametrize("steering", [0.2, 0.5, 1.0])
-def test_a_slow_circle_is_the_kinematic_one(steering: float) -> None:
-    """Ackermann: the centre of the rear axle has radius L / tan(angle), the car's centre is half a wheelbase ahead."""
-    parameters = P.changed(ackermann=1.0, servo_backlash=0.0)
-    *_, last = drive(standing(parameters), 400, steering, 0.12)
-    angle = P.max_steering_angle * round(85 * steering) / 85
-    length = P.wheelbase * SCALE
-    radius = math.hypot(length / math.tan(angle), length / 2.0)
-    assert -math.hypot(last.speed, last.lateral_speed) / last.yaw_rate == pytest.approx(radius, rel=0.06)
-
-
-def test_a_fast_circle_has_the_understeer_gradient_of_the_two_axles() -> None:
-    """L / R = angle - K a with K = 1 / C_front - 1 / C_rear per g (rad), of the linear single-track model."""
-    parameters = P.changed(
-        front_stiffness=3.0, servo_backlash=0.0, ackermann=0.0, drive_front_share=0.0, full_duty=0.6,
-        friction=1.5, load_sensitivity=0.0,
-    )  # fmt: skip
-
-    def circle(throttle: float) -> tuple[float, float]:
-        states = rollout(parameters, np.tile((-0.15, throttle), (500, 1)))
-        rate = float(states[-1, YAW_RATE])
-        speed = float(np.hypot(states[-1, SPEED], states[-1, SPEED + 1]))
-        return parameters.wheelbase * rate / speed, rate * speed / GRAVITY
-
-    (slow, slow_g), (fast, fast_g) = circle(0.12), circle(0.65)
-    assert fast_g - slow_g > 0.15
-    gradient = 1.0 / parameters.front_stiffness - 1.0 / parameters.rear_stiffness
-    assert (slow - fast) / (fast_g - slow_g) == pytest.approx(gradient, rel=0.12)
 
 
 def test_the_body_rolls_outwards_by_the_angle_its_springs_give() -> None:
@@ -156,13 +109,6 @@ def test_wheels_do_not_move_until_the_play_is_taken_up() -> None:
     assert wheels[-1] == pytest.approx(wheels[20], abs=1e-6)
 
 
-@pytest.mark.parametrize(("duty", "minutes"), [(P.full_duty, 3), (0.99, 1)])
-def test_full_throttle_at_full_lock_stays_finite(duty: float, minutes: int) -> None:
-    *_, last = drive(standing(P.changed(full_duty=duty)), minutes * 1200, 1.0, 1.0)
-    assert all(math.isfinite(getattr(last, name)) for name in VehicleState.__slots__)
-    assert 0.0 < last.speed < SCALE * duty * P.free_speed
-
-
 def test_without_throttle_no_energy_appears() -> None:
     thrown = CarState(speed=1.5, lateral_speed=1.0, yaw_rate=6.0)
     commands = np.column_stack((np.sin(np.arange(300)), np.zeros(300)))
@@ -171,13 +117,6 @@ def test_without_throttle_no_energy_appears() -> None:
     energy = 0.5 * moving**2 @ (P.mass + P.rotating_mass, P.mass, P.yaw_inertia)
     assert np.diff(energy).max() <= 0.01 * energy[0]
     assert energy[-1] == 0.0
-
-
-def test_halving_the_substep_changes_the_path_little(monkeypatch: pytest.MonkeyPatch) -> None:
-    coarse = rollout(P, zigzag(200))
-    monkeypatch.setattr(dynamics, "SUBSTEPS", 2 * dynamics.SUBSTEPS)
-    fine = rollout(P, zigzag(200))
-    assert np.abs(coarse[:, [X, Y]] - fine[:, [X, Y]]).max() * SCALE < 0.02
 
 
 def test_parameters_are_recovered_from_a_simulated_drive() -> None:
