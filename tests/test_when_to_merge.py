@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.replication.stored import read
+from benchmarks.replication.stored import read, write_table
 from benchmarks.replication.tables import of_runs, third_table
 from benchmarks.when_to_merge.analysis import cases_of, load
 from benchmarks.when_to_merge.plan import PARTS, SIBLINGS, Part
@@ -39,3 +39,10 @@ def test_the_plan_drives_what_the_page_says() -> None:
     assert len({part.name for part in PARTS}) == len(PARTS)
     assert Part("A", "residual", "bullet").expected == Part("A", "residual", "bullet", searches=True).expected == 170
     assert Part("A", "dave2", "easier").expected == 340 and Part("C", "dave2", "nominal").expected == 240
+
+
+def test_a_table_of_a_campaign_gives_the_campaign_again(tmp_path: Path) -> None:
+    data = of_runs(read(third_table("epoch")), {0})
+    write_table(data, tmp_path / "table.parquet")
+    again = read(tmp_path / "table.parquet")
+    assert (again.tests, again.config) == (data.tests, data.config) and maps_of(again) == maps_of(data)

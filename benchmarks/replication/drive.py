@@ -9,13 +9,12 @@ bfloat16.
 from __future__ import annotations
 
 import argparse
-import shutil
 from contextlib import closing
 from pathlib import Path
 
 from benchmarks.replication.networks import BACKEND
+from benchmarks.replication.stored import write_table
 
-from ds_analysis.common.parquet import write_tables
 from ds_cli.progress import ScreenListener
 from ds_orchestrator.campaign.config import CampaignConfig, read_config
 from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -47,8 +46,7 @@ def main() -> None:
         if outcome.executions_in_error:
             print(f"{network}: {outcome.executions_in_error} executions ended in errors; the same command tries again")
         with closing(open_store(folder)) as store:
-            (written,) = write_tables(read_campaign(store), folder / "tables")
-        shutil.copyfile(written, TABLES / f"{network}.parquet")
+            write_table(read_campaign(store), TABLES / f"{network}.parquet")
 
 
 if __name__ == "__main__":

@@ -8,15 +8,13 @@ FOLDER. `python -m benchmarks.replication.stored` makes a campaign of such a tab
 from __future__ import annotations
 
 import argparse
-import shutil
 from dataclasses import replace
 from pathlib import Path
 
 from benchmarks.replication.drive import NETWORKS, TABLES
-from benchmarks.replication.stored import read
+from benchmarks.replication.stored import read, write_table
 from benchmarks.replication.tables import THIRD, THIRD_RUN, of_runs, third_table
 
-from ds_analysis.common.parquet import write_tables
 from ds_cli.progress import ScreenListener
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 
@@ -40,8 +38,7 @@ def main() -> None:
         found = drive_tests(settings, {THIRD: data.tests}, arguments.folder / network, progress)
         config = here.model_copy(update={"siblings": [*here.siblings, THIRD]})
         driven = replace(data, config=config, executions=(*data.executions, *found.executions.values()))
-        (written,) = write_tables(driven, arguments.folder / network / "tables")
-        shutil.move(written, table)
+        write_table(driven, table)
         print(f"{network}: {len(found.executions)} of {len(data.tests)} tests driven on {THIRD}")
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import time
 from collections.abc import Sequence
 from contextlib import closing, nullcontext
@@ -18,10 +17,10 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 from benchmarks.replication.drive import TABLES as CAMPAIGN_TABLES
+from benchmarks.replication.stored import write_table
 from benchmarks.when_to_merge import plan
 from benchmarks.when_to_merge.plan import PARTS, SIBLINGS, Part
 
-from ds_analysis.common.parquet import write_tables
 from ds_base.folder_files import locked
 from ds_orchestrator.campaign.config import CampaignConfig, read_config
 from ds_orchestrator.campaign.executor import Listener
@@ -127,9 +126,7 @@ def main() -> None:
         table, folder = arguments.tables / f"{part.name}.parquet", arguments.folder / part.name
         if not table.exists():
             data = search(part, folder) if part.searches else drive(part, tests_of(part, arguments.tables), folder)
-            (written,) = write_tables(data, folder / "tables")
-            shutil.copyfile(written, table.with_suffix(".part"))
-            table.with_suffix(".part").replace(table)
+            write_table(data, table)
             print(f"{part.name}: whole, {len(data.verdicts)} of {part.expected} with a verdict")
 
 

@@ -136,18 +136,21 @@ def campaign_export_command(
     out: Annotated[Path, typer.Option(help="Folder to write to, created if missing.")],
     frames: Annotated[bool, typer.Option("--frames", help="Also write every frame of every drive.")] = False,
 ) -> None:
-    """Write a campaign's results as Parquet tables, for pandas, Polars, DuckDB or Spark.
+    """Write a campaign's outcomes as a study: a Parquet table for pandas, Polars, DuckDB or Spark, and for `ds`.
 
-    executions.parquet has a row for each test on each simulator; with --frames, frames.parquet one for each frame.
-    Every column carries its unit and description. The campaign may still be running.
+    outcomes.parquet has a row for each drive; with --frames, frames.parquet one for each frame, with units and meanings
+    of the columns. The campaign may still be running.
     """
-    from ds_analysis.common.parquet import write_tables
+    from ds_analysis.common.outcome_table import table_of_campaign
+    from ds_analysis.outcomes.frames import write_frames
+    from ds_analysis.outcomes.study import study_of, write_study
     from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
-    for path in write_tables(data, out, frames=frames):
-        print(path)
+    print(write_study(out, study_of(table_of_campaign(data))))
+    if frames:
+        print(write_frames(out, data))
 
 
 @app.command("runs")
