@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline
 
 from ds_driver.control.autopilot import throttle
 from ds_recording.floor_camera import FloorCamera, write_camera
+from ds_recording.lens import Lens
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.camera.painted_scene import PaintedScene
@@ -100,13 +101,13 @@ def floor_camera(camera: CameraSpec) -> FloorCamera:
     return FloorCamera(
         width_px=camera.width,
         height_px=camera.height_px,
-        focal_px=float(k[0, 0]),
+        focal_px=(float(k[0, 0]), float(k[1, 1])),
         centre_x_px=float(k[0, 2]),
         centre_y_px=float(k[1, 2]),
         height_m=camera.height,
         pitch_rad=camera.pitch,
         forward_m=camera.forward,
-        distortion=tuple(polynomial(camera)),
+        lens=Lens(coefficients=tuple(polynomial(camera))),
     )
 
 

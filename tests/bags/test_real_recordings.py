@@ -61,7 +61,13 @@ def test_a_located_recording_gives_the_offset_from_the_lane_driven(
     table = np.zeros((101, len(COLUMNS)))
     table[:, COLUMNS.index("along_m")], table[:, COLUMNS.index("lateral_m")] = along, 0.125 + swerve
     camera = FloorCamera(
-        width_px=160, height_px=120, focal_px=90.0, centre_x_px=79.5, centre_y_px=59.5, height_m=0.1, pitch_rad=0.2
+        width_px=160,
+        height_px=120,
+        focal_px=(90.0, 90.0),
+        centre_x_px=79.5,
+        centre_y_px=59.5,
+        height_m=0.1,
+        pitch_rad=0.2,
     )
     track = Track(np.column_stack((along, np.zeros(101))))
     about = {"source": "tub", "lane_width_m": 0.25}

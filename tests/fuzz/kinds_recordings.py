@@ -23,7 +23,7 @@ from ds_sim_ros.simulator import RosSimulator
 from ds_twin_donkey.logs import LogError, read_log
 
 _CAMERA = FloorCamera(
-    width_px=80, height_px=40, focal_px=37.5, centre_x_px=39.5, centre_y_px=19.5, height_m=0.12, pitch_rad=0.2
+    width_px=80, height_px=40, focal_px=(37.5, 37.5), centre_x_px=39.5, centre_y_px=19.5, height_m=0.12, pitch_rad=0.2
 )
 
 

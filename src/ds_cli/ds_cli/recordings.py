@@ -91,15 +91,25 @@ def calibrate_command(
     from ds_recording.chessboard import calibrate, images_of, parse_board
     from ds_recording.floor_camera import write_camera
 
-    camera, error, boards = calibrate(images_of(images), parse_board(squares), size)
+    found = calibrate(images_of(images), parse_board(squares), size)
+    camera = found.camera
     write_camera(out, camera)
-    document = {"file": str(out), "focal_px": camera.focal_px, "focal_std": camera.focal_std, "rms_px": error,
-                "boards": boards}  # fmt: skip
+    document = {
+        "file": str(out),
+        "focal_px": camera.focal_px,
+        "focal_std": camera.focal_std,
+        "distortion_model": camera.lens.model,
+        "rms_px": found.rms_px,
+        "held_out_px": found.held_out_px,
+        "bias_px": found.bias_px,
+        "boards": found.boards,
+    }
 
     def show() -> None:
-        print(
-            f"focal length {camera.focal_px:.1f} +- {camera.focal_std:.1f} px from {boards} boards, rms {error:.2f} px"
-        )
+        across, down = camera.focal_px
+        print(f"focal lengths {across:.1f} across and {down:.1f} down, +- {camera.focal_std:.1f} px")
+        lens, error = camera.lens.model, found.held_out_px
+        print(f"{lens}, {found.boards} boards; corners of held-out ones are {error:.2f} px off")
         print(out)
 
     answer(Result(document=document, show=show), as_json)

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera of a recording above a flat floor: pixels to points of the floor and back, and its YAML file."""
+"""Camera of a recording above a flat floor: pixels to points of the floor and back, and its YAML file.
+
+The file is that of ROS's `camera_calibration` and `camera_info_manager`, with the camera's place on the car beside it.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,51 +17,49 @@ from numpy.typing import NDArray
 
 from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_recording.errors import RecordingError
+from ds_recording.lens import MODELS, Lens, Rays
 from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]
-Rays = NDArray[Any]
-"""Of single or double precision."""
-_WIDEST = 4.0
-"""Largest tangent of the angle from the optical axis that a lens model is used for; chosen: 76 degrees."""
 _FLATTEST = 0.03
 """Least descent of a ray that is taken to the floor; chosen: beyond, the floor is farther than 30 camera heights."""
 LIMITS = {
-    "width_px": (16, 8192), "height_px": (16, 8192), "focal_px": (1.0, 1e5), "centre_x_px": (-1e4, 1e4),
-    "centre_y_px": (-1e4, 1e4), "height_m": (1e-3, 100.0), "pitch_rad": (-0.3, 1.4), "forward_m": (-100.0, 100.0),
-    "focal_std": (0.0, 1e5),
+    "image_width": (16, 8192), "image_height": (16, 8192), "height_m": (1e-3, 100.0), "pitch_rad": (-0.3, 1.4),
+    "forward_m": (-100.0, 100.0), "focal_std": (0.0, 1e5),
 }  # fmt: skip
-"""Least and largest value of each number of the file."""
+"""Least and largest value of each plain number of the file."""
+FOCAL, CENTRE = (1.0, 1e5), (-1e4, 1e4)
+"""The same for focal lengths, and for the column and row of the optical axis, px."""
 MOUNTING = ("height_m", "pitch_rad")
-"""What a chessboard does not tell: null in its file, then estimated from the lines."""
+"""What a chessboard does not tell: absent or null in its file, then estimated from the lines."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FloorCamera:
-    """Pinhole with OpenCV's distortion, without roll, above a flat floor.
+    """Camera with a lens of OpenCV's models, without roll, above a flat floor.
 
     Attributes:
         width_px: image columns.
         height_px: image rows.
-        focal_px: focal length, px, the same in both directions.
+        focal_px: focal lengths across and down, px; they differ where pixels are not square.
         centre_x_px: column of the optical axis; whole numbers are the centres of pixels.
         centre_y_px: row of the optical axis.
         height_m: height of the optical centre above the floor; None if unknown.
         pitch_rad: angle of the optical axis below the horizontal; None if unknown.
         forward_m: distance of the optical centre ahead of the car's centre.
-        distortion: k1, k2, p1, p2, k3 of OpenCV.
-        focal_std: standard deviation of the focal length, px.
+        lens: distortion.
+        focal_std: standard deviation of the focal lengths, px.
     """
 
     width_px: int
     height_px: int
-    focal_px: float
+    focal_px: tuple[float, float]
     centre_x_px: float
     centre_y_px: float
     height_m: float | None = None
     pitch_rad: float | None = None
     forward_m: float = 0.0
-    distortion: tuple[float, ...] = (0.0,) * 5
+    lens: Lens = Lens()
     focal_std: float = 0.0
 
     @property
@@ -75,59 +76,34 @@ class FloorCamera:
         """The same camera with images of another size."""
         x, y = columns / self.width_px, rows / self.height_px
         return replace(
-            self, width_px=columns, height_px=rows, focal_px=self.focal_px * x, focal_std=self.focal_std * x,
-            centre_x_px=(self.centre_x_px + 0.5) * x - 0.5, centre_y_px=(self.centre_y_px + 0.5) * y - 0.5,
-        )  # fmt: skip
+            self,
+            width_px=columns,
+            height_px=rows,
+            focal_px=(self.focal_px[0] * x, self.focal_px[1] * y),
+            focal_std=self.focal_std * max(x, y),
+            centre_x_px=(self.centre_x_px + 0.5) * x - 0.5,
+            centre_y_px=(self.centre_y_px + 0.5) * y - 0.5,
+        )
 
     @property
     def horizon_row(self) -> float:
         """Row of the horizon in the middle column."""
-        return self.centre_y_px - self.focal_px * math.tan(self._mount[1])
+        return self.centre_y_px - self.focal_px[1] * math.tan(self._mount[1])
 
     @property
     def _mount(self) -> tuple[float, float]:
         assert self.height_m is not None and self.pitch_rad is not None
         return self.height_m, self.pitch_rad
 
-    @cached_property
-    def _radii(self) -> tuple[Array, Array]:
-        """Distorted and undistorted distances from the axis, as far as the polynomial increases."""
-        k1, k2, _, _, k3 = self.distortion
-        radius = np.linspace(0.0, _WIDEST, 4001)
-        distorted = radius * (1.0 + k1 * radius**2 + k2 * radius**4 + k3 * radius**6)
-        falling = np.flatnonzero(np.diff(distorted) <= 0.05 * (radius[1] - radius[0]))
-        end = int(falling[0]) + 1 if falling.size else len(radius)
-        return distorted[:end], radius[:end]
-
-    def rays(self, pixels: Array) -> tuple[Array, Array]:
+    def rays(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Slopes right and down of the rays through pixels, (n, 2), and which of them the lens model covers."""
-        _, _, p1, p2, _ = self.distortion
-        seen = (pixels - (self.centre_x_px, self.centre_y_px)) / self.focal_px
-        distorted, radius = self._radii
-        found, plain = seen.copy(), seen
-        for _ in range(1 if p1 == p2 == 0.0 else 4):
-            if p1 or p2:
-                x, y = found.T
-                square = x * x + y * y
-                plain = seen - np.stack(
-                    (2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y), axis=1
-                )
-            length = np.hypot(*plain.T)
-            found = plain * (np.interp(length, distorted, radius) / np.maximum(length, 1e-12))[:, None]
-        return found, np.hypot(*plain.T) < distorted[-1]
+        return self.lens.slopes((pixels - (self.centre_x_px, self.centre_y_px)) / self.focal_px)
 
     def pixels(self, right: Rays, down: Rays) -> tuple[Rays, Rays, NDArray[np.bool_]]:
-        """Columns and rows of rays with these slopes, px, and which of them the lens model covers; OpenCV's formula."""
-        k1, k2, p1, p2, k3 = self.distortion
-        square = right * right + down * down
-        stretch = 1.0 + square * (k1 + square * (k2 + square * k3))
-        x, y = right * stretch, down * stretch
-        if p1 or p2:
-            product = 2.0 * right * down
-            x += p1 * product + p2 * (square + 2.0 * right * right)
-            y += p1 * (square + 2.0 * down * down) + p2 * product
-        known = square < self._radii[1][-1] ** 2
-        return self.centre_x_px + self.focal_px * x, self.centre_y_px + self.focal_px * y, known
+        """Columns and rows of rays with these slopes, px, and which of them the lens model covers."""
+        x, y = self.lens.distorted(right, down)
+        covered = right * right + down * down < self.lens.reach**2
+        return self.centre_x_px + self.focal_px[0] * x, self.centre_y_px + self.focal_px[1] * y, covered
 
     def floor(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Points of the floor, ahead and left of the car's centre, (n, 2) m, and which of them are on it.
@@ -153,8 +129,7 @@ class FloorCamera:
         cos, sin = math.cos(pitch), math.sin(pitch)
         ahead = points[:, 0] - self.forward_m
         seen = np.stack((-points[:, 1], height * cos - ahead * sin, height * sin + ahead * cos), axis=1)
-        limit = self._radii[1][-1]
-        inside = np.hypot(seen[:, 0], seen[:, 1]) < limit * np.maximum(seen[:, 2], 1e-6)
+        inside = np.hypot(seen[:, 0], seen[:, 1]) < self.lens.reach * np.maximum(seen[:, 2], 1e-6)
         valid = np.logical_and(seen[:, 2] > 1e-6, inside)
         depth = np.where(valid, seen[:, 2], 1.0)
         columns, rows, _ = self.pixels(seen[:, 0] / depth, seen[:, 1] / depth)
@@ -162,46 +137,109 @@ class FloorCamera:
 
 
 def write_camera(path: Path, camera: FloorCamera) -> None:
-    """Write a camera as YAML."""
-    lines = []
-    for field in fields(camera):
-        value = getattr(camera, field.name)
-        shown = "null" if value is None else [float(v) for v in value] if field.name == "distortion" else value
-        lines.append(f"{field.name}: {shown}\n")
-    path.write_text("".join(lines))
+    """Write a camera as the YAML file of ROS's `camera_calibration`, with the place on the car beside it."""
+    (fx, fy), cx, cy = camera.focal_px, camera.centre_x_px, camera.centre_y_px
+
+    def matrix(rows: int, columns: int, values: Sequence[float]) -> str:
+        return f"\n  rows: {rows}\n  cols: {columns}\n  data: {[float(value) for value in values]}"
+
+    values = {
+        "image_width": camera.width_px,
+        "image_height": camera.height_px,
+        "camera_name": "camera",
+        "camera_matrix": matrix(3, 3, (fx, 0, cx, 0, fy, cy, 0, 0, 1)),
+        "distortion_model": camera.lens.model,
+        "distortion_coefficients": matrix(1, len(camera.lens.coefficients), camera.lens.coefficients),
+        "rectification_matrix": matrix(3, 3, (1, 0, 0, 0, 1, 0, 0, 0, 1)),
+        "projection_matrix": matrix(3, 4, (fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1, 0)),
+        **{name: "null" if getattr(camera, name) is None else getattr(camera, name) for name in MOUNTING},
+        "forward_m": camera.forward_m,
+        "focal_std": camera.focal_std,
+    }
+    path.write_text("".join(f"{name}: {value}\n".replace(": \n", ":\n") for name, value in values.items()))
 
 
 def read_camera(path: Path) -> FloorCamera:
-    """Read a camera's YAML file.
+    """Read a camera's YAML file, as `write_camera` or ROS's `camera_calibration` writes it.
+
+    Files of former versions, with `focal_px`, `centre_x_px`, `centre_y_px` and `distortion`, are read too.
 
     Raises:
         RecordingError: it cannot be read, or a value is missing or out of range; one line.
     """
     try:
-        found = read_yaml(path, unique_keys=True)
+        content = read_yaml(path, unique_keys=True)
     except (OSError, BoundedYamlError) as error:
         raise RecordingError(
             f"{path}: {getattr(error, 'strerror', None) or error}: give a camera's YAML file"
         ) from None
-    names = {field.name for field in fields(FloorCamera)}
-    if not isinstance(found, dict) or set(map(str, found)) - names:
-        raise RecordingError(f"{path}: expected the keys {', '.join(sorted(names))}: see docs/recordings.md")
+    if not isinstance(content, dict):
+        raise RecordingError(f"{path}: expected a camera's YAML file with a camera_matrix: see docs/recordings.md")
+    content = {str(name): value for name, value in content.items()}
+    if "focal_px" in content:
+        content = _of_former_version(content)
     values: dict[str, Any] = {}
     for name, (low, high) in LIMITS.items():
-        value = found.get(name)
-        if value is None and name in (*MOUNTING, "forward_m", "focal_std"):
-            if name in MOUNTING:
-                values[name] = None
-            continue
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise RecordingError(
-                f"{path}: {name} is {abbreviated(value)}, expected a number from {low:g} to {high:g}: correct it"
-            )
-        values[name] = int(value) if name.endswith(("width_px", "height_px")) else float(value)
-    lens = found.get("distortion", [0.0] * 5)
-    fine = isinstance(lens, list) and len(lens) == 5 and all(isinstance(v, int | float) and abs(v) < 1e3 for v in lens)
-    if not fine:
+        if content.get(name) is None and not name.startswith("image_"):
+            values[name] = None if name in MOUNTING else 0.0
+        else:
+            values[name] = _number(path, name, content.get(name), low, high)
+    matrix = _data(path, content, "camera_matrix", (9,))
+    if matrix[1] != 0.0 or matrix[3] != 0.0:
+        raise RecordingError(f"{path}: camera_matrix has a skew of {matrix[1]:g}, expected 0: calibrate without skew")
+    fx, fy = (_number(path, "camera_matrix", matrix[at], *FOCAL) for at in (0, 4))
+    cx, cy = (_number(path, "camera_matrix", matrix[at], *CENTRE) for at in (2, 5))
+    return FloorCamera(
+        width_px=int(values.pop("image_width")),
+        height_px=int(values.pop("image_height")),
+        focal_px=(fx, fy),
+        centre_x_px=cx,
+        centre_y_px=cy,
+        lens=_lens(path, content),
+        **values,
+    )
+
+
+def _lens(path: Path, content: Mapping[str, Any]) -> Lens:
+    model = content.get("distortion_model", "plumb_bob")
+    model = "equidistant" if model == "fisheye" else model
+    if model not in MODELS:
         raise RecordingError(
-            f"{path}: distortion is {abbreviated(lens)}, expected five numbers k1, k2, p1, p2, k3: correct it"
+            f"{path}: distortion_model is {abbreviated(model)}, expected {', '.join(MODELS)}, fisheye: calibrate again"
         )
-    return FloorCamera(**values, distortion=tuple(map(float, lens)))
+    wanted = MODELS[model]
+    coefficients = _data(path, content, "distortion_coefficients", (0, 4, 5, 8, 12, 14))
+    if any(coefficients[wanted:]) or (model == "equidistant" and len(coefficients) != wanted):
+        raise RecordingError(
+            f"{path}: {model} has {len(coefficients)} distortion_coefficients, expected {wanted}: calibrate again"
+        )
+    return Lens(model, (*coefficients, *[0.0] * wanted)[:wanted])
+
+
+def _of_former_version(content: Mapping[str, Any]) -> dict[str, Any]:
+    focal = content["focal_px"]
+    names = {"image_width": "width_px", "image_height": "height_px"}
+    matrix = [focal, 0.0, content.get("centre_x_px"), 0.0, focal, content.get("centre_y_px"), 0.0, 0.0, 1.0]
+    return {
+        **{name: content.get(names.get(name, name)) for name in LIMITS},
+        "camera_matrix": {"data": matrix},
+        "distortion_coefficients": {"data": content.get("distortion", [])},
+    }
+
+
+def _data(path: Path, content: Mapping[str, Any], name: str, sizes: Sequence[int]) -> list[float]:
+    """Numbers of a matrix; those of a list without rows and columns, too."""
+    found = content.get(name)
+    data = found.get("data") if isinstance(found, dict) else found
+    if not isinstance(data, list) or len(data) not in sizes:
+        expected = " or ".join(map(str, sizes))
+        raise RecordingError(f"{path}: {name} is {abbreviated(found)}, expected data of {expected} numbers: correct it")
+    return [_number(path, name, value, -1e6, 1e6) for value in data]
+
+
+def _number(path: Path, name: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise RecordingError(
+            f"{path}: {name} is {abbreviated(value)}, expected a number from {low:g} to {high:g}: correct it"
+        )
+    return float(value)

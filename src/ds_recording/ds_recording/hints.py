@@ -105,7 +105,7 @@ class _Turns:
     """
 
     def __init__(self, camera: FloorCamera) -> None:
-        self._step = 1.0 / camera.focal_px
+        self._step = 1.0 / max(camera.focal_px)
         self._most = math.ceil(LARGEST_TURN / self._step)
         pitch = camera.pitch_rad or 0.0
         edges, _ = camera.rays(np.array([[0.0, camera.horizon_row], [camera.width_px - 1.0, camera.horizon_row]]))

@@ -77,7 +77,7 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
     best: tuple[float, FloorCamera, list[Array]] | None = None
     total = sum(min(len(found[0]), MOST) for found in lines)
     for horizon in HORIZONS:
-        pitch = math.atan((camera.centre_y_px - horizon * camera.height_px) / camera.focal_px)
+        pitch = math.atan((camera.centre_y_px - horizon * camera.height_px) / camera.focal_px[1])
         for height in HEIGHTS:
             tried = replace(camera, height_m=camera.height_m or height, pitch_rad=camera.pitch_rad or pitch)
             shapes, votes = [], 0.0
@@ -124,7 +124,7 @@ def _refined(
         error = left - shape[image, 0]
         error = np.where(white, np.where(error > 0.0, error - 1.0, error + 1.0), error)
         # One pixel across is so wide on the floor.
-        size = np.hypot(np.maximum(floor[:, 0], 0.1), now.height_m or 1.0) / now.focal_px + 0.005
+        size = np.hypot(np.maximum(floor[:, 0], 0.1), now.height_m or 1.0) / now.focal_px[0] + 0.005
         weak = np.concatenate((shape[:, 1] / 0.5, shape[:, 2] / 0.4))
         used = valid & (floor[:, 0] < FARTHEST)
         return np.concatenate((np.where(used, np.clip(error / size, -100.0, 100.0), 8.0), weak))

@@ -14,7 +14,7 @@ from ds_recording.hints import HintFinder
 
 Array = NDArray[np.float64]
 CAMERA = FloorCamera(
-    width_px=160, height_px=120, focal_px=90.0, centre_x_px=79.5, centre_y_px=59.5, height_m=0.8, pitch_rad=0.3,
+    width_px=160, height_px=120, focal_px=(90.0,) * 2, centre_x_px=79.5, centre_y_px=59.5, height_m=0.8, pitch_rad=0.3,
 )  # fmt: skip
 """In lane widths."""
 RNG = np.random.default_rng(3)
@@ -25,7 +25,7 @@ FLOOR = cv2.GaussianBlur(RNG.normal(0.0, 1.0, (1024, 1024)).astype(np.float32), 
 def picture(pose: Array, *, wall: bool = True) -> NDArray[np.uint8]:
     """What the camera sees from x, y, yaw: a round wall, and the floor."""
     rows, columns = np.mgrid[0:120, 0:160].astype(float)
-    right, down = (columns - CAMERA.centre_x_px) / CAMERA.focal_px, (rows - CAMERA.centre_y_px) / CAMERA.focal_px
+    right, down = (columns - CAMERA.centre_x_px) / CAMERA.focal_px[0], (rows - CAMERA.centre_y_px) / CAMERA.focal_px[1]
     cos, sin = math.cos(0.3), math.sin(0.3)
     ahead, left, up = cos - down * sin, -right, -(sin + down * cos)
     yaw = pose[2] + np.arctan2(left, ahead)
@@ -62,7 +62,13 @@ def test_a_plain_sky_and_another_room_say_nothing() -> None:
 
 def test_a_camera_that_looks_down_says_nothing() -> None:
     steep = FloorCamera(
-        width_px=160, height_px=120, focal_px=90.0, centre_x_px=79.5, centre_y_px=59.5, height_m=0.8, pitch_rad=0.9
+        width_px=160,
+        height_px=120,
+        focal_px=(90.0, 90.0),
+        centre_x_px=79.5,
+        centre_y_px=59.5,
+        height_m=0.8,
+        pitch_rad=0.9,
     )
     finder = HintFinder(steep)
     for x in (0.0, 0.1):

@@ -29,9 +29,15 @@ Array = NDArray[np.float64]
 WIDTH, RADIUS = 0.25, 0.9
 """Lane and radius of the road's centre line, m; driven counter-clockwise."""
 CAMERA = FloorCamera(
-    width_px=160, height_px=120, focal_px=90.0, centre_x_px=79.5, centre_y_px=59.5, height_m=0.12, pitch_rad=0.25,
+    width_px=160,
+    height_px=120,
+    focal_px=(90.0, 90.0),
+    centre_x_px=79.5,
+    centre_y_px=59.5,
+    height_m=0.12,
+    pitch_rad=0.25,
     forward_m=0.04,
-)  # fmt: skip
+)
 FRAMES = 130
 TIMES: Array = 0.05 * np.arange(FRAMES, dtype=np.float64)
 SPEED = 0.35
@@ -70,7 +76,7 @@ def picture(pose: Array, *, lines: bool = True, paint: tuple[int, int, int] = PA
     """What a pinhole without distortion sees of the floor, with four rays a pixel."""
     image = np.zeros((240, 320, 3), np.float32)
     columns, rows = np.meshgrid((np.arange(320) - 0.5) / 2, (np.arange(240) - 0.5) / 2)
-    right, down = (columns - CAMERA.centre_x_px) / CAMERA.focal_px, (rows - CAMERA.centre_y_px) / CAMERA.focal_px
+    right, down = (columns - CAMERA.centre_x_px) / CAMERA.focal_px[0], (rows - CAMERA.centre_y_px) / CAMERA.focal_px[1]
     descent = math.sin(0.25) + down * math.cos(0.25)
     reach = 0.12 / np.maximum(descent, 1e-3)
     ahead, left = reach * (math.cos(0.25) - down * math.sin(0.25)) + 0.04, -reach * right

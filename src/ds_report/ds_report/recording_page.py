@@ -43,12 +43,13 @@ def write_recording_page(path: Path, views: Views, located: Located, fit: Fit) -
     about = located.about
     stretch, camera = about["stretch"], located.camera
     spread = f" +- {camera.focal_std:.1f}" if camera.focal_std else ""
+    focal = f"{camera.focal_px[0]:.1f} and {camera.focal_px[1]:.1f}{spread} px"
     rows = {
         "Recording": f"{about['source']} ({about['kind']}, {about['frames']} images)",
         "Used": f"images {stretch['first']} to {stretch['last']}, of which {stretch['located']:.1%} are located",
         "Track": f"{located.track.length:.2f} m of {'closed track' if about['closed'] else 'road, not closed'}, "
         f"lanes of {about['lane_width_m']:g} m",
-        "Camera": f"{about['calibration']}: focal length {camera.focal_px:.1f}{spread} px, "
+        "Camera": f"{about['calibration']}: focal lengths {focal}, "
         f"height {camera.height_m:.3g} m, pitch {np.degrees(camera.pitch_rad or 0.0):.1f} degrees",
         "Lines": f"are {1000 * about['median_line_residual_m']:.3g} mm from where they should be, in the median",
         "Motion": summary(about),

@@ -49,11 +49,11 @@ def camera_spec(drive: RecordedDrive) -> CameraSpec:
     assert camera.height_m is not None and camera.pitch_rad is not None
     grid_columns, grid_rows = network_grid(camera.width_px, camera.height_px)
     return CameraSpec(
-        horizontal_fov=2.0 * math.atan((grid_columns[-1] - grid_columns[0]) / 2.0 / camera.focal_px),
+        horizontal_fov=2.0 * math.atan((grid_columns[-1] - grid_columns[0]) / 2.0 / camera.focal_px[0]),
         height=camera.height_m,
         forward=camera.forward_m,
         # A pinhole looks along its middle: rows that are cut off above turn it down.
-        pitch=camera.pitch_rad + math.atan((grid_rows.mean() - camera.centre_y_px) / camera.focal_px),
+        pitch=camera.pitch_rad + math.atan((grid_rows.mean() - camera.centre_y_px) / camera.focal_px[1]),
     )
 
 
