@@ -38,7 +38,7 @@ ALL = parse_conditions(
     "sun_elevation=0.2,shadow_density=0.3,visibility=150,pavement_reflectance=0.2,repair_share=0.2,camera_height=1.1,"
     "camera_pitch=2deg,camera_yaw=-2deg,lens_dirt=0.1,sensor_noise=4,exposure=1.2,steering_lag=0.1,command_delay=0.1,"
     "friction=0.8,payload=0.2,tyre_pull=0.002,speed_limit=25km/h"
-)  # fmt: skip
+)
 
 
 def light(pixels: Any) -> NDArray[np.float64]:

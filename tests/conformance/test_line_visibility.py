@@ -153,13 +153,17 @@ def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRe
     run = RunRecord(scenario=Scenario(STRAIGHT, seed=1), outcome=outcome, visible_contrasts=contrasts)
     run.observations = [
         Observation(
-            image=NO_IMAGE, step=k, time=k / 20, vehicle=vehicle, outcome=Outcome.RUNNING,
+            image=NO_IMAGE,
+            step=k,
+            time=k / 20,
+            vehicle=vehicle,
+            outcome=Outcome.RUNNING,
             lane=LaneState(
                 lateral_position=0.0, lateral_distance=2.0, preview_lateral_position=0.0, arc_length=float(k)
             ),
         )
         for k in range(10 * len(contrasts) + 1)
-    ]  # fmt: skip
+    ]
     return run
 
 

@@ -81,10 +81,12 @@ SOUND = 'os.write(1, bytes([kind, 0, 0, 0, 2, 0, 0, 0]) + b"ok")'
         ("os.write(1, bytes([2, 0, 0, 0, 96, 0, 0, 0]) + bytes(50)); sys.exit(7)", "ended with status 7"),
         ('os.write(1, bytes([0, 0, 0, 0, 7, 0, 0, 0]) + b"no car!")', "the host refuses: no car!"),
         ("pass", "did not answer within 0.5 s"),
-        ('os.write(1, bytes([2, 0, 0, 0, 96, 0, 0, 0])); print("Segmentation", file=sys.stderr); os._exit(139)',
-         "ended with status 139 (Segmentation)"),
+        (
+            'os.write(1, bytes([2, 0, 0, 0, 96, 0, 0, 0])); print("Segmentation", file=sys.stderr); os._exit(139)',
+            "ended with status 139 (Segmentation)",
+        ),
     ],
-)  # fmt: skip
+)
 def test_nonsense_is_said_in_one_line(answer: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if reason := missing_because("torcs"):
         pytest.skip(reason)

@@ -136,12 +136,16 @@ def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
     with (
         tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
         running_graph(
-            {sim: namespace}, request.driver, command_timeout=COMMAND_TIMEOUT, logs=Path(logs), attach=request.attach,
+            {sim: namespace},
+            request.driver,
+            command_timeout=COMMAND_TIMEOUT,
+            logs=Path(logs),
+            attach=request.attach,
             wait=request.wait if request.attach else START_WAIT,
         ) as executor,
         _recorder(executor, request) as recorder,
         DriveProgress(f"{sim} drives") as progress,
-    ):  # fmt: skip
+    ):
         own = request.attach and request.conditions.is_default  # those of the running node
         conditions = None if own else request.conditions
         run = executor.execute(sim, request.road, request.seed, conditions, watch=progress.update)
@@ -310,9 +314,14 @@ def drive_command(
             say(f"rendering {video}")
             # The images went to the driver alone; the same commands show them again.
             write_video(
-                video, f"{sim}, {Path(whose).name}", request.road, resimulate(sim, run), run.commands, run.conditions,
+                video,
+                f"{sim}, {Path(whose).name}",
+                request.road,
+                resimulate(sim, run),
+                run.commands,
+                run.conditions,
                 _translation(request),
-            )  # fmt: skip
+            )
     except KeyboardInterrupt:
         if bag is not None and bag.exists():
             raise Interrupted(f"the bag is in {bag}") from None

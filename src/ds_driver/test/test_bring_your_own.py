@@ -64,9 +64,14 @@ class Linear(nn.Module):
     def to_onnx(self, path: Path) -> None:
         """Write the graph with a free batch size, channels last and Keras's output names."""
         torch.onnx.export(
-            self, (torch.zeros(1, 120, 160, 3),), str(path), input_names=["img_in"],
-            output_names=["n_outputs0", "n_outputs1"], dynamic_axes={"img_in": {0: "any"}}, dynamo=False,
-        )  # fmt: skip
+            self,
+            (torch.zeros(1, 120, 160, 3),),
+            str(path),
+            input_names=["img_in"],
+            output_names=["n_outputs0", "n_outputs1"],
+            dynamic_axes={"img_in": {0: "any"}},
+            dynamo=False,
+        )
 
 
 @pytest.fixture

@@ -70,8 +70,12 @@ def test_given_roads_are_driven_under_the_conditions_of_their_tests(tmp_path: Pa
     assert {one.family for one in given} == {road.road_id} and len({one.name for one in given}) == 5
     moved = [one.road for one in given if one.road.road_id != road.road_id]
     for mutant in moved:  # as the search does: one coordinate of one of the points 4 to 6, by at most 6 m
-        changes = [(i, abs(a - b)) for i, (p, q) in enumerate(zip(road.control_points, mutant.control_points,
-                   strict=True)) for a, b in zip(p, q, strict=True) if a != b]  # fmt: skip
+        changes = [
+            (i, abs(a - b))
+            for i, (p, q) in enumerate(zip(road.control_points, mutant.control_points, strict=True))
+            for a, b in zip(p, q, strict=True)
+            if a != b
+        ]
         ((index, distance),) = changes
         assert index in (4, 5, 6) and distance <= 6
     assert [one.name for one in given_roads(file, mutants=1, seed=1)] == [one.name for one in given]

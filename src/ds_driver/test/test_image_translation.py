@@ -185,11 +185,15 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
             rows: list[dict[str, object]] = [
                 {
                     "image": jpeg(np.full((160, 320, 3), rng.integers(0, 256), np.uint8)),
-                    "steering": float(rng.uniform(-1, 1)), "speed": 1.0, "step": step, "simulator": name,
-                    "road_id": road, "direction": "forward",
+                    "steering": float(rng.uniform(-1, 1)),
+                    "speed": 1.0,
+                    "step": step,
+                    "simulator": name,
+                    "road_id": road,
+                    "direction": "forward",
                 }
                 for step in range(2)
-            ]  # fmt: skip
+            ]
             write_drive(drive_path(data, name, road, "forward"), rows)
     (data / "manifest.json").write_text('{"plan": {"seed": 1}, "images": {"bullet": 4}}')
     for name in WINDOWS:
@@ -244,8 +248,12 @@ def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path
 
 def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:
     for network, generators in (
-        ("dave2", ""), ("dave2", "a+b"), ("a+b/dave2.safetensors", ""), ("a+b/n.yaml", "c"), ("mine:Class", "c"),
-    ):  # fmt: skip
+        ("dave2", ""),
+        ("dave2", "a+b"),
+        ("a+b/dave2.safetensors", ""),
+        ("a+b/n.yaml", "c"),
+        ("mine:Class", "c"),
+    ):
         text = f"{network}+{generators}" if generators else network
         assert DriverName.parse(text) == DriverName(network, generators) and str(DriverName.parse(text)) == text
     assert str(DriverName.parse("dave2@onnx").seeing("c")) == "dave2+c@onnx"

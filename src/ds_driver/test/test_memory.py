@@ -176,9 +176,14 @@ def test_commands_and_speed_are_given(tmp_path: Path) -> None:
     given = {"mem": {"value": "commands", "last": 3}, "speed": {"value": "speed", "scale": 0.1}}
     outputs = {"steering": {"output": "angle"}, "throttle": {"output": "gas"}}
     path = written(
-        tmp_path, made, [(1, 3, *SIZE), (1, 6), (1, 1)], ["image", "mem", "speed"], ["angle", "gas"], inputs=given,
+        tmp_path,
+        made,
+        [(1, 3, *SIZE), (1, 6), (1, 1)],
+        ["image", "mem", "speed"],
+        ["angle", "gas"],
+        inputs=given,
         outputs=outputs,
-    )  # fmt: skip
+    )
     memory, expected = torch.zeros(1, 6), []
     with torch.inference_mode():
         for frame in FRAMES:

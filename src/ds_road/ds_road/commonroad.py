@@ -54,9 +54,15 @@ class Lanelet:
 def commonroad(road: Road, name: str) -> str:
     """A road as a CommonRoad scenario, XML."""
     root = Element(
-        "commonRoad", commonRoadVersion=VERSION, benchmarkID=f"ZAM_{_letters(name)}-1_1_T-1", date=_DATE,
-        author="Digital Siblings", affiliation="", source=f"road {road.road_id}", timeStepSize=_TIME_STEP,
-    )  # fmt: skip
+        "commonRoad",
+        commonRoadVersion=VERSION,
+        benchmarkID=f"ZAM_{_letters(name)}-1_1_T-1",
+        date=_DATE,
+        author="Digital Siblings",
+        affiliation="",
+        source=f"road {road.road_id}",
+        timeStepSize=_TIME_STEP,
+    )
     location = add(root, "location")
     for tag, unknown in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):
         add(location, tag, unknown)

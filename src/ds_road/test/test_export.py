@@ -89,8 +89,11 @@ def test_a_spline_is_exported_exactly() -> None:
         assert poly.get("pRange") == "normalized"
         p = np.linspace(0.0, 1.0, 20)[1 if index else 0 :]
         u, v = (sum(float(poly.get(letter + axis)) * p**k for k, letter in enumerate("abcd")) for axis in "UV")
-        found.append(np.stack((x + u * np.cos(heading) - v * np.sin(heading),
-                               y + u * np.sin(heading) + v * np.cos(heading)), axis=1))  # fmt: skip
+        found.append(
+            np.stack(
+                (x + u * np.cos(heading) - v * np.sin(heading), y + u * np.sin(heading) + v * np.cos(heading)), axis=1
+            )
+        )
     assert np.abs(np.vstack(found) - road.points).max() < 1e-6
 
 

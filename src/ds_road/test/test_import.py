@@ -100,8 +100,10 @@ XODR = """<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="4"/>
 
 
 def xodr(*pieces: tuple[Any, ...], **changed: Any) -> str:
-    texts = [f'<geometry s="{s}" x="{x}" y="{y}" hdg="{h}" length="{n}">{shape}</geometry>'
-             for s, x, y, h, n, shape in pieces]  # fmt: skip
+    texts = [
+        f'<geometry s="{s}" x="{x}" y="{y}" hdg="{h}" length="{n}">{shape}</geometry>'
+        for s, x, y, h, n, shape in pieces
+    ]
     values = {"offset": "", "width": 3.5, "slope": 0.0, **changed}
     return XODR.format(length=sum(piece[4] for piece in pieces), pieces="".join(texts), **values)
 

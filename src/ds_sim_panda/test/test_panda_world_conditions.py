@@ -152,9 +152,13 @@ def test_the_low_sun_is_where_it_stands() -> None:
 
 def test_stronger_is_never_weaker() -> None:
     strengths: dict[str, tuple[float, ...]] = {
-        "line_contrast": (0.8, 0.4, 0.1), "line_cover": (0.2, 0.5, 0.9), "shadow_density": (0.1, 0.4, 0.8),
-        "visibility": (500.0, 100.0, 25.0), "repair_share": (0.1, 0.3, 0.6), "pavement_reflectance": (0.15, 0.3, 0.5),
-    }  # fmt: skip
+        "line_contrast": (0.8, 0.4, 0.1),
+        "line_cover": (0.2, 0.5, 0.9),
+        "shadow_density": (0.1, 0.4, 0.8),
+        "visibility": (500.0, 100.0, 25.0),
+        "repair_share": (0.1, 0.3, 0.6),
+        "pavement_reflectance": (0.15, 0.3, 0.5),
+    }
     scene, vehicle = PandaScene(CAMERA), pose(127.0, 60.0, math.pi / 2)
 
     def seen(**conditions: Any) -> NDArray[np.int64]:

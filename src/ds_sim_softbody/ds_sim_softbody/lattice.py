@@ -69,9 +69,15 @@ def blueprint(p: SoftbodyParameters) -> Blueprint:
     """
     axle = p.wheelbase / 2.0
     stations = [
-        p.bumper_distance, axle + p.bush_spacing, axle - p.bush_spacing, p.floor_distance,
-        -p.floor_distance, -axle + p.bush_spacing, -axle - p.bush_spacing, -p.bumper_distance,
-    ]  # fmt: skip
+        p.bumper_distance,
+        axle + p.bush_spacing,
+        axle - p.bush_spacing,
+        p.floor_distance,
+        -p.floor_distance,
+        -axle + p.bush_spacing,
+        -axle - p.bush_spacing,
+        -p.bumper_distance,
+    ]
     wheels = [(x, y) for x in (axle, -axle) for y in (p.track / 2.0, -p.track / 2.0)]
     widths = [p.rail_half_width] * 3 + [p.sill_half_width] * 2 + [p.rail_half_width] * 3
     rails = [(x, y) for x, width in zip(stations, widths, strict=True) for y in (width, -width)]
@@ -188,10 +194,14 @@ class Lattice:
 
         front_left, front_right, rear_left, rear_right = (_address(body._body) for body in self.bodies[:4])
         self.engine = Engine(
-            space=_address(self.space._space), each_body=ENGINE_FUNCTIONS["pmSpaceBodyGetIteratorFuncBatched"],
-            request=_address(self._request), front_left=front_left, front_right=front_right, rear_left=rear_left,
+            space=_address(self.space._space),
+            each_body=ENGINE_FUNCTIONS["pmSpaceBodyGetIteratorFuncBatched"],
+            request=_address(self._request),
+            front_left=front_left,
+            front_right=front_right,
+            rear_left=rear_left,
             rear_right=rear_right,
-        )  # fmt: skip
+        )
         self.values_read = _address(self._floats)
         """Address of the number of values in `nodes`, 32 bits: the engine appends to them."""
         self.read()

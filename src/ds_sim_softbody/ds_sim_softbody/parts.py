@@ -159,8 +159,12 @@ def pitch_reaction(attitude: Attitude) -> float:
 
 CAR = np.dtype(
     [
-        ("parameters", layout(SoftbodyParameters)), ("actuators", layout(Actuators)), ("attitude", layout(Attitude)),
-        ("wheels", layout(Wheel), (4,)), ("nodes", np.float64, (NODES, 4)), ("engine", layout(Engine)),
+        ("parameters", layout(SoftbodyParameters)),
+        ("actuators", layout(Actuators)),
+        ("attitude", layout(Attitude)),
+        ("wheels", layout(Wheel), (4,)),
+        ("nodes", np.float64, (NODES, 4)),
+        ("engine", layout(Engine)),
     ]
-)  # fmt: skip
+)
 """Record of a car: wheels front left, front right, rear left, rear right; nodes as in `Lattice`."""

@@ -128,15 +128,20 @@ def _epoch_block(inputs: int, filters: int) -> tuple[Layer, ...]:
 DAVE2 = Architecture(
     "Dave2",
     features=(
-        Conv(3, 24, 5, stride=2), ELU,
-        Conv(24, 36, 5, stride=2), ELU,
-        Conv(36, 48, 5, stride=2), ELU,
-        Conv(48, 64, 3), ELU,
-        Conv(64, 64, 3), ELU,
+        Conv(3, 24, 5, stride=2),
+        ELU,
+        Conv(24, 36, 5, stride=2),
+        ELU,
+        Conv(36, 48, 5, stride=2),
+        ELU,
+        Conv(48, 64, 3),
+        ELU,
+        Conv(64, 64, 3),
+        ELU,
         Dropout(0.5),
     ),
     steering=(FLATTEN, Dense(27456, 100), ELU, Dense(100, 50), ELU, Dense(50, 10), ELU, Dense(10, 1)),
-)  # fmt: skip
+)
 """Nvidia's Dave-2 as used in the paper: five convolutions and four dense layers, 2,882,619 parameters."""
 
 CHAUFFEUR = Architecture(
@@ -148,12 +153,13 @@ CHAUFFEUR = Architecture(
         *_chauffeur_block(20, 40, 3),
         *_chauffeur_block(40, 60, 3),
         *_chauffeur_block(60, 80, 2),
-        Conv(80, 128, 2, same=True), RELU,
+        Conv(80, 128, 2, same=True),
+        RELU,
     ),
     # maxitwo's signature defaults to 0.1, but its training passes 0.5.
     steering=(FLATTEN, Dropout(0.5), Dense(6400, 1)),
     initialise_for_relu=True,
-)  # fmt: skip
+)
 """Chauffeur, from Udacity's second challenge, as used in the paper: six convolutions, 104,905 parameters."""
 
 EPOCH = Architecture(

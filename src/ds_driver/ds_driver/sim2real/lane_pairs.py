@@ -159,8 +159,11 @@ def align_lane(
     y = np.broadcast_to(every[:, None], source.shape)
     return np.asarray(
         cv2.remap(
-            photograph, source.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR,
+            photograph,
+            source.astype(np.float32),
+            y.astype(np.float32),
+            cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REFLECT_101,
         ),
         np.uint8,
-    )  # fmt: skip
+    )

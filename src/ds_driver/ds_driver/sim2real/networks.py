@@ -56,8 +56,11 @@ class Generator(nn.Module):
         super().__init__()
         filters = shape.filters
         layers: list[nn.Module] = [
-            nn.ReflectionPad2d(3), nn.Conv2d(3, filters, 7), InstanceNorm(), nn.ReLU(inplace=True),
-        ]  # fmt: skip
+            nn.ReflectionPad2d(3),
+            nn.Conv2d(3, filters, 7),
+            InstanceNorm(),
+            nn.ReLU(inplace=True),
+        ]
         for channels in (filters, 2 * filters):
             down = nn.Conv2d(channels, 2 * channels, 3, stride=2, padding=1)
             layers += [down, InstanceNorm(), nn.ReLU(inplace=True)]

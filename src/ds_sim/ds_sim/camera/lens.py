@@ -116,8 +116,13 @@ def optical_axes(spec: CameraSpec, vehicle: VehicleState) -> tuple[tuple[Vector,
     """
     yaw, pitch, roll = vehicle.yaw, vehicle.pitch, vehicle.roll
     cy, sy, cp, sp, cr, sr = (
-        math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch), math.cos(roll), math.sin(roll),
-    )  # fmt: skip
+        math.cos(yaw),
+        math.sin(yaw),
+        math.cos(pitch),
+        math.sin(pitch),
+        math.cos(roll),
+        math.sin(roll),
+    )
     fx, fy, fz = cy * cp, sy * cp, -sp
     ux, uy, uz = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
     ahead, above = spec.forward, spec.height
@@ -132,9 +137,11 @@ def optical_axes(spec: CameraSpec, vehicle: VehicleState) -> tuple[tuple[Vector,
         rx, ry, rz = right
         cw, sw = math.cos(spec.yaw), math.sin(spec.yaw)
         fx, fy, fz, right = (
-            fx * cw - rx * sw, fy * cw - ry * sw, fz * cw - rz * sw,
+            fx * cw - rx * sw,
+            fy * cw - ry * sw,
+            fz * cw - rz * sw,
             (rx * cw + fx * sw, ry * cw + fy * sw, rz * cw + fz * sw),
-        )  # fmt: skip
+        )
     down = (-(ux * ct + fx * st), -(uy * ct + fy * st), -(uz * ct + fz * st))
     forward = (fx * ct - ux * st, fy * ct - uy * st, fz * ct - uz * st)
     return (right, down, forward), position

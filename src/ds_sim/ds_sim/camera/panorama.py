@@ -117,8 +117,14 @@ def _add_lamps(image: NDArray[np.float64], look: Look, scale: float) -> None:
                 light,
                 (wrapped * 16, int(row * 16)),
                 (int(radius * 32), int(radius * 16)),
-                0.0, 0.0, 360.0, 1.0, -1, cv2.LINE_AA, 4,
-            )  # fmt: skip
+                0.0,
+                0.0,
+                360.0,
+                1.0,
+                -1,
+                cv2.LINE_AA,
+                4,
+            )
     light = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.6))
     halo = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.04 * scale))
     image += 190.0 * np.maximum(light, 0.35 * halo)[:, :, None]

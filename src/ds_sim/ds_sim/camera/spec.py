@@ -13,9 +13,15 @@ from numpy.typing import NDArray
 IMAGE_HEIGHT, IMAGE_WIDTH = 160, 320
 """Size of the camera image, pixels (paper 3.2.2)."""
 EQUIDISTANT = (
-    0.7798176789378387, 0.10654770039859429, 0.0, 0.0,
-    0.0012943515580691727, 1.1129795642217255, 0.27857066369879807, 0.01189685406412727,
-)  # fmt: skip
+    0.7798176789378387,
+    0.10654770039859429,
+    0.0,
+    0.0,
+    0.0012943515580691727,
+    1.1129795642217255,
+    0.27857066369879807,
+    0.01189685406412727,
+)
 """Rational polynomial closest to atan(r) / r up to 72 degrees from the axis, past the corner of 120 degrees at 2:1: k1,
 k2, p1, p2, k3, k4, k5, k6, by linear least squares. Not fitted at run time: LAPACK rounds by the type of processor."""
 

@@ -141,8 +141,10 @@ class Surface:
         inset = half_width - look.line_width / 2
         grain = _grain(self._rngs["grain"]) * np.float32(min(c.line_contrast, 1.0 - c.line_contrast))
         lines: tuple[tuple[float, Colour], ...] = (
-            (inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line),
-        )  # fmt: skip
+            (inset, look.edge_line),
+            (-inset, look.edge_line),
+            (0.0, look.centre_line),
+        )
         for offset, colour in lines:
             cap = (thickness / 2.0 + _CAP) * self._resolution
             for start, end in gaps(pieces(rng, line.regions, c.line_cover_length, c.line_cover), 0.0, line.length):

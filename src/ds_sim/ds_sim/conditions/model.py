@@ -12,7 +12,7 @@ camera and sensor are added, which those standards leave to the system. Sources 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any
 
@@ -39,7 +39,7 @@ class Condition:
         unit: SI unit; "" for a share or a factor.
         low: smallest value.
         high: largest value.
-        stronger: towards which end a driver has it harder; "both" ends for signed values and factors, "" for values
+        stronger: which end of the range is harder for a driver; "both" for signed values and factors, "" for values
             that only say how or where another condition acts.
         kind: group of the standards' taxonomy.
         doc: what the value is, and why its range is what it is.
@@ -60,11 +60,6 @@ class Condition:
         return f"{self.low:g}{high}{f' {self.unit}' if self.unit else ''}{more}"
 
 
-def _of(default: float | None, unit: str, low: float, high: float, stronger: str, kind: str, doc: str) -> Any:
-    about = {"unit": unit, "low": low, "high": high, "stronger": stronger, "kind": kind, "doc": doc}
-    return field(default=default, metadata=about)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Conditions:
     """Operating conditions of one run; the defaults are each simulator's own world. SI units, None: as the simulator.
@@ -75,108 +70,31 @@ class Conditions:
         ConditionsError: a value is not a number, is out of range, or contradicts another one.
     """
 
-    line_contrast: float = _of(
-        1.0, "", 0.0, 1.0, "low", "lane markings",
-        "luminance contrast of the paint against the pavement that is left, over that of new paint; EN 1436 ranks "
-        "markings by luminance coefficient Qd: Q2, 100 mcd/m2/lx, is 0.26 here on asphalt of reflectance 0.12",
-    )  # fmt: skip
-    line_cover: float = _of(
-        0.0, "", 0.0, 1.0, "high", "lane markings",
-        "share of the length of each line on which no paint shows: worn off, sanded over",
-    )  # fmt: skip
-    line_cover_length: float = _of(
-        2.0, "m", 0.5, 20.0, "", "lane markings",
-        "length of one bare piece of line; chosen: from a tyre's skid to a construction site",
-    )  # fmt: skip
-    illuminance: float = _of(
-        REFERENCE_ILLUMINANCE, "lx", 1.0, REFERENCE_ILLUMINANCE, "low", "illumination",
-        "illuminance of the road; the camera's automatic exposure makes up for a factor of 16, at the cost of noise; "
-        "CIE: 1 to 10 lx are street lighting, 400 lx sunset, 10,000 lx an overcast noon",
-    )  # fmt: skip
-    veiling_luminance: float = _of(
-        0.0, "cd/m2", 0.0, 3000.0, "high", "illumination",
-        "luminance of stray light over the whole picture (CIE 146), to which the automatic exposure adapts; a white "
-        "wall at 10,000 lx has 3,183",
-    )  # fmt: skip
-    low_sun: float = _of(
-        0.0, "lx", 0.0, 20_000.0, "high", "illumination",
-        "illuminance at the lens by a sun (indoors: a lamp) in the direction of sun_azimuth and sun_elevation, whose "
-        "veil falls as 10 E / angle^2 (Stiles-Holladay, CIE 146); chosen: up to a clear sun 10 degrees high",
-    )  # fmt: skip
-    sun_azimuth: float | None = _of(
-        None, "rad", -math.pi, math.pi, "", "illumination",
-        "direction of the sun, counter-clockwise from +x of the road frame",
-    )  # fmt: skip
-    sun_elevation: float | None = _of(
-        None, "rad", 0.02, 1.5, "", "illumination", "elevation of the sun above the horizon",
-    )  # fmt: skip
-    shadow_density: float = _of(
-        0.0, "", 0.0, 0.9, "high", "illumination",
-        "share of the road's length that lies in shadows across it; all of it would be no pattern any more",
-    )  # fmt: skip
-    shadow_depth: float = _of(
-        0.7, "", 0.0, 0.95, "high", "illumination",
-        "share of the light that a shadow takes; the blue sky alone gives 10 to 30 % of the light of sun and sky",
-    )  # fmt: skip
-    visibility: float = _of(
-        math.inf, "m", 20.0, math.inf, "low", "weather",
-        "meteorological visibility: contrast falls as exp(-3.912 distance / visibility) (Koschmieder, 2 % threshold); "
-        "WMO: fog is below 1,000 m, dense fog below 50 m",
-    )  # fmt: skip
-    pavement_reflectance: float | None = _of(
-        None, "", 0.04, 0.5, "high", "road surface",
-        "mean diffuse reflectance of the pavement; new asphalt has 0.05, worn asphalt 0.12 to 0.18, new concrete 0.35 "
-        "to 0.40 (American Concrete Pavement Association, albedo)",
-    )  # fmt: skip
-    repair_share: float = _of(
-        0.0, "", 0.0, 0.6, "high", "road surface",
-        "share of the road's area under rectangular repair patches of new, darker asphalt; lines are repainted on them",
-    )  # fmt: skip
-    camera_height: float = _of(
-        1.0, "", 0.5, 2.0, "both", "camera", "factor on the camera's height; chosen: from a sports car to a lorry",
-    )  # fmt: skip
-    camera_pitch: float = _of(
-        0.0, "rad", -0.15, 0.15, "both", "camera",
-        "added to the camera's pitch, nose down positive; chosen: up to twice what a hard-braking, loaded car has",
-    )  # fmt: skip
-    camera_yaw: float = _of(
-        0.0, "rad", -0.15, 0.15, "both", "camera", "angle of the camera about the car's vertical axis, left positive",
-    )  # fmt: skip
-    lens_dirt: float = _of(
-        0.0, "", 0.0, 0.5, "high", "camera", "share of the picture behind smudges on the lens, which keep their place",
-    )  # fmt: skip
-    sensor_noise: float = _of(
-        0.0, "grey levels", 0.0, 40.0, "high", "camera", "standard deviation of noise added to the delivered image",
-    )  # fmt: skip
-    exposure: float = _of(
-        1.0, "", 0.125, 8.0, "both", "camera", "factor on the light that the sensor collects: three stops either way",
-    )  # fmt: skip
-    steering_lag: float = _of(
-        0.0, "s", 0.0, 1.0, "high", "vehicle",
-        "time constant of a first-order lag of the steering; chosen: from a steering robot to a slack, heavy steering",
-    )  # fmt: skip
-    command_delay: float = _of(
-        0.0, "s", 0.0, 1.0, "high", "vehicle",
-        "dead time from a command to the vehicle; chosen: up to what makes driving over mobile networks impossible",
-    )  # fmt: skip
-    friction: float = _of(
-        1.0, "", 0.1, 1.0, "low", "road surface",
-        "factor on the tyres' grip on this simulator's dry road; wet asphalt has 0.6 to 0.8 of it, hard snow "
-        "0.24, ice 0.12 (Wong, table 1.3)",
-    )  # fmt: skip
-    payload: float = _of(
-        0.0, "", 0.0, 0.5, "high", "vehicle",
-        "load over the mass of the car, spread like that mass; small cars carry 0.3 to 0.4 of it",
-    )  # fmt: skip
-    tyre_pull: float = _of(
-        0.0, "rad", -0.05, 0.05, "both", "vehicle",
-        "angle of the front wheels that has the same effect as a pull to one side, left positive; chosen: from worn "
-        "tyres to a bent track rod",
-    )  # fmt: skip
-    speed_limit: float | None = _of(
-        None, "m/s", 3.0, 30.0 / 3.6, "", "vehicle",
-        "speed at which the throttle is cut off; below 3 m/s a road takes longer than the time limit of a run",
-    )  # fmt: skip
+    line_contrast: float = 1.0
+    line_cover: float = 0.0
+    line_cover_length: float = 2.0
+    illuminance: float = REFERENCE_ILLUMINANCE
+    veiling_luminance: float = 0.0
+    low_sun: float = 0.0
+    sun_azimuth: float | None = None
+    sun_elevation: float | None = None
+    shadow_density: float = 0.0
+    shadow_depth: float = 0.7
+    visibility: float = math.inf
+    pavement_reflectance: float | None = None
+    repair_share: float = 0.0
+    camera_height: float = 1.0
+    camera_pitch: float = 0.0
+    camera_yaw: float = 0.0
+    lens_dirt: float = 0.0
+    sensor_noise: float = 0.0
+    exposure: float = 1.0
+    steering_lag: float = 0.0
+    command_delay: float = 0.0
+    friction: float = 1.0
+    payload: float = 0.0
+    tyre_pull: float = 0.0
+    speed_limit: float | None = None
 
     def __post_init__(self) -> None:
         for condition in FIELDS.values():
@@ -210,8 +128,69 @@ class Conditions:
         return self if realised & self.changed.keys() else DEFAULT
 
 
-FIELDS: dict[str, Condition] = {}
-FIELDS.update((f.name, Condition(f.name, **f.metadata)) for f in fields(Conditions))
+_ABOUT: dict[str, tuple[str, float, float, str, str, str]] = {
+    "line_contrast": ("", 0.0, 1.0, "low", "lane markings",
+        "luminance contrast of the paint against the pavement that is left, over that of new paint; EN 1436 ranks "
+        "markings by luminance coefficient Qd: Q2, 100 mcd/m2/lx, is 0.26 here on asphalt of reflectance 0.12"),
+    "line_cover": ("", 0.0, 1.0, "high", "lane markings",
+        "share of the length of each line on which no paint shows: worn off, sanded over"),
+    "line_cover_length": ("m", 0.5, 20.0, "", "lane markings",
+        "length of one bare piece of line; chosen: from a tyre's skid to a construction site"),
+    "illuminance": ("lx", 1.0, REFERENCE_ILLUMINANCE, "low", "illumination",
+        "illuminance of the road; the camera's automatic exposure makes up for a factor of 16, at the cost of noise; "
+        "CIE: 1 to 10 lx are street lighting, 400 lx sunset, 10,000 lx an overcast noon"),
+    "veiling_luminance": ("cd/m2", 0.0, 3000.0, "high", "illumination",
+        "luminance of stray light over the whole picture (CIE 146), to which the automatic exposure adapts; a white "
+        "wall at 10,000 lx has 3,183"),
+    "low_sun": ("lx", 0.0, 20_000.0, "high", "illumination",
+        "illuminance at the lens by a sun (indoors: a lamp) in the direction of sun_azimuth and sun_elevation, whose "
+        "veil falls as 10 E / angle^2 (Stiles-Holladay, CIE 146); chosen: up to a clear sun 10 degrees high"),
+    "sun_azimuth": ("rad", -math.pi, math.pi, "", "illumination",
+        "direction of the sun, counter-clockwise from +x of the road frame"),
+    "sun_elevation": ("rad", 0.02, 1.5, "", "illumination",
+        "elevation of the sun above the horizon"),
+    "shadow_density": ("", 0.0, 0.9, "high", "illumination",
+        "share of the road's length that lies in shadows across it; all of it would be no pattern any more"),
+    "shadow_depth": ("", 0.0, 0.95, "high", "illumination",
+        "share of the light that a shadow takes; the blue sky alone gives 10 to 30 % of the light of sun and sky"),
+    "visibility": ("m", 20.0, math.inf, "low", "weather",
+        "meteorological visibility: contrast falls as exp(-3.912 distance / visibility) (Koschmieder, 2 % threshold); "
+        "WMO: fog is below 1,000 m, dense fog below 50 m"),
+    "pavement_reflectance": ("", 0.04, 0.5, "high", "road surface",
+        "mean diffuse reflectance of the pavement; new asphalt has 0.05, worn asphalt 0.12 to 0.18, new concrete 0.35 "
+        "to 0.40 (American Concrete Pavement Association, albedo)"),
+    "repair_share": ("", 0.0, 0.6, "high", "road surface",
+        "share of the road's area under rectangular repair patches of new, darker asphalt; lines are repainted on "
+        "them"),
+    "camera_height": ("", 0.5, 2.0, "both", "camera",
+        "factor on the camera's height; chosen: from a sports car to a lorry"),
+    "camera_pitch": ("rad", -0.15, 0.15, "both", "camera",
+        "added to the camera's pitch, nose down positive; chosen: up to twice what a hard-braking, loaded car has"),
+    "camera_yaw": ("rad", -0.15, 0.15, "both", "camera",
+        "angle of the camera about the car's vertical axis, left positive"),
+    "lens_dirt": ("", 0.0, 0.5, "high", "camera",
+        "share of the picture behind smudges on the lens, which keep their place"),
+    "sensor_noise": ("grey levels", 0.0, 40.0, "high", "camera",
+        "standard deviation of noise added to the delivered image"),
+    "exposure": ("", 0.125, 8.0, "both", "camera",
+        "factor on the light that the sensor collects: three stops either way"),
+    "steering_lag": ("s", 0.0, 1.0, "high", "vehicle",
+        "time constant of a first-order lag of the steering; chosen: from a steering robot to a slack, heavy steering"),
+    "command_delay": ("s", 0.0, 1.0, "high", "vehicle",
+        "dead time from a command to the vehicle; chosen: up to what makes driving over mobile networks impossible"),
+    "friction": ("", 0.1, 1.0, "low", "road surface",
+        "factor on the tyres' grip on this simulator's dry road; wet asphalt has 0.6 to 0.8 of it, hard snow "
+        "0.24, ice 0.12 (Wong, table 1.3)"),
+    "payload": ("", 0.0, 0.5, "high", "vehicle",
+        "load over the mass of the car, spread like that mass; small cars carry 0.3 to 0.4 of it"),
+    "tyre_pull": ("rad", -0.05, 0.05, "both", "vehicle",
+        "angle of the front wheels that has the same effect as a pull to one side, left positive; chosen: from worn "
+        "tyres to a bent track rod"),
+    "speed_limit": ("m/s", 3.0, 30.0 / 3.6, "", "vehicle",
+        "speed at which the throttle is cut off; below 3 m/s a road takes longer than the time limit of a run"),
+}  # fmt: skip
+"""Condition -> the attributes of its `Condition`."""
+FIELDS = {field.name: Condition(field.name, *_ABOUT[field.name]) for field in fields(Conditions)}
 """Every condition by name, in the order of `Conditions`."""
 
 

@@ -45,9 +45,14 @@ _TURNED = {" down": " up", " to the left": " to the right"}
 """Word for a positive angle -> for a negative one."""
 _OPPOSITE: Mapping[Side, Side] = {"": "", "or more": "or less", "or less": "or more"}
 _FRACTIONS = {
-    0.1: "a tenth", 0.2: "a fifth", 0.25: "a quarter", 1 / 3: "a third", 0.5: "half", 2 / 3: "two thirds",
+    0.1: "a tenth",
+    0.2: "a fifth",
+    0.25: "a quarter",
+    1 / 3: "a third",
+    0.5: "half",
+    2 / 3: "two thirds",
     0.75: "three quarters",
-}  # fmt: skip
+}
 _NEAR = 0.015
 """Distance from a fraction at which it names a share; the code name beside it carries the digits."""
 

@@ -243,11 +243,12 @@ def _filled(source: str, *, setting: bool) -> str:
         "HIDING_WITHIN": HIDING_WITHIN,
     }
     lines = [
-        f"const float {name} = {value!r};" if isinstance(value, float)
+        f"const float {name} = {value!r};"
+        if isinstance(value, float)
         else f"const vec3 {name} = vec3({', '.join(map(repr, value))});"
         for name, value in constants.items()
         if not (setting and name in (*_SETTING_SCALARS, *_SETTING_COLOURS))
-    ]  # fmt: skip
+    ]
     if setting:
         lines = [
             "#define SETTING",

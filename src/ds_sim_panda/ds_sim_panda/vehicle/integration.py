@@ -149,8 +149,12 @@ def advance(
     """
     inputs = np.empty(2)
     first, second, third, fourth, trial = (
-        np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES), np.empty(STATES),
-    )  # fmt: skip
+        np.empty(STATES),
+        np.empty(STATES),
+        np.empty(STATES),
+        np.empty(STATES),
+        np.empty(STATES),
+    )
     for _ in range(substeps):
         speed = max(x[SPEED], KINEMATIC_BELOW)
         parts = int(math.ceil(duration / substeps * law.slip_rate / (law.stable_step * speed)))

@@ -117,9 +117,14 @@ class MultiBodyVehicle(Vehicle):
         p = self.parameters
         # The sign of the command is that of the paper, right positive.
         self._integrate(
-            state, -float(command.steering) * p.max_steering_angle, float(command.throttle), FRAME_TIME, p.substeps,
-            self._car, self._law,
-        )  # fmt: skip
+            state,
+            -float(command.steering) * p.max_steering_angle,
+            float(command.throttle),
+            FRAME_TIME,
+            p.substeps,
+            self._car,
+            self._law,
+        )
 
     def _running(self) -> np.ndarray:
         if self._x is None:
