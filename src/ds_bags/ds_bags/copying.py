@@ -44,10 +44,10 @@ class DamagedFileError(BagError):
         self.reason = reason
 
 
-def records(file: Path) -> Iterator[tuple[McapRecord, int]]:
-    """Iterate over the records of a file in their order, those of chunks included.
+def records(file: Path) -> Iterator[tuple[tuple[int, Topic] | Message | Metadata | Footer, int]]:
+    """Iterate over numbered topics, messages, metadata and footer of a file in their order, those of chunks included.
 
-    A message comes only after its channel, and a channel only after its schema; times fit a ROS stamp.
+    A message comes only after its topic; times fit a ROS stamp.
 
     Args:
         file: MCAP file.
@@ -61,16 +61,16 @@ def records(file: Path) -> Iterator[tuple[McapRecord, int]]:
     """
     size = regular_file(file).stat().st_size
     opening = Opening(size)
-    schemas: set[int] = set()
-    channels: set[int] = set()
+    schemas: dict[int, Schema] = {}
+    topics: dict[int, Topic] = {}
     with file.open("rb") as stream:
         read = iter(StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=size).records)
         while True:
             try:
                 record = next(read)
                 with opening.counting():
-                    found = _content(record) if isinstance(record, Chunk) else [record]
-                _check(found, schemas, channels)
+                    raw = _content(record) if isinstance(record, Chunk) else [record]
+                checked = [one for one in raw if _is_new(one, schemas, topics)]
             except StopIteration:
                 return
             except TooLargeError as error:
@@ -79,8 +79,11 @@ def records(file: Path) -> Iterator[tuple[McapRecord, int]]:
                 reason = " ".join(str(error).split())[:100] or type(error).__name__
                 raise DamagedFileError(file, reason) from None
             position = stream.tell()
-            for one in found:
-                yield one, position
+            for one in checked:
+                if isinstance(one, Channel):
+                    yield (one.id, topics[one.id]), position
+                elif isinstance(one, Message | Metadata | Footer):
+                    yield one, position
 
 
 def _content(chunk: Chunk) -> list[McapRecord]:
@@ -90,33 +93,35 @@ def _content(chunk: Chunk) -> list[McapRecord]:
     return list(breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True))
 
 
-def _check(found: list[McapRecord], schemas: set[int], channels: set[int]) -> None:
-    for record in found:
-        if isinstance(record, Schema):
-            record.data.decode()
-            schemas.add(record.id)
-        elif isinstance(record, Channel):
-            if record.schema_id not in schemas:
-                raise ValueError(f"channel {record.id} has no schema")
-            channels.add(record.id)
-        elif isinstance(record, Message) and (record.channel_id not in channels or record.log_time >= MAX_TIME):
-            raise ValueError(f"a message of channel {record.channel_id} at {record.log_time} ns")
+def _is_new(record: McapRecord, schemas: dict[int, Schema], topics: dict[int, Topic]) -> bool:
+    """Keep schemas and topics; False for a topic that was there already."""
+    if isinstance(record, Schema):
+        schemas[record.id] = record
+    elif isinstance(record, Channel):
+        if record.schema_id not in schemas:
+            raise ValueError(f"channel {record.id} has no schema")
+        if record.id in topics:
+            return False
+        topics[record.id] = _topic_of(record, schemas[record.schema_id])
+    elif isinstance(record, Message) and (record.channel_id not in topics or record.log_time >= MAX_TIME):
+        raise ValueError(f"a message of channel {record.channel_id} at {record.log_time} ns")
+    return True
 
 
-def topic_of_channel(channel: Channel, schema: Schema) -> Topic:
+def _topic_of(channel: Channel, schema: Schema) -> Topic:
     """Describe a channel of an MCAP file as a topic; a QoS that makes no sense is left out."""
     qos = channel.metadata.get("offered_qos_profiles", "[]\n")
     try:
-        profiles = load_yaml(qos)
-        known = not profiles or (isinstance(profiles, list) and all(isinstance(profile, dict) for profile in profiles))
+        profiles = load_yaml(qos) or []
+        is_usable = isinstance(profiles, list) and all(isinstance(profile, dict) for profile in profiles)
     except BoundedYamlError:
-        known = False
+        is_usable = False
     return Topic(
         name=channel.topic,
         message_type=schema.name,
         definition=schema.data.decode(),
         digest=channel.metadata.get("topic_type_hash", ""),
-        qos=qos if known else "[]\n",
+        qos=qos if is_usable else "[]\n",
         encoding=schema.encoding,
     )
 
@@ -149,26 +154,19 @@ def rewrite_bag(
             raise BagError(f"{source} is no bag of one MCAP file: record it with this project, or convert it")
         file, custom = bag.files[0], bag.facts | dict(facts)
     store, changed = typestore(), 0
-    with new_folder(out) as hidden:
-        schemas: dict[int, Schema] = {}
-        channels: dict[int, tuple[int, str]] = {}
-        with Rosbag2Writer(hidden, custom) as writer:
-            for record, _ in records(file):
-                if isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel) and record.id not in channels:
-                    kind = schemas[record.schema_id].name
-                    if kind not in without:
-                        number = writer.channel(topic_of_channel(record, schemas[record.schema_id]))
-                        channels[record.id] = (number, kind)
-                elif isinstance(record, Message) and record.channel_id in channels:
-                    number, kind = channels[record.channel_id]
-                    data = record.data
-                    if kind in change:
-                        message = change[kind](store.deserialize_cdr(data, kind))
-                        data, changed = bytes(store.serialize_cdr(message, kind)), changed + 1
-                    writer.write(number, record.log_time, data)
-            writer.close(custom)
+    channels: dict[int, tuple[int, str]] = {}
+    with new_folder(out) as hidden, Rosbag2Writer(hidden, custom) as writer:
+        for record, _ in records(file):
+            if isinstance(record, tuple) and record[1].message_type not in without:
+                channels[record[0]] = writer.channel(record[1]), record[1].message_type
+            elif isinstance(record, Message) and record.channel_id in channels:
+                number, kind = channels[record.channel_id]
+                data = record.data
+                if kind in change:
+                    message = change[kind](store.deserialize_cdr(data, kind))
+                    data, changed = bytes(store.serialize_cdr(message, kind)), changed + 1
+                writer.write(number, record.log_time, data)
+        writer.close(custom)
     return changed
 
 
@@ -242,12 +240,11 @@ def recover(path: Path, out: Path | None = None) -> Recovered:
 
 def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     facts: dict[str, str] = {}
-    schemas: dict[int, Schema] = {}
     channels: dict[int, int] = {}
     writer: Rosbag2Writer | None = None
     ended: dict[str, str] = {}
     count, first, last, readable = 0, 0, 0, 0
-    for record, position in _readable(source):
+    for record, position in _whole_records(source):
         # After the footer comes only the closing magic.
         readable = source.stat().st_size if isinstance(record, Footer) else position
         if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
@@ -255,14 +252,10 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
         elif isinstance(record, Metadata) and record.name == "rosbag2":
             # The file was finished but its folder was not: use the outcome that the file states.
             ended = _ending(record)
-        elif isinstance(record, Schema):
-            schemas[record.id] = record
-        elif isinstance(record, Channel | Message):
+        elif isinstance(record, tuple):
             writer = writer or Rosbag2Writer(folder, facts)
-            if isinstance(record, Channel):
-                if record.id not in channels:
-                    channels[record.id] = writer.channel(topic_of_channel(record, schemas[record.schema_id]))
-                continue
+            channels[record[0]] = writer.channel(record[1])
+        elif isinstance(record, Message) and writer is not None:
             writer.write(channels[record.channel_id], record.log_time, record.data)
             first = record.log_time if not count else min(first, record.log_time)
             last, count = max(last, record.log_time), count + 1
@@ -274,8 +267,8 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     return Recovered(source=source, folder=out, messages=count, seconds=(last - first) / 1e9, lost_bytes=lost)
 
 
-def _readable(source: Path) -> Iterator[tuple[McapRecord, int]]:
-    """Yield the records up to the first damaged one, with the number of bytes read so far."""
+def _whole_records(source: Path) -> Iterator[Any]:
+    """Yield records up to the first damaged one, as `records` does."""
     with contextlib.suppress(DamagedFileError):
         yield from records(source)
 
