@@ -38,9 +38,22 @@ def test_a_subscribed_bag_has_every_image_bit_by_bit(tmp_path: Path) -> None:
     (tmp_path / "road.json").write_text(json.dumps(road.control_points))
     bag = tmp_path / "bag"
     command = [
-        sys.executable, "-m", "ds_cli.main", "drive", "--sim", "ds_twin_donkey.simulator:DonkeySimulator",
-        "--driver", "autopilot", "--road", str(tmp_path / "road.json"), "--bag", str(bag), "--level", "raw", "--json",
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "ds_cli.main",
+        "drive",
+        "--sim",
+        "ds_twin_donkey.simulator:DonkeySimulator",
+        "--driver",
+        "autopilot",
+        "--road",
+        str(tmp_path / "road.json"),
+        "--bag",
+        str(bag),
+        "--level",
+        "raw",
+        "--json",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     steps = json.loads(done.stdout)["steps"]

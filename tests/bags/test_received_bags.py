@@ -149,12 +149,15 @@ def test_a_compressed_file_that_opens_to_gigabytes_is_refused(bag: Path) -> None
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("a: &a [x]\n" + "".join(f"b{i}: &b{i} [{'*a, ' * 9}*a]\n".replace("*a", f"*b{i - 1}" if i else "*a")
-                                  for i in range(12)), "aliases expanded"),
+        (
+            "a: &a [x]\n"
+            + "".join(f"b{i}: &b{i} [{'*a, ' * 9}*a]\n".replace("*a", f"*b{i - 1}" if i else "*a") for i in range(12)),
+            "aliases expanded",
+        ),
         ("[" * 100_000, "nested deeper"),
         ("a: b\n" * 4_000_000, "longer than 16 MiB"),
     ],
-)  # fmt: skip
+)
 def test_metadata_bombs_are_refused(bag: Path, text: str, match: str) -> None:
     (bag / "metadata.yaml").write_text(text)
     refused(lambda: describe(bag), match)

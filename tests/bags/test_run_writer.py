@@ -73,8 +73,12 @@ def test_rosbags_reads_every_value(bags: Path, run: RunRecord, level: Level) -> 
     for (stamp, state), seen in zip(messages["/twin/state"], run.observations, strict=True):
         assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == seen.step * 50_000_000
         assert (state.step, state.x, state.y, state.yaw, state.lateral_position) == (
-            seen.step, seen.vehicle.x, seen.vehicle.y, seen.vehicle.yaw, seen.lane.lateral_position
-        )  # fmt: skip
+            seen.step,
+            seen.vehicle.x,
+            seen.vehicle.y,
+            seen.vehicle.yaw,
+            seen.lane.lateral_position,
+        )
     for (_, drive), command in zip(messages["/twin/drive"], run.commands, strict=True):
         assert (drive.steering, drive.throttle) == (command.steering, command.throttle)
     assert messages["/twin/outcome"][0][1].value == int(Outcome.CANCELLED)
@@ -176,8 +180,11 @@ def test_a_bag_describes_its_run(bags: Path, run: RunRecord) -> None:
     assert (found.outcome, found.message) == (run.outcome, run.message)
     for ours, theirs in zip(found.observations, run.observations, strict=True):
         assert (ours.step, ours.time, ours.vehicle, ours.lane) == (
-            theirs.step, theirs.time, theirs.vehicle, theirs.lane
-        )  # fmt: skip
+            theirs.step,
+            theirs.time,
+            theirs.vehicle,
+            theirs.lane,
+        )
     assert (recorded.simulator, recorded.driver, recorded.namespace) == ("donkey", "autopilot", "/twin")
     document = describe(bags / "raw")
     facts = document["facts"]

@@ -41,9 +41,18 @@ class DaskProcesses:
         """Start a worker, without a nanny, so that killing it ends it."""
         name = f"worker_{len(self._processes)}"
         return self._start(
-            "worker", self.address, "--host", "127.0.0.1", "--nthreads", str(threads), "--no-nanny", "--no-dashboard",
-            "--local-directory", str(self._folder / name), *arguments,
-        )  # fmt: skip
+            "worker",
+            self.address,
+            "--host",
+            "127.0.0.1",
+            "--nthreads",
+            str(threads),
+            "--no-nanny",
+            "--no-dashboard",
+            "--local-directory",
+            str(self._folder / name),
+            *arguments,
+        )
 
     def _start(self, kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         log = self._folder / f"{kind}_{len(self._processes)}.log"

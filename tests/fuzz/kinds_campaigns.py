@@ -227,10 +227,19 @@ def _read_network(folder: Path) -> object:
 def _write_data(folder: Path) -> Path:
     image = jpeg(np.zeros((160, 320, 3), np.uint8))
     rows: list[dict[str, object]] = [
-        {"image": image, "steering": 0.1 * k, "throttle": 0.5, "speed": 3.0, "lateral_position": 0.1, "step": k,
-         "simulator": "donkey", "road_id": "0123456789ab", "direction": "forward"}
+        {
+            "image": image,
+            "steering": 0.1 * k,
+            "throttle": 0.5,
+            "speed": 3.0,
+            "lateral_position": 0.1,
+            "step": k,
+            "simulator": "donkey",
+            "road_id": "0123456789ab",
+            "direction": "forward",
+        }
         for k in range(4)
-    ]  # fmt: skip
+    ]
     write_drive(folder / "data" / "donkey" / "0123456789ab-forward.parquet", rows)
     return folder / "data"
 

@@ -21,11 +21,16 @@ def _write(folder: Path) -> Path:
         outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
         tests.append(
             {
-                "name": f"bullet-0-000{number}", "why": ["failing", "cell"], "control_points": points,
-                "road_sha256": road_sha256(points), "seed": number, "conditions": "visibility=80" if number else "",
-                "cell": [3, 17], "outcomes": {"bullet": outcome, "donkey": outcome},
+                "name": f"bullet-0-000{number}",
+                "why": ["failing", "cell"],
+                "control_points": points,
+                "road_sha256": road_sha256(points),
+                "seed": number,
+                "conditions": "visibility=80" if number else "",
+                "cell": [3, 17],
+                "outcomes": {"bullet": outcome, "donkey": outcome},
             }
-        )  # fmt: skip
+        )
     raw = {"campaign": "mine", "driver": "dave2", "siblings": ["bullet"], "twin": "donkey", "tests": tests}
     write_suite(Suite.model_validate(raw), folder / "suite.json")
     return folder / "suite.json"

@@ -94,18 +94,18 @@ class _CountingFile(zstd.ZstdFile):
 class _SharedTypestore(Typestore):
     """A typestore that checks types before code is made of them, and makes it once for all bags with the same types."""
 
-    _known: ClassVar[dict[str, _SharedTypestore]] = {}
+    _first: ClassVar[dict[str, _SharedTypestore]] = {}
 
     def register(self, typs: dict[str, Any]) -> None:
         check_types(typs)
         key = repr(sorted(typs.items()))
-        if key not in self._known:
+        if key not in self._first:
             super().register(typs)
-            while len(self._known) >= 8:
-                del self._known[next(iter(self._known))]
-            self._known[key] = self
-        known = self._known[key]
-        self.fielddefs, self.types, self.cache = known.fielddefs, known.types, known.cache
+            while len(self._first) >= 8:
+                del self._first[next(iter(self._first))]
+            self._first[key] = self
+        first = self._first[key]
+        self.fielddefs, self.types, self.cache = first.fielddefs, first.types, first.cache
 
 
 def _typestore(kind: Stores) -> Typestore:
@@ -189,8 +189,8 @@ def check_ros1_types(types: dict[str, Any]) -> None:
 
 def _described(fields: Any) -> list[Any]:
     """Type descriptions of fields, and of the elements of their arrays."""
-    found = [desc for _, desc in fields]
-    return found + [desc[1][0] for desc in found if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)]
+    described = [desc for _, desc in fields]
+    return described + [desc[1][0] for desc in described if desc[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE)]
 
 
 def _loaded(name: str, **bounded: Any) -> Any:

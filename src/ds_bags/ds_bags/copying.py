@@ -210,11 +210,11 @@ def unfinished_file(path: Path) -> Path:
         partial_path(path) / path.name,
         image_spool_path(path),
     ):
-        found = sorted(folder.glob("*.mcap"))
-        if found and (folder / "metadata.yaml").exists():
+        files = sorted(folder.glob("*.mcap"))
+        if files and (folder / "metadata.yaml").exists():
             raise BagError(f"{folder} is whole: `{ds_command('bag', 'info', folder)}` describes it")
-        if found:
-            return found[0]
+        if files:
+            return files[0]
     raise BagError(f"{path}: nothing to recover: expected an .mcap file in it, or in {partial_path(path)}")
 
 

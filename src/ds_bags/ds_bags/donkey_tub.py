@@ -77,8 +77,8 @@ class Tub:
 
     def numbers(self, *keys: str) -> NDArray[np.float64]:
         """First finite number of each record, (n,), among these fields; NaN where it has none."""
-        found = [[number(record.fields.get(key)) for key in keys] for record in self.records]
-        return np.array([next((v for v in values if v is not None), np.nan) for values in found], dtype=np.float64)
+        rows = [[number(record.fields.get(key)) for key in keys] for record in self.records]
+        return np.array([next((v for v in values if v is not None), np.nan) for values in rows], dtype=np.float64)
 
 
 def is_tub(folder: Path) -> bool:
@@ -118,10 +118,10 @@ def _text(file: Path) -> str:
 
 
 def _object(line: str) -> dict[str, Any]:
-    found = json.loads(line)
-    if not isinstance(found, dict):
-        raise ValueError(f"a line is a {type(found).__name__}, expected an object")
-    return found
+    value = json.loads(line)
+    if not isinstance(value, dict):
+        raise ValueError(f"a line is a {type(value).__name__}, expected an object")
+    return value
 
 
 def _record(folder: Path, row: dict[str, Any]) -> TubRecord:

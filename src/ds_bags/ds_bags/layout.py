@@ -120,8 +120,8 @@ _current: ContextVar[Opening | None] = ContextVar("opening", default=None)
 
 def left_to_open() -> int:
     """Bytes that may still be decompressed in this pass."""
-    found = _current.get()
-    return OPENED_AT_LEAST if found is None else found.left
+    opening = _current.get()
+    return OPENED_AT_LEAST if opening is None else opening.left
 
 
 def count_opened(size: int) -> None:
@@ -130,17 +130,17 @@ def count_opened(size: int) -> None:
     Raises:
         TooLargeError: more than the limit.
     """
-    found = _current.get()
-    if found is not None:
-        found.left -= size
-    if left_to_open() < 0 or (found is None and size > OPENED_AT_LEAST):
+    opening = _current.get()
+    if opening is not None:
+        opening.left -= size
+    if left_to_open() < 0 or (opening is None and size > OPENED_AT_LEAST):
         raise too_much()
 
 
 def too_much() -> TooLargeError:
     """The error of a bag whose compressed parts open to more than the limit."""
-    found = _current.get()
-    limit = OPENED_AT_LEAST if found is None else found.limit
+    opening = _current.get()
+    limit = OPENED_AT_LEAST if opening is None else opening.limit
     return TooLargeError(
         f"its compressed parts open to more than {limit / 2**20:.0f} MiB, the limit for a bag of this size"
     )
@@ -199,8 +199,8 @@ def bag_information(folder: Path) -> dict[str, Any]:
     except (KeyError, TypeError, AttributeError) as error:
         reason = f"no {error}" if isinstance(error, KeyError) else "another structure"
         raise BagError(f"{path} is not as rosbag2 writes it ({reason}): copy the bag again") from None
-    for kind, found in ((int, counts), (str, texts)):
-        for value in found:
+    for kind, members in ((int, counts), (str, texts)):
+        for value in members:
             if not isinstance(value, kind) or isinstance(value, bool):
                 raise BagError(f"{path}: {printable(value)} where {kind.__name__} is expected: copy the bag again")
     if any(isinstance(value, dict | list) for value in values):
@@ -219,8 +219,8 @@ def bag_information(folder: Path) -> dict[str, Any]:
 
 def custom_data(information: dict[str, Any]) -> dict[str, str]:
     """The custom data of a bag as text; empty if it has none."""
-    found = (information.get("custom_data") or {}).items()
-    return {str(key): "" if value is None else str(value) for key, value in found}
+    items = (information.get("custom_data") or {}).items()
+    return {str(key): "" if value is None else str(value) for key, value in items}
 
 
 def printable(value: object, longest: int = 200) -> str:

@@ -136,11 +136,11 @@ class BagReader:
         if connections is not None and not connections:
             return
         opening = Opening(self._size)
-        found = self._reader.messages(connections=connections or ())
+        messages = self._reader.messages(connections=connections or ())
         while True:
             try:
                 with opening.counting():
-                    connection, time, raw = next(found)
+                    connection, time, raw = next(messages)
                 if not isinstance(raw, bytes | memoryview) or not 0 <= time < MAX_TIME:
                     raise ValueError(f"a message of {printable(connection.topic)} at {printable(time)} ns")
             except StopIteration:
@@ -265,8 +265,8 @@ def read_run(
     """
     states = bag.of_type(STATE)
     if len(states) != 1:
-        found = "no run" if not states else "several runs"
-        raise BagError(f"{bag.path} holds {found} of this project: `ds bag info` lists its topics")
+        runs = "no run" if not states else "several runs"
+        raise BagError(f"{bag.path} holds {runs} of this project: `ds bag info` lists its topics")
     facts = _completed(bag, simulator, seed)
     recorded = received_simulator(facts["simulator"], confirmed=[*trusted, *([simulator] if simulator else [])])
     observations: list[Observation] = []

@@ -213,15 +213,15 @@ class RunWriter:
             if index < len(run.commands):
                 self._put("drive", time, make.command(run.commands[index], header))
 
-    def _put_image(self, seen: Observation, time: int) -> None:
-        if not seen.image.size:
+    def _put_image(self, frame: Observation, time: int) -> None:
+        if not frame.image.size:
             return
         self.images += 1
         image = self._make.image if self._image == "camera/image_raw" else self._make.compressed_image
         header = self._make.header(time, self._make.camera_frame)
-        self._put(self._image, time, image(seen.image, header))
+        self._put(self._image, time, image(frame.image, header))
         if self._translate is not None:
-            translated = self._translate(seen.image)
+            translated = self._translate(frame.image)
             self._put(self._image.replace("camera", TRANSLATED, 1), time, image(translated, header))
         self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, header))
 

@@ -85,11 +85,11 @@ def _images(bag: BagReader, recorded: RecordedRun) -> Iterator[Any]:
         for connection in bag.connections
         if connection.msgtype in (IMAGE, COMPRESSED) and connection.topic.startswith(f"{recorded.namespace}/camera/")
     ]
-    found = (message for _, _, message in bag.decoded(cameras))
-    image = next(found, None)
+    messages = (message for _, _, message in bag.decoded(cameras))
+    image = next(messages, None)
     for stamp in recorded.stamps:
         while image is not None and stamp_of(image) < stamp:
-            image = next(found, None)
+            image = next(messages, None)
         yield image if image is not None and stamp_of(image) == stamp else None
 
 

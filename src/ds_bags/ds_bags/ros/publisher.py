@@ -119,13 +119,13 @@ def _message_class(connection: Connection) -> tuple[Any, str]:
     if not (plain and any((share / "msg" / f"{kind}.msg").is_file() for share in share_folders(package))):
         return None, f"{printable(connection.msgtype)} is not installed here"
     try:
-        found = getattr(import_module(f"{package}.msg"), kind)
+        message_class = getattr(import_module(f"{package}.msg"), kind)
     except (ImportError, AttributeError):
         return None, f"{connection.msgtype} is not installed here"
     installed = _installed_digest(package, kind)
     if installed and connection.digest and installed != connection.digest:
         return None, f"{connection.msgtype} is installed in another version than the bag has"
-    return found, ""
+    return message_class, ""
 
 
 def _installed_digest(package: str, kind: str) -> str:

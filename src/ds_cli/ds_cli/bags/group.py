@@ -79,13 +79,13 @@ def recover_command(
     """Recover a bag whose writer was killed."""
     from ds_bags.copying import recover
 
-    found = recover(folder, out)
-    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(found).items()}
+    bag = recover(folder, out)
+    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(bag).items()}
 
     def show() -> None:
         print(
-            f"{found.folder}: {found.messages} messages over {found.seconds:.2f} s; the last {found.lost_bytes} bytes "
-            f"of {found.source} could not be recovered. The damaged file is kept."
+            f"{bag.folder}: {bag.messages} messages over {bag.seconds:.2f} s; the last {bag.lost_bytes} bytes "
+            f"of {bag.source} could not be recovered. The damaged file is kept."
         )
 
     answer(Result(document=document, show=show), as_json)

@@ -194,7 +194,7 @@ class _Process:
 
     def _read(self) -> None:
         """Hand out answers until the process ends; end it when a phase takes too long."""
-        known, since = -1, time.monotonic()
+        noted, since = -1, time.monotonic()
         while True:
             try:
                 if self._connection.poll(_POLL):
@@ -207,8 +207,8 @@ class _Process:
                 break
             changes, key, phase = self._memory.read()
             now = time.monotonic()
-            if changes != known:
-                known, since = changes, now
+            if changes != noted:
+                noted, since = changes, now
             elif now - since > self._limits.get(phase, now):
                 self._blame(phase, key)
                 self.child.kill()

@@ -104,9 +104,9 @@ def drive_tests(
         for (test_id, simulator), gate in (gates or {}).items():
             if test_id in tests and simulator in work:
                 store.add_gate(test_id, simulator, gate)
-        known = _read(store, work)
-        if not known.errors:
-            return known
+        drives = _read(store, work)
+        if not drives.errors:
+            return drives
         _drive(settings, work, folder, store, callbacks)
         return _read(store, work)
 
@@ -123,10 +123,11 @@ def open_drives(settings: DriveSettings, folder: Path, *, tests: Sequence[Test] 
     make_folder(folder)
     with locked(folder), closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store:
         store.check(
-            {*settings.simulators, NO_ORIGIN.sibling, *(test.sibling for test in tests)}, settings.simulators,
+            {*settings.simulators, NO_ORIGIN.sibling, *(test.sibling for test in tests)},
+            settings.simulators,
             runs=1 + max((test.run for test in tests), default=0),
             budget=max(1, len(tests), *(1 + test.number for test in tests)),
-        )  # fmt: skip
+        )
         record_provenance(store, settings, folder)
         if store.note("code", (code := code_sha256())) != code:
             LOG.warning("the code has changed since %s began: its drives are kept, another --out has none", folder)

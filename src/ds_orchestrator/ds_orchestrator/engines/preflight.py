@@ -44,10 +44,10 @@ def preflight(settings: DriveSettings) -> None:
         settings.cluster.check()
     check_driver(settings.driver, settings.simulators)
     for name in settings.simulators:
-        made = make_simulator(name)
-        made.close()
+        simulator = make_simulator(name)
+        simulator.close()
         try:
-            made.spec.check(settings.conditions)
+            simulator.spec.check(settings.conditions)
         except NotApplicableError as error:
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
 
