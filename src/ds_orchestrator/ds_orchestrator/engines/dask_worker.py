@@ -33,25 +33,20 @@ _lock = threading.Lock()
 _prepared: dict[Key, _Prepared] = {}
 
 
-def describe(key: Key, backend: str, simulators: tuple[str, ...]) -> dict[str, Any]:
-    """Describe this worker.
-
-    Returns:
-        `fingerprint`, and `room` if it has prepared itself for the parcel; or `error`, one line.
-    """
-    try:
-        about: dict[str, Any] = {"fingerprint": fingerprint(backend, simulators)}
-    except Exception as error:  # an exception may not survive the way back
-        return {"error": _one_line(error)}
+def describe(key: Key, backend: str, simulators: tuple[str, ...]) -> tuple[dict[str, str], int]:
+    """Describe this worker: its fingerprint, and the drives that it takes at a time; 0 if it is not prepared."""
     with _lock:
-        return about | ({"room": _prepared[key].engine.capacity} if key in _prepared else {})
+        return fingerprint(backend, simulators), _prepared[key].engine.capacity if key in _prepared else 0
 
 
-def prepare(key: Key, parcel: Parcel) -> dict[str, Any]:
+def prepare(key: Key, parcel: Parcel) -> int:
     """Unpack a parcel, and start one process per thread of this worker; idle ones of other campaigns end.
 
     Returns:
-        `room`, the number of drives at a time, or `error`, one line.
+        Drives at a time.
+
+    Raises:
+        ValueError: the driver here is not the driver there, or a simulator or the driver cannot be made.
     """
     from distributed import get_worker
 
@@ -60,19 +55,16 @@ def prepare(key: Key, parcel: Parcel) -> dict[str, Any]:
     with _lock:
         for other in [other for other, one in _prepared.items() if not one.engine.drives]:
             _prepared.pop(other).stack.close()
+    parcel.unpack(folder)
+    _check(parcel, folder)
+    driver = parcel.name_there(parcel.driver, folder)
     with ExitStack() as stack:
-        try:
-            parcel.unpack(folder)
-            _check(parcel, folder)
-            driver = parcel.name_there(parcel.driver, folder)
-            engine = stack.enter_context(
-                running_local(driver, workers=worker.state.nthreads, command_timeout=key[1], logs=folder)
-            )
-        except Exception as error:
-            return {"error": _one_line(error)}
+        engine = stack.enter_context(
+            running_local(driver, workers=worker.state.nthreads, command_timeout=key[1], logs=folder)
+        )
         with _lock:
             _prepared[key] = _Prepared(parcel, folder, engine, stack.pop_all())
-    return {"room": engine.capacity}
+    return engine.capacity
 
 
 def drive(key: Key, request: dict[str, Any]) -> bytes | None:
@@ -113,7 +105,3 @@ def _check(parcel: Parcel, folder: Path) -> None:
         raise ValueError(f"driver {parcel.driver} has other content there")
     for simulator in parcel.simulators:
         make_simulator(parcel.name_there(simulator, folder)).close()
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__

@@ -39,7 +39,7 @@ class LocalEngine:
         return sum(self._busy.values())
 
     @property
-    def capacity(self) -> int | None:
+    def capacity(self) -> int:
         """Drives at a time."""
         return len(self._busy) * self._drives_each
 

@@ -165,10 +165,8 @@ class Membership:
         """Stop watching, and give up what is driven."""
         with self._changed:
             self._stopped = True
-            workers = list(self._workers.values())
             self._changed.notify_all()
-        for worker in workers:
-            self._forget(worker)
+        self._forget(*self._workers.values())
 
     def close(self) -> None:
         """Stop, and disconnect."""
@@ -180,13 +178,14 @@ class Membership:
     def _free(self) -> list[RemoteWorker]:
         return [worker for worker in self._workers.values() if worker.is_free]
 
-    def _forget(self, worker: RemoteWorker) -> None:
-        """Take no account of a worker any more; if it is still there, it is prepared again."""
+    def _forget(self, *workers: RemoteWorker) -> None:
+        """Take no account of workers any more; those that are still there are prepared again."""
         with self._changed:
-            if self._workers.get(worker.address) is worker:
-                del self._workers[worker.address]
-            worker.room = 0
-            answers = list(worker.drives)
+            for worker in workers:
+                if self._workers.get(worker.address) is worker:
+                    del self._workers[worker.address]
+                worker.room = 0
+            answers = [answer for worker in workers for answer in worker.drives]
         for answer in answers:
             answer.cancel()
 
@@ -246,15 +245,14 @@ class Membership:
         try:
             # First by itself: Dask loses the error of a function whose module cannot be imported.
             run(exec, f"import {dask_worker.__name__}", {})
-            about = run(dask_worker.describe, self._key, self._parcel.backend, self._parcel.simulators)
-            refusal = about.get("error") or differences(self._here, about["fingerprint"])
-            if not refusal and "room" not in about:  # the files travel once per worker
-                about = run(dask_worker.prepare, self._key, self._parcel)
-                refusal = about.get("error")
-            room = about.get("room", 0)
-            refusal = refusal and f"is refused: {refusal}"
+            there, room = run(dask_worker.describe, self._key, self._parcel.backend, self._parcel.simulators)
+            if refusal := differences(self._here, there):
+                refusal = f"is refused: {refusal}"
+            elif not room:  # the files travel once per worker
+                room = run(dask_worker.prepare, self._key, self._parcel)
         except Exception as error:  # a task on another machine may raise anything
-            refusal = f"cannot prepare itself ({_one_line(error)}): is Digital Siblings installed there?"
+            question = ": is Digital Siblings installed there?" if isinstance(error, ImportError) else ""
+            refusal = f"cannot prepare itself ({_one_line(error)}){question}"
         with self._changed:
             if self._stopped or self._workers.get(worker.address) is not worker:
                 return
@@ -268,10 +266,7 @@ class Membership:
         """Give up all workers, and wait for the scheduler to come back."""
         if self._stopped:
             return
-        with self._changed:
-            workers = list(self._workers.values())
-        for worker in workers:
-            self._forget(worker)
+        self._forget(*self._workers.values())
         self._heartbeats.clear()
         LOG.warning("the scheduler at %s does not answer: waiting %.0f s at most", self._address, SCHEDULER_TIME)
         with suppress(Exception):
