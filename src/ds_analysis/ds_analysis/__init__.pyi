@@ -31,7 +31,7 @@ from .comparison.paired_drives import (
     difference_interval,
 )
 from .comparison.tables import markdown_of
-from .outcomes.folders import read_table
+from .outcomes.reading import read_table
 from .paper.campaign_contents import maps_of
 from .paper.correlation import (
     Correlation,

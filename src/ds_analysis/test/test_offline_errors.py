@@ -11,7 +11,7 @@ import pytest
 from progress_lines import ProgressLines
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
-from ds_analysis.paper.open_loop import ErrorsError, architecture_of, predict
+from ds_analysis.paper.open_loop import OpenLoopError, architecture_of, predict
 from ds_analysis.paper.paper_tables import error_tables
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_base.progress import SILENT
@@ -88,14 +88,14 @@ def test_equal_errors_have_no_test_and_no_effect() -> None:
 
 @pytest.mark.parametrize("bad", [[], [0.1, float("nan")], [-0.1], [[0.1]]])
 def test_invalid_errors_are_refused(bad: list[float]) -> None:
-    with pytest.raises(ErrorsError, match="errors of a: expected"):
+    with pytest.raises(OpenLoopError, match="errors of a: expected"):
         compare_errors({"a": np.array(bad)}, TWIN)
 
 
 def test_a_network_with_only_large_errors_is_refused() -> None:
-    with pytest.raises(ErrorsError, match=r"every error on one of the simulators is above 0\.6"):
+    with pytest.raises(OpenLoopError, match=r"every error on one of the simulators is above 0\.6"):
         compare_errors({"a": np.full(9, 0.9)}, TWIN)
-    with pytest.raises(ErrorsError, match="expected at least one sibling"):
+    with pytest.raises(OpenLoopError, match="expected at least one sibling"):
         compare_errors({}, TWIN)
 
 
@@ -136,7 +136,7 @@ def test_predictions_over_a_data_set(tmp_path: Path) -> None:
     assert found["donkey"].recorded == pytest.approx([1.0, 0.9]) and (told.done, told.total) == (5, 5)
     few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), SILENT, images=2)
     assert few["bullet"].recorded == pytest.approx([0.5, 0.75])
-    with pytest.raises(ErrorsError, match="name a network"):
+    with pytest.raises(OpenLoopError, match="name a network"):
         predict(tmp_path / "data", "autopilot", SILENT)
 
 
@@ -167,7 +167,7 @@ def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_p
     assert whole.answered == pytest.approx([each, 2 * each, 3 * each] * 2, abs=1e-3)
     few = predict(tmp_path / "whole", name, SILENT, images=4)["bullet"]
     assert few.answered == pytest.approx([each, 2 * each, 3 * each, each], abs=1e-3)
-    with pytest.raises(ErrorsError, match="leaves out frames of bullet, and .* remembers .*: collect with --every 1"):
+    with pytest.raises(OpenLoopError, match="leaves out frames of bullet, and .* remembers .*: collect with --every 1"):
         predict(written(tmp_path / "thin", [0, 3, 6]), name, SILENT)
 
 

@@ -32,11 +32,11 @@ def evaluation(
     """The tables of a campaign: RQ2 and RQ3, which operator suits it, and RQ1 if there is a data set.
 
     Raises:
-        ds_analysis.paper.open_loop.ErrorsError: the campaign has neither twin nor car, or the data set lacks images.
+        ds_analysis.paper.open_loop.OpenLoopError: the campaign has neither twin nor car, or the data set lacks images.
     """
     from ds_analysis.paper.campaign_contents import maps_of
     from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
-    from ds_analysis.paper.open_loop import ErrorsError
+    from ds_analysis.paper.open_loop import OpenLoopError
     from ds_base.table import keep_tables
     from ds_orchestrator.campaign.folder import open_store, read_campaign
     from ds_report.build import RQ1
@@ -47,7 +47,7 @@ def evaluation(
     config, maps = campaign.config, maps_of(campaign)
     cases = merge_tables(folder, campaign)
     if config.twin is None and (data is not None or not cases):
-        raise ErrorsError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
+        raise OpenLoopError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
     if data is not None and config.twin is not None:
         from ds_driver.networks.driver_name import received_driver
@@ -69,7 +69,7 @@ def _offline_tables(
     trusted: Collection[str],
 ) -> list[Table]:
     from ds_analysis.paper.campaign_evaluation import network_of
-    from ds_analysis.paper.open_loop import ErrorsError, predict
+    from ds_analysis.paper.open_loop import OpenLoopError, predict
     from ds_analysis.paper.paper_tables import error_tables
     from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
 
@@ -80,7 +80,7 @@ def _offline_tables(
     names = siblings if siblings is not None else [name for name in found if name != twin]
     missing = [name for name in (*names, twin) if name not in found]
     if missing:
-        raise ErrorsError(f"{data} has no images of {', '.join(missing)}: it has those of {', '.join(found)}")
+        raise OpenLoopError(f"{data} has no images of {', '.join(missing)}: it has those of {', '.join(found)}")
     errors = {name: found[name].absolute_errors for name in (*names, twin)}
     of_siblings = {name: errors[name] for name in names}
     compared, other_ways = compare_errors(of_siblings, errors[twin]), check_error_robustness(of_siblings, errors[twin])

@@ -78,7 +78,7 @@ def outcomes_export_command(
     out: Annotated[Path, typer.Option(help="Table to write: .csv or .parquet.")],
 ) -> None:
     """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
-    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.outcomes.reading import read_table
     from ds_analysis.outcomes.study import is_study, read_study, study_of, write_rows
 
     study = read_study(folder) if is_study(folder) else study_of(read_table(folder))

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from ds_cli.options import JsonFlag
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 
 MISFIT = 2.0
 """Residuals over noise above which the fit warns; chosen: the noise itself is known to some tens of a percent."""
@@ -92,8 +92,8 @@ def twin_fit_command(
         table = Table("parameter", "value", "95 % interval", "unit", "")
         for name, row in document["parameters"].items():
             if row["status"] != "held":
-                interval = " to ".join(three_digits(value) for value in row.get("interval_95", []))
-                table.add_row(name, three_digits(row["value"]), interval, row["unit"], row["status"])
+                interval = " to ".join(format_3sf(value) for value in row.get("interval_95", []))
+                table.add_row(name, format_3sf(row["value"]), interval, row["unit"], row["status"])
         Console().print(table)
         print(f"{out}\n{picture}")
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import write_json
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
@@ -65,7 +66,7 @@ def write_located(folder: Path, located: Located) -> None:
     (folder / LOCATED).write_text("\n".join(lines) + "\n")
     write_track(folder / TRACK, located.track, located.lane_width)
     write_camera(folder / CAMERA, located.camera)
-    (folder / ABOUT).write_text(json.dumps(located.about, indent=1, allow_nan=False) + "\n")
+    write_json(folder / ABOUT, located.about)
 
 
 def read_located(folder: Path) -> Located:

@@ -23,6 +23,7 @@ from ds_driver.networks.network_driver import Translation, generators_of, transl
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.pages import data_address, outcome_in_words
+from ds_sim.camera.encodings import jpeg
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.parts import Scene
 from ds_sim.registry import make_simulator, received_simulator
@@ -195,7 +196,7 @@ class CameraPicture:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class PicturedDrive:
     """Pictures of one drive.
 
     Attributes:
@@ -282,8 +283,8 @@ def drive_pictures(
     driver: str = AUTOPILOT,
     *,
     frames: Mapping[tuple[str, str], Sequence[int]],
-    in_turn: bool = False,
-) -> dict[str, list[Drive | None]]:
+    one_by_one: bool = False,
+) -> dict[str, list[PicturedDrive | None]]:
     """Render drives, with what the driver sees.
 
     Args:
@@ -293,48 +294,42 @@ def drive_pictures(
         trusted: user-defined simulators whose code may run.
         driver: name of the driver.
         frames: test and simulator -> frames to render; see `plan_pictures`.
-        in_turn: render on one simulator after the other, in the same memory: 150 MB less.
+        one_by_one: render on one simulator after the other, in the same memory: 150 MB less.
 
     Returns:
         Test -> drive on every simulator, or None if no picture is wanted there; tests without any are left out.
     """
-    done = {(e.test_id, e.simulator): e for e in executions}
-    shown = [test for test in tests if any((test.test_id, name) in frames for name in names)]
     cv2.setNumThreads(1)
-    with ThreadPoolExecutor(1 if in_turn else _THREADS) as pool:
+
+    def on(name: str) -> dict[str, PicturedDrive]:
+        drives = {e.test_id: e for e in executions if e.simulator == name and (e.test_id, name) in frames}
+        if not drives:
+            return {}
+        try:
+            simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
+        except Exception as error:  # a missing or broken simulator must not prevent the report
+            return dict.fromkeys(drives, _no_pictures(error))
+        try:
+            return {
+                test.test_id: render_drive(
+                    simulator, name, test, drives[test.test_id], frames[test.test_id, name], driver
+                )
+                for test in tests
+                if test.test_id in drives
+            }
+        finally:
+            simulator.close()
+
+    with ThreadPoolExecutor(1 if one_by_one else _THREADS) as pool:
         # A thread for each simulator: some renderers belong to one thread at a time.
-        columns = list(pool.map(lambda name: _drives_on(name, shown, done, frames, trusted, driver), names))
-    return {test.test_id: [column[k] for column in columns] for k, test in enumerate(shown)}
-
-
-def _drives_on(
-    name: str,
-    tests: Sequence[Test],
-    done: Mapping[tuple[str, str], Execution],
-    frames: Mapping[tuple[str, str], Sequence[int]],
-    trusted: Collection[str],
-    driver: str,
-) -> list[Drive | None]:
-    """Render the drives on one simulator, in the order of the tests."""
-    wanted = [(test, done[test.test_id, name] if (test.test_id, name) in frames else None) for test in tests]
-    if not any(execution for _, execution in wanted):
-        return [None] * len(tests)
-    try:
-        simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
-    except Exception as error:  # a missing or broken simulator must not prevent the report
-        return [_no_pictures(error) if execution else None for _, execution in wanted]
-    try:
-        return [
-            render_drive(simulator, name, test, execution, frames[test.test_id, name], driver) if execution else None
-            for test, execution in wanted
-        ]
-    finally:
-        simulator.close()
+        columns = list(pool.map(on, names))
+    shown = [test.test_id for test in tests if any((test.test_id, name) in frames for name in names)]
+    return {test_id: [column.get(test_id) for column in columns] for test_id in shown}
 
 
 def render_drive(
     simulator: Simulator, name: str, test: Test, execution: Execution, steps: Sequence[int], driver: str
-) -> Drive:
+) -> PicturedDrive:
     """Render frames of one drive, with what the driver sees.
 
     Args:
@@ -347,7 +342,7 @@ def render_drive(
     """
     see = partial(_paired, driver=driver, simulator=name)
     if not isinstance(simulator, RoadSimulator):
-        return Drive(note="no pictures: this simulator renders images only while it drives")
+        return PicturedDrive(note="no pictures: this simulator renders images only while it drives")
     try:
         scene = simulator.scene
         scene.load(test.road, np.random.default_rng(test.seed), test.conditions.for_scene(scene.conditions))
@@ -355,15 +350,15 @@ def render_drive(
     except Exception as error:  # as above
         return _no_pictures(error)
     strip = set(moments(execution))
-    return Drive(
+    return PicturedDrive(
         frames=tuple(frames),
         times=tuple(round(step / FRAME_RATE, 2) for step in steps),
         strip=tuple(index for index, step in enumerate(steps) if step in strip),
     )
 
 
-def _no_pictures(error: Exception) -> Drive:
-    return Drive(note=f"no pictures: {' '.join(str(error).split())}")
+def _no_pictures(error: Exception) -> PicturedDrive:
+    return PicturedDrive(note=f"no pictures: {' '.join(str(error).split())}")
 
 
 def _frame(scene: Scene, test: Test, execution: Execution, step: int, see: Translation) -> tuple[str, str]:
@@ -380,7 +375,5 @@ def _frame(scene: Scene, test: Test, execution: Execution, step: int, see: Trans
 def _jpeg(image: NDArray[np.uint8]) -> str:
     columns, rows = SIZE
     size = (columns, rows * len(image) // IMAGE_HEIGHT)
-    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    assert done
-    return base64.b64encode(data.tobytes()).decode()
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return base64.b64encode(jpeg(small, QUALITY)).decode()

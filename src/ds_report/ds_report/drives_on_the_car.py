@@ -14,7 +14,7 @@ from ds_base.atomic_files import write_whole
 from ds_report.road_sheet import draw_sheet, sheet_of
 from ds_sim.camera.encodings import png
 from ds_sim.conditions.model import FIELDS
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 
 TO_FILL = "outcomes.csv"
 _HOW = (
@@ -46,7 +46,7 @@ def write_drives_to_do(folder: Path, number: int, drives: Sequence[ProposedDrive
     for rank, drive in enumerate(drives, start=1):
         lines += [f"## {rank}. {drive.test_id}", ""]
         if drive.road is None:
-            lines += [f"- {name}: {three_digits(value)}" for name, value in drive.features.items()]
+            lines += [f"- {name}: {format_3sf(value)}" for name, value in drive.features.items()]
         else:
             sheet, stem = sheet_of(drive.road, drive.scale), f"{rank}_{drive.test_id}"
             title = f"{rank}. test {drive.test_id}, drive in the {drive.road.lane} lane"

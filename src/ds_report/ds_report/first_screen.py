@@ -48,15 +48,17 @@ class FirstScreen:
     worst: str = ""
 
 
-def first_screen(data: CampaignData, folder: str = ".") -> FirstScreen:
+def first_screen(data: CampaignData, folder: str = ".", where: str = "") -> FirstScreen:
     """Answer a user's three questions from a campaign, finished or not.
 
     Args:
         data: contents of the campaign's store.
         folder: campaign folder, as the command names it.
+        where: where the driver fails, if `ds_report.findings.summarise` has already found it.
     """
     step, command = _next_step(data, folder)
-    where = where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN
+    if not where:
+        where = where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN
     data = data.distinct
     failed = data.failed
     driven = [test for test in data.tests if any(name in failed for name in _keys(test, data.config.simulators))]

@@ -96,7 +96,7 @@ def write_report(
     most = (REPLAYS_OF_LARGE if large else REPLAY_PICTURES) // (2 if paired else 1)
     plan = plan_pictures(shown.tests, shown.executions, shown.cells, replays=most)
     pictures = drive_pictures(
-        config.simulators, shown.tests, shown.executions, trusted, config.driver, frames=plan.frames, in_turn=large
+        config.simulators, shown.tests, shown.executions, trusted, config.driver, frames=plan.frames, one_by_one=large
     )
     on_page["pictures"] = {
         test_id: [drive and asdict(drive) for drive in drives] for test_id, drives in pictures.items()
@@ -104,13 +104,14 @@ def write_report(
     on_page["paired"] = paired
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
     on_page["figures"] = _figures(config, correlations, tables, network)
+    findings = summarise(data, maps, correlations, paired_differences=paired_differences)
     return write_page(
         folder / "report.html",
         "report.html.j2",
         config=config,
         config_yaml=yaml.safe_dump(config.shown(), sort_keys=False, allow_unicode=True),
-        first=first_screen(data),
-        findings=summarise(data, maps, correlations, paired_differences=paired_differences),
+        first=first_screen(data, where=findings.headline),
+        findings=findings,
         tiles=_tiles(data),
         cameras=camera_pictures(config.simulators, place.scenario, trusted, config.driver) if place else [],
         paired=paired,

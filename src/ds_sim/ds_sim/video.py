@@ -20,7 +20,7 @@ from ds_road import Road
 from ds_road.picture import map_axes
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 from ds_sim.session import RunRecord
 from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
 
@@ -163,7 +163,7 @@ class _Panel:
 
     def __init__(self, title: str, road: Road, conditions: Conditions) -> None:
         self._title = title
-        words = ", ".join(f"{name}={three_digits(value)}" for name, value in conditions.changed.items())
+        words = ", ".join(f"{name}={format_3sf(value)}" for name, value in conditions.changed.items())
         self._conditions = textwrap.wrap(words, _LINE, max_lines=2, placeholder=" ...", break_long_words=False)
         surface = np.vstack((road.left_edge, road.right_edge))
         low, high = surface.min(axis=0) - 4.0, surface.max(axis=0) + 4.0

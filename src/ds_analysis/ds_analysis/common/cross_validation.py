@@ -173,11 +173,11 @@ def best_feature(features: Array, failed: Bools) -> int:
     """Index of the feature with the largest AUC-ROC for failures, in whichever direction; the first of equal ones."""
     if failed.all() or not failed.any():
         return 0
-    auc = auc_roc(features, failed)
+    auc = auc_roc_by_ranks(features, failed)
     return int(np.argmax(np.round(np.maximum(auc, 1.0 - auc), 12)))
 
 
-def auc_roc(values: Array, failed: Bools) -> Array:
+def auc_roc_by_ranks(values: Array, failed: Bools) -> Array:
     """Area under the ROC curve of each column of values, from ranks (Mann and Whitney); equal values count half."""
     failures = int(failed.sum())
     ranks = rankdata(values, axis=0)[failed].sum(axis=0) - failures * (failures + 1) / 2

@@ -68,10 +68,10 @@ def recorded_profile(road: Road, trajectory: Array) -> Array:
 
     In its lane, a vehicle is nearer to the lane's centre than to any other part of the road's.
     """
-    return lateral_profile(arc_lengths(road, trajectory), trajectory[:, 4], road.lane_width / 2)
+    return lateral_profile(places_along(road, trajectory), trajectory[:, 4], road.lane_width / 2)
 
 
-def arc_lengths(road: Road, trajectory: Array) -> Array:
+def places_along(road: Road, trajectory: Array) -> Array:
     """(frames,) arc length at which the centre of the lane is nearest to each frame of a stored trajectory, m."""
     start, ahead = road.lane_centre[:-1].T, np.diff(road.lane_centre, axis=0).T
     lengths = np.hypot(*ahead)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tests and how they ended on several simulators, as one table: undriven features, families, outcomes, profiles."""
+"""Tests and how they ended on several simulators: what every analysis of outcomes reads, whatever they come from."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,7 +81,7 @@ class OutcomeTable:
             leaving its lane does not tell how it drove; 0 without a verdict. Of imported outcomes whatever tells how
             close a run came to its limit; NaN if only the verdict is known.
         limits: (tests, simulators) lateral position at which a test fails: half a lane, m.
-        decoders: (tests, simulators) functions that decode the lateral positions along the lane; see `profiles`.
+        drives: (tests, simulators) recorded drives, or None; see `profiles`.
         feature_names: names of the features' columns.
         features: (tests, features) what is known of a test before anything is driven: `ROAD_FEATURES` of the road, then
             the conditions that differ between tests, each as a share of its range on its scale.
@@ -99,7 +99,7 @@ class OutcomeTable:
     states: NDArray[np.int8]
     lateral: Array
     limits: Array
-    decoders: NDArray[np.object_]
+    drives: NDArray[np.object_]
     feature_names: tuple[str, ...]
     features: Array
     families: Indices
@@ -118,7 +118,7 @@ class OutcomeTable:
         conditions: Sequence[Conditions] | None = None,
         axes: Sequence[Feature] = DEFAULT_AXES,
         cells: Sequence[Cell | None] | None = None,
-        decoders: NDArray[np.object_] | None = None,
+        drives: Sequence[Sequence[DrivenRoad | Execution | None]] | None = None,
     ) -> OutcomeTable:
         """Make a table, with the features and families of its tests.
 
@@ -132,7 +132,7 @@ class OutcomeTable:
             conditions: operating conditions; the default ones if None.
             axes: the feature map's axes; those of the paper's maps if left out.
             cells: cells of that map; those of the paper's maps if None.
-            decoders: functions that decode lateral positions; there are none if None.
+            drives: (tests, simulators) recorded drives, of verdicts only; there are none if None.
         """
         conditions = [DEFAULT] * len(roads) if conditions is None else conditions
         half = np.array([road.lane_width / 2 for road in roads], np.float64)
@@ -148,7 +148,7 @@ class OutcomeTable:
             states=states,
             lateral=np.minimum(lateral, limits),
             limits=limits,
-            decoders=np.full(states.shape, no_profile) if decoders is None else decoders,
+            drives=np.array(drives, object).reshape(states.shape) if drives else np.full(states.shape, None),
             **_known_undriven(roads, conditions),
         )
 
@@ -168,7 +168,10 @@ class OutcomeTable:
     @cached_property
     def profiles(self) -> Mapping[str, Sequence[Array]]:
         """Simulator -> lateral positions every `GRID` m along the lane, m, of every test; decoded when first asked."""
-        return {name: [one() for one in self.decoders[:, k]] for k, name in enumerate(self.simulators)}
+        return {
+            name: [_profile(road, one) for road, one in zip(self.roads, self.drives[:, k], strict=True)]
+            for k, name in enumerate(self.simulators)
+        }
 
     @property
     def sample_note(self) -> str:
@@ -206,7 +209,7 @@ class OutcomeTable:
         """Keep some tests, with the features and families that they have among all."""
         kept = np.arange(len(self))[rows]
         lists = [name for name in ("test_ids", "roads", "conditions", "cells") if getattr(self, name)]
-        arrays = "states", "lateral", "limits", "decoders", "features", "families"
+        arrays = "states", "lateral", "limits", "drives", "features", "families"
         found: dict[str, Any] = {name: tuple(getattr(self, name)[k] for k in kept) for name in lists}
         return replace(self, **found, **{name: getattr(self, name)[kept] for name in arrays})
 
@@ -233,7 +236,7 @@ class OutcomeTable:
         if not siblings:
             raise OutcomeTableError(f"{name} is the only simulator: expected a sibling beside it")
         order = [self.column(s) for s in (*siblings, *([name] if name else []))]
-        columns = {key: getattr(self, key)[:, order] for key in ("states", "lateral", "limits", "decoders")}
+        columns = {key: getattr(self, key)[:, order] for key in ("states", "lateral", "limits", "drives")}
         return replace(self, siblings=siblings, twin=name, **columns)
 
 
@@ -255,7 +258,7 @@ def table_of_runs(
         np.array(lateral, np.float64).reshape(shape),
         siblings=tuple(runs),
         conditions=conditions,
-        decoders=np.array([[partial(_profile, run) for run in row] for row in rows], object).reshape(shape),
+        drives=rows,
     )
 
 
@@ -276,7 +279,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
     row = {test.test_id: k for k, test in enumerate(tests)}
     states = np.zeros((len(row), len(names)), np.int8)
     lateral = np.zeros((len(row), len(names)))
-    decoders = np.full(states.shape, no_profile)
+    drives = np.full(states.shape, None)
     for test_id, simulator, *_ in data.errors:
         if test_id in row and simulator in column:
             states[row[test_id], column[simulator]] = State.ERROR
@@ -290,7 +293,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
         states[at] = _state(one)
         if one.outcome.is_verdict:
             lateral[at] = one.max_lateral_position
-            decoders[at] = lambda road=tests[at[0]].road, one=one: recorded_profile(road, one.trajectory)
+            drives[at] = one
     table = _with_verdicts(
         OutcomeTable.of(
             [test.road for test in tests],
@@ -302,7 +305,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
             conditions=[test.conditions for test in tests],
             axes=[feature_of(name) for name in data.config.features],
             cells=[data.cells.get(test.test_id) for test in tests],
-            decoders=decoders,
+            drives=drives.tolist(),
         )
     )
     return replace(table, left_out=len(data.tests) - len(tests))
@@ -385,10 +388,8 @@ def _known_undriven(roads: Sequence[Road], conditions: Sequence[Conditions]) -> 
     }
 
 
-def _profile(run: DrivenRoad) -> Array:
-    return run.profile
-
-
-def no_profile() -> Array:
-    """Stand for lateral positions that nobody recorded."""
-    return np.empty(0)
+def _profile(road: Road, one: DrivenRoad | Execution | None) -> Array:
+    """Lateral positions along the lane; () if nobody recorded them."""
+    if one is None:
+        return np.empty(0)
+    return one.profile if isinstance(one, DrivenRoad) else recorded_profile(road, one.trajectory)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ds_analysis.common.driven_road import arc_lengths, lateral_profile
+from ds_analysis.common.driven_road import lateral_profile, places_along
 from ds_analysis.common.statistics import Array
 from ds_analysis.siblings.failure_patterns import LOOK_BACK, STRAIGHT_BELOW, departure
 from ds_base.table import Column, Table, styled
@@ -93,7 +93,7 @@ def groups_table(groups: Groups) -> Table:
 def reason_of(test: Test, execution: Execution) -> Reason:
     """Give the reason of one failed drive, which has at least two frames."""
     road, trajectory, steering = test.road, execution.trajectory, execution.steering
-    arc = np.maximum.accumulate(arc_lengths(road, trajectory))
+    arc = np.maximum.accumulate(places_along(road, trajectory))
     kmh = 3.6 * float(np.mean(trajectory[:, 3]))
     numbers = f"{arc[-1]:.0f} m along the road, {kmh:.0f} km/h on average"
     side = 0

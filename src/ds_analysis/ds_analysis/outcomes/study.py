@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, OutcomeTableError, State, no_profile
+from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, OutcomeTableError, State
 from ds_analysis.outcomes.columns import (
     Columns,
     Margin,
@@ -127,7 +127,7 @@ class Study:
             states=states,
             lateral=lateral,
             limits=limits,
-            decoders=np.full(shape, no_profile),
+            drives=np.full(shape, None),
             feature_names=self.features,
             features=features,
             families=families.astype(np.intp),

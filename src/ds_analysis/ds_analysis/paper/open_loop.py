@@ -67,7 +67,7 @@ class Answers:
         return np.abs(self.errors)
 
 
-class ErrorsError(InputError):
+class OpenLoopError(InputError):
     """Steering errors that cannot be computed or compared."""
 
 
@@ -166,7 +166,7 @@ def predict(
         Simulator -> answers to its images, in the order of the data set; `recorded` is the autopilot's steering.
 
     Raises:
-        ErrorsError: the autopilot is not a network.
+        OpenLoopError: the autopilot is not a network.
         ds_driver.data.dataset.DatasetError: the data set cannot be used.
         ValueError: the network cannot be used.
     """
@@ -178,7 +178,7 @@ def predict(
     from ds_sim.registry import spec_of
 
     if network == AUTOPILOT:
-        raise ErrorsError("the autopilot recorded the steering to compare with: name a network, such as dave2")
+        raise OpenLoopError("the autopilot recorded the steering to compare with: name a network, such as dave2")
     pilot = load_pilot(network)
     groups: dict[str, list[Sample]] = {}
     for sample in read_samples(data):
@@ -190,7 +190,7 @@ def predict(
     found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
     for name, group in groups.items():
         if pilot.has_memory and any(b.step > a.step + 1 for a, b in pairwise(group) if a.drive == b.drive):
-            raise ErrorsError(
+            raise OpenLoopError(
                 f"{data} leaves out frames of {name}, and {network} remembers earlier ones: collect with --every 1"
             )
         steering = np.empty(len(group))

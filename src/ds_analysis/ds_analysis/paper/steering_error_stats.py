@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import ks_2samp, wasserstein_distance, wilcoxon
 
 from ds_analysis.common.statistics import Array
-from ds_analysis.paper.open_loop import Answers, ErrorsError
+from ds_analysis.paper.open_loop import Answers, OpenLoopError
 
 MERGED = "merged"
 """Name of all siblings' errors concatenated (paper 4.3.1: their combination)."""
@@ -180,7 +180,7 @@ def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComp
         twin: (m,) absolute steering errors on the twin.
 
     Raises:
-        ErrorsError: there are no errors, or some are negative or not finite.
+        OpenLoopError: there are no errors, or some are negative or not finite.
     """
     return [_compare(name, errors, _checked("the twin", twin)) for name, errors in _with_merged(siblings).items()]
 
@@ -221,7 +221,7 @@ def _variance(values: Array) -> float:
 
 def _with_merged(siblings: Mapping[str, Array]) -> dict[str, Array]:
     if not siblings:
-        raise ErrorsError("no sibling's errors to compare: expected at least one sibling")
+        raise OpenLoopError("no sibling's errors to compare: expected at least one sibling")
     checked = {name: _checked(name, errors) for name, errors in siblings.items()}
     return {**checked, MERGED: np.concatenate(list(checked.values()))}
 
@@ -229,7 +229,7 @@ def _with_merged(siblings: Mapping[str, Array]) -> dict[str, Array]:
 def _checked(name: str, errors: Sequence[float] | Array) -> Array:
     values = np.asarray(errors, np.float64)
     if values.ndim != 1 or not len(values) or not np.isfinite(values).all() or (values < 0).any():
-        raise ErrorsError(f"errors of {name}: expected at least one, all finite and not negative")
+        raise OpenLoopError(f"errors of {name}: expected at least one, all finite and not negative")
     return values
 
 
@@ -252,7 +252,7 @@ def _compare(name: str, errors: Array, twin: Array) -> ErrorComparison:
 def _binned_distance(one: Array, other: Array) -> float:
     """Compute the Wasserstein distance of weights at the right edges of the bins."""
     if not one.sum() or not other.sum():
-        raise ErrorsError(f"every error on one of the simulators is above {RANGE}: expected a network that can steer")
+        raise OpenLoopError(f"every error on one of the simulators is above {RANGE}: expected a network that can steer")
     ends = np.linspace(0.0, RANGE, BINS + 1)[1:]
     return float(wasserstein_distance(ends, ends, one, other))
 

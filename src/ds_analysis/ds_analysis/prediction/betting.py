@@ -31,7 +31,7 @@ _EACH = 50
 """Drives up to which each is predicted from all before it; beyond, predictions are renewed every fiftieth part."""
 
 
-def in_turn(undriven: Prediction, prediction: Prediction) -> Iterator[tuple[Drive, Prediction]]:
+def predicted_before(undriven: Prediction, prediction: Prediction) -> Iterator[tuple[Drive, Prediction]]:
     """Yield every drive of a prediction with what was predicted from the drives before it.
 
     Args:
@@ -99,7 +99,7 @@ def sibling_help(undriven: Prediction, prediction: Prediction) -> SiblingHelp:
     sides = [(undriven.only(siblings=one), prediction.only(siblings=one)) for one in (True, False)]
     left = np.ones(undriven.tests, np.bool_)
     log_capital, errors = [0.0], []
-    for (drive, using), (_, alone) in zip(*(in_turn(*side) for side in sides), strict=True):
+    for (drive, using), (_, alone) in zip(*(predicted_before(*side) for side in sides), strict=True):
         first, second = (np.clip(one.probabilities(), _LEAST, 1.0 - _LEAST) for one in (using, alone))
         log_capital.append(log_capital[-1] + _log_share(first, drive, left) - _log_share(second, drive, left))
         errors.append([(one[drive.row] - drive.failed) ** 2 for one in (first, second)])

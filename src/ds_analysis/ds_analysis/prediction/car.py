@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.prediction.betting import SiblingHelp, in_turn, sibling_help
+from ds_analysis.prediction.betting import SiblingHelp, predicted_before, sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.verdicts import TOLERATED_RATE, Verdicts, judge
 from ds_analysis.real.certificate import Bet, Certificate, certify
@@ -67,7 +67,7 @@ class CarPrediction:
         population = self.proposed.population or [self.table.test_ids[row] for row in candidates_of(self.table)]
         left = np.isin(self.table.test_ids, population)
         bets = []
-        for drive, predicted in in_turn(self.undriven, self.prediction):
+        for drive, predicted in predicted_before(self.undriven, self.prediction):
             if left[drive.row]:
                 probabilities = predicted.probabilities()
                 mean = float(probabilities[left].mean())

@@ -23,7 +23,7 @@ from ds_base.errors import InputError
 from ds_base.folder_files import read_file
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.conditions.text import format_conditions, three_digits
+from ds_sim.conditions.text import format_3sf, format_conditions
 
 PROPOSAL = "proposal.json"
 SCALE = 16.0
@@ -139,11 +139,11 @@ class ProposedDrive:
 
 def _as_set(name: str, value: float, scale: float) -> str:
     unit = FIELDS[name].unit
-    own = f"{three_digits(value)} {unit}".rstrip()
+    own = f"{format_3sf(value)} {unit}".rstrip()
     if unit == "rad":
-        return f"{three_digits(math.degrees(value))} degrees"
+        return f"{format_3sf(math.degrees(value))} degrees"
     if unit in ("m", "m/s") and scale != 1.0:
-        return f"{three_digits(value / scale)} {unit} ({own} at full scale)"
+        return f"{format_3sf(value / scale)} {unit} ({own} at full scale)"
     return own
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal
 from ds_analysis.sensitivity.factors import LEVELS, Factor
 from ds_base.table import Column, Table, Value, styled
 from ds_driver.networks.network_driver import sees_translated
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 from ds_sim.scenario import Scenario
 
 
@@ -90,13 +90,13 @@ class Threshold:
         """What was found, in a few words: the value at which the driver first fails, and the values of all roads."""
         if self.verdict == "fails" and self.fails:
             beyond = "never" if any(road.withstands_all for road in self.roads) else "not judged"
-            values = [three_digits(self.factor.value(level)) if level else beyond for level in self.interval]
-            median = three_digits(self.factor.value(self.fails))
+            values = [format_3sf(self.factor.value(level)) if level else beyond for level in self.interval]
+            median = format_3sf(self.factor.value(self.fails))
             return median if values == [median, median] else f"{median} ({' to '.join(dict.fromkeys(values))})"
         if self.verdict == "completes":
             return "no failure"
         if self.verdict in ("infeasible", "lines invisible") and self.excluded:
-            return f"{self.verdict} from {three_digits(self.factor.value(self.excluded))}"
+            return f"{self.verdict} from {format_3sf(self.factor.value(self.excluded))}"
         return self.verdict
 
     def document(self) -> dict[str, Any]:

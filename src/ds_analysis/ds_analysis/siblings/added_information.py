@@ -8,7 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ds_analysis.common.cross_validation import FOLDS, REPEATS, Columns, auc_roc, bits, predict_failures, predict_with
+from ds_analysis.common.cross_validation import (
+    FOLDS,
+    REPEATS,
+    Columns,
+    auc_roc_by_ranks,
+    bits,
+    predict_failures,
+    predict_with,
+)
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND, Array, Bools, Interval, interval_over_families
 from ds_base.words import listed
@@ -126,7 +134,7 @@ def _score(table: OutcomeTable, failed: Bools, columns: Columns, repeats: int) -
 
 def _auc(probability: Array, truth: Array) -> float:
     """AUC-ROC; NaN where all outcomes are the same, as in some resamples."""
-    return float(auc_roc(probability, truth > 0.0)) if 0 < truth.sum() < len(truth) else float("nan")
+    return float(auc_roc_by_ranks(probability, truth > 0.0)) if 0 < truth.sum() < len(truth) else float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)

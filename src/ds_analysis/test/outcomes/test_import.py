@@ -13,7 +13,7 @@ import yaml
 
 from ds_analysis.common.outcome_table import OutcomeTableError, State
 from ds_analysis.outcomes.columns import Columns, read_columns
-from ds_analysis.outcomes.folders import read_table
+from ds_analysis.outcomes.reading import read_table
 from ds_analysis.outcomes.study import Study, import_outcomes, read_study, study_of, write_rows, write_study
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict

@@ -7,7 +7,6 @@ import json
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import beta, spearmanr
 from sklearn.metrics import roc_auc_score
 
-from ds_analysis.common.cross_validation import auc_roc, best_feature, predict_failures
+from ds_analysis.common.cross_validation import auc_roc_by_ranks, best_feature, predict_failures
 from ds_analysis.common.driven_road import GRID, DrivenRoad, lateral_profile, recorded_profile
 from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable, State, table_of_runs
 from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
@@ -49,15 +48,16 @@ def made_up(
 ) -> OutcomeTable:
     """Outcomes of runs that fail where the largest lateral position is 2 m or more."""
     together = np.column_stack(list(lateral.values()))
-    decoders = None
+    drives = None
     if profiles is not None:
-        decoders = np.array([[partial(np.asarray, one) for one in of] for of in profiles.values()], object).T
+        rows = zip(roads, *profiles.values(), strict=False)
+        drives = [[DrivenRoad(road=road, outcome=Outcome.COMPLETED, profile=one) for one in of] for road, *of in rows]
     return OutcomeTable.of(
         roads[: len(together)],
         states_of(together >= 2.0),
         together,
         siblings=tuple(lateral),
-        decoders=decoders,
+        drives=drives,
         conditions=conditions,
     )
 
@@ -182,7 +182,7 @@ def test_no_prediction_depends_on_the_outcome_that_it_predicts() -> None:
         features, failed = rng.normal(size=(60, 30)), rng.random(60) < 0.5
         probability = predict_failures(features, failed, columns=("best",), repeats=1).probability[0]
         areas.append(roc_auc_score(failed, probability))
-        assert auc_roc(probability, failed) == pytest.approx(areas[-1], abs=1e-12)
+        assert auc_roc_by_ranks(probability, failed) == pytest.approx(areas[-1], abs=1e-12)
     assert np.mean(areas) < 0.6
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.atomic_files import write_json
 from ds_cli.output import Interrupted, Result, ScreenProgress, say
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def bag_drive(
         write_answers(out / "answers.csv", answers)
         draw_errors(f"{Path(driver).name} on recorded images", answers, out / "errors.png")
         document |= {"answers": str(out / "answers.csv"), "picture": str(out / "errors.png")}
-        (out / "summary.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_json(out / "summary.json", document)
 
     def show() -> None:
         table = Table("errors on", "images", "answered", "mean", "mean size", "rms", "largest")

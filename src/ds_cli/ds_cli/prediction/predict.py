@@ -56,7 +56,7 @@ def predict_command(
     from dataclasses import replace
 
     from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError
-    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.prediction.mixture import predict
     from ds_analysis.prediction.predictors import compare_predictors, comparison_tables

@@ -65,7 +65,7 @@ def _recorded(
 
 def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
     """Predict the car before and after its drives, and write both."""
-    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.records import FOLDER, RecordError
     from ds_base.atomic_files import write_json, write_whole
@@ -131,7 +131,7 @@ def propose_command(
     Each call continues the same random order, so that `ds real update` can bound the car's failures whenever you stop.
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
     """
-    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.certificate import drives_until
     from ds_analysis.real.proposal import candidates_of, propose
@@ -222,7 +222,7 @@ def record_command(
     """
     from dataclasses import replace
 
-    from ds_analysis.outcomes.folders import read_table
+    from ds_analysis.outcomes.reading import read_table
     from ds_analysis.real.proposal import SCALE, read_proposed
     from ds_analysis.real.records import added, read_csv, read_drives, read_recorded, write_drives
     from ds_base.folder_files import locked

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from contextlib import closing, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -46,6 +45,7 @@ def explain_command(
     all combinations, and each part gets its share of the failure.
     """
     from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of, where
+    from ds_base.atomic_files import write_json
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables
     from ds_cli.progress import ScreenListener
@@ -83,7 +83,7 @@ def explain_command(
     }
     if out is not None:
         make_folder(out)
-        (out / "explanation.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+        write_json(out / "explanation.json", document)
         write_tables(tables, out)
 
     def show() -> None:

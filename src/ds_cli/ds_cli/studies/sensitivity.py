@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -81,6 +80,7 @@ def sensitivity_command(
 
     from ds_analysis.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
     from ds_analysis.sensitivity.result import Sensitivity, networks_table
+    from ds_base.atomic_files import write_json
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables
     from ds_orchestrator.campaign.engine import DriveSettings
@@ -112,7 +112,7 @@ def sensitivity_command(
             )  # fmt: skip
         document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
         if out is not None:
-            (out / "sensitivity.json").write_text(json.dumps(document, indent=1, allow_nan=False) + "\n")
+            write_json(out / "sensitivity.json", document)
             write_tables([found.table(), found.long_table()], out)
             (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found, out / "sensitivity")))
 

@@ -11,7 +11,7 @@ from ds_orchestrator.campaign.config import ConfigError, SearchConfig, parse_con
 from ds_orchestrator.maps.algebra import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import FEATURES
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 from ds_sim.registry import SIMULATORS
 
 WINDING = 150
@@ -73,7 +73,7 @@ def _conditions(ranges: Mapping[str, tuple[float, float]]) -> str:
     lines = ["  conditions:    # to search, up to where the median simulator fails; the most sensitive ones first"]
     for number, (name, ends) in enumerate(ranges.items()):
         comment = "" if number < MOST_SEARCHED else "# "
-        lines.append("    {}{}: {{low: {}, high: {}}}".format(comment, name, *map(three_digits, ends)))
+        lines.append("    {}{}: {{low: {}, high: {}}}".format(comment, name, *map(format_3sf, ends)))
     return "\n".join(lines)
 
 

@@ -23,7 +23,7 @@ from ds_road import Road
 from ds_road.geometry import direction_coverage, largest_lane_curvature, minimum_radius
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import between, share_of
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 from ds_sim.gates.gate import LEAST_CONTRAST
 
 Cell = tuple[int, ...]
@@ -94,9 +94,9 @@ class Bins:
         """Format the lower edge of a bin in the unit of the title."""
         begin = bin_ * self.width
         if self.size is not None:
-            return three_digits(begin * self.size)
+            return format_3sf(begin * self.size)
         if self.edge is not None:
-            return three_digits(self.edge(begin))
+            return format_3sf(self.edge(begin))
         return str(begin) if self.per_unit == 1 else f"{begin / self.per_unit:.2f}"
 
 

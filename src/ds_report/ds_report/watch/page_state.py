@@ -13,7 +13,7 @@ from ds_orchestrator.campaign.live_file import LiveDrive
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
-from ds_report.camera_pictures import SPACINGS, render_drive, replay_frames
+from ds_report.camera_pictures import SPACINGS, PicturedDrive, render_drive, replay_frames
 from ds_report.page_data import simulator_rows
 from ds_report.pages import outcome_in_words
 from ds_report.watch.campaign_reader import Snapshot
@@ -36,7 +36,7 @@ class DrivePictures:
         self._refused: dict[str, str] = {}
 
     def render(self, test: Test, execution: Execution) -> dict[str, Any]:
-        """Render a picture every half second, as `ds_report.camera_pictures.Drive` in JSON values."""
+        """Render a picture every half second, as `ds_report.camera_pictures.PicturedDrive` in JSON values."""
         name = execution.simulator
         if name not in self._simulators and name not in self._refused:
             try:
@@ -45,12 +45,7 @@ class DrivePictures:
             except Exception as error:  # a missing or broken simulator must not prevent the page
                 self._refused[name] = " ".join(str(error).split())
         if name in self._refused or not len(execution.trajectory):
-            return {
-                "frames": [],
-                "times": [],
-                "strip": [],
-                "note": f"no pictures: {self._refused.get(name, 'no frame')}",
-            }
+            return asdict(PicturedDrive(note=f"no pictures: {self._refused.get(name, 'no frame')}"))
         frames = replay_frames(execution, SPACINGS[0])
         return asdict(render_drive(self._simulators[name], name, test, execution, frames, self._driver))
 

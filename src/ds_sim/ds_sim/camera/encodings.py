@@ -27,16 +27,17 @@ JPEG_QUALITY = 95
 """Chosen: 20 to 30 kB per image, errors below the noise of the cameras."""
 
 
-def jpeg(image: NDArray[np.uint8]) -> bytes:
+def jpeg(image: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> bytes:
     """Encode an RGB image as JPEG.
 
     Args:
         image: (rows, columns, 3) uint8 RGB.
+        quality: 0 to 100.
 
     Raises:
         ValueError: OpenCV cannot encode the image.
     """
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    done, data = cv2.imencode(".jpg", cv2.cvtColor(image, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:
         raise ValueError(f"an image of shape {image.shape} cannot be encoded as JPEG")
     return bytes(data.tobytes())

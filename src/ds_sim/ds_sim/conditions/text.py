@@ -92,7 +92,7 @@ def from_pairs(pairs: Iterable[tuple[str, float]]) -> Conditions:
     return Conditions(**values)
 
 
-def three_digits(value: float) -> str:
+def format_3sf(value: float) -> str:
     """Format a value for people: three significant digits, without an exponent."""
     import numpy as np  # reading conditions, at the start of every verb that takes them, needs no NumPy
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from typing import Literal
 
 from ds_sim.conditions.model import FIELDS
-from ds_sim.conditions.text import three_digits
+from ds_sim.conditions.text import format_3sf
 
 Side = Literal["", "or more", "or less"]
 """Which values beside the one that is named are meant."""
@@ -76,7 +76,7 @@ def in_words(name: str, low: float, high: float | None = None, side: Side = "") 
     """
     phrase, unit = PHRASES[name], f" {FIELDS[name].unit}".rstrip()
     ends = [low] if high is None or high == low else [low, high]
-    value = " to ".join(map(three_digits, ends)) + unit
+    value = " to ".join(map(format_3sf, ends)) + unit
     if "{value}" in phrase:
         return f"{phrase.format(value=f'{value} {side}'.rstrip())} ({name})"
     if "{share}" in phrase:
