@@ -12,6 +12,7 @@ from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import make_driver
 from ds_road import Road
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Outcome
 
@@ -23,7 +24,7 @@ def drive(frames: int = FRAMES, *, seed: int = 3, road: Road = ROAD) -> RunRecor
     """Drive the twin with the autopilot, for a number of frames."""
     simulator = make_simulator("donkey")
     driver, session = make_driver("autopilot", simulator.spec), Session(simulator)
-    observation = session.start(road, seed)
+    observation = session.start(Scenario(road, seed=seed))
     while observation is not None and session.driving and observation.step < frames:
         observation = session.advance(driver(observation))
     session.end(Outcome.CANCELLED, "that is enough")

@@ -15,6 +15,7 @@ from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command
 
@@ -25,7 +26,7 @@ CONDITIONS = Conditions(steering_lag=0.2, friction=1 / 3, visibility=80.0)
 def driven(conditions: Conditions) -> RunRecord:
     simulator = make_simulator("donkey")
     session = Session(simulator)
-    session.start(STRAIGHT, 3, conditions)
+    session.start(Scenario(STRAIGHT, conditions, seed=3))
     for _ in range(10):
         session.advance(Command(0.3, 0.8))
     simulator.close()

@@ -10,6 +10,7 @@ from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Stopped
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
 
@@ -45,7 +46,7 @@ class EngineHere:
         self.roads.append((simulator, road.road_id))
         made = make_simulator(simulator)
         session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(road, seed, conditions)
+        observation = session.start(Scenario(road, conditions, seed=seed))
         while session.driving and observation is not None and observation.step < 60:
             command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
             observation = session.advance(command)

@@ -63,7 +63,7 @@ class ShortDrives:
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
         made = make_simulator(request.simulator)
         session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(request.road, request.seed, request.conditions)
+        observation = session.start(request.scenario)
         while session.driving and observation is not None and observation.step < 20:
             observation = session.advance(
                 pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)

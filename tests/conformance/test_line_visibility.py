@@ -120,7 +120,7 @@ def test_noise_gives_no_line_contrast(name: str) -> None:
     found, images = [], []
     for noise in (0.0, 40.0):
         session = Session(simulator)
-        seen = session.start(STRAIGHT, 3, Conditions(line_contrast=0.02, sensor_noise=noise))
+        seen = session.start(Scenario(STRAIGHT, Conditions(line_contrast=0.02, sensor_noise=noise), seed=3))
         assert session.run is not None and seen is not None
         images.append(seen.image)
         probe = ContrastProbe(session.run, simulator)

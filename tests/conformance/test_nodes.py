@@ -15,6 +15,7 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_road import Road
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 pytestmark = pytest.mark.graph
@@ -42,7 +43,8 @@ def test_a_node_drives_as_its_simulator_does(graph: Any, simulator_name: str) ->
     here = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
     simulator.close()
     assert here.outcome is Outcome.COMPLETED
-    runs = [executor.execute(simulator_name, *what) for what in ((ROAD, 5), (ROAD.reversed(), 6), (ROAD, 5))]
+    scenarios = [Scenario(road, seed=seed) for road, seed in ((ROAD, 5), (ROAD.reversed(), 6), (ROAD, 5))]
+    runs = [executor.execute(simulator_name, scenario) for scenario in scenarios]
     assert [run.outcome for run in runs] == [Outcome.COMPLETED] * 3
     assert [trajectory_sha256(run) == trajectory_sha256(here) for run in runs] == [True, False, True]
     assert runs[0].commands == here.commands
@@ -80,7 +82,7 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
 
     listener = NodeThread(node)
     assert listener.ask(client, GetSimulatorInfo.Request(), 30.0)
-    run = executor.execute(simulator_name, ROAD, 5)
+    run = executor.execute(simulator_name, Scenario(ROAD, seed=5))
     deadline = time.monotonic() + 30.0
     while min(map(len, heard.values())) <= run.steps and time.monotonic() < deadline:
         time.sleep(0.05)

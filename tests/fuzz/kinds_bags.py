@@ -30,6 +30,7 @@ from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_driver.data.recordings import Reading, open_recording
 from ds_road import Road
 from ds_sim.registry import UntrustedSimulatorError, make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command
 from ds_twin_donkey.logs import LogError, read_log
@@ -48,7 +49,7 @@ FRAMES = 4
 @lru_cache
 def _run() -> RunRecord:
     session = Session(make_simulator("donkey"))
-    session.start(Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)]), 3)
+    session.start(Scenario(Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)]), seed=3))
     for _ in range(FRAMES):
         session.advance(Command(0.1, 0.5))
     session.simulator.close()

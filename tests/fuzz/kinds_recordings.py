@@ -16,6 +16,7 @@ from ds_recording.located import COLUMNS, Located, write_located
 from ds_recording.sibling.sections import sections
 from ds_recording.sibling.simulator import RecordingSimulator
 from ds_recording.track import Track
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command
 from ds_sim_ros.settings import RosSettingsError
@@ -52,7 +53,7 @@ def _drive(folder: Path) -> None:
     simulator = RecordingSimulator.from_file(folder)
     drive = simulator.drive
     session = Session(simulator)
-    session.start(sections(drive, 20.0, 1000.0)[0], 1)
+    session.start(Scenario(sections(drive, 20.0, 1000.0)[0], seed=1))
     for _ in range(3):
         if session.driving:
             session.advance(Command(0.1, 0.5))

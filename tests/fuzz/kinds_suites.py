@@ -39,7 +39,7 @@ def _write(folder: Path) -> Path:
 def _read(path: Path) -> object:
     """Read a suite as `ds suite run` does before it drives."""
     suite = read_suite(path)
-    return settings_of_suite(suite, "autopilot"), [suite.road_of(test).points for test in suite.tests]
+    return settings_of_suite(suite, "autopilot"), [suite.scenario_of(test).road.points for test in suite.tests]
 
 
 KINDS = [Kind(name="suite", write=_write, damage=damaged_file, read=_read, errors=(ConfigError,))]

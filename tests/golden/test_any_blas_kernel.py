@@ -35,6 +35,7 @@ def drive() -> dict[str, Any]:
     from ds_sim.conditions.model import Conditions
     from ds_sim.gates.visible_contrast import ContrastProbe
     from ds_sim.registry import STANDARD, make_simulator, simulators
+    from ds_sim.scenario import Scenario
     from ds_sim.session import Session
     from ds_sim.testing import missing_because
 
@@ -44,7 +45,7 @@ def drive() -> dict[str, Any]:
         for driver, values in (("autopilot", WET), ("dave2_short", WORN)):
             conditions = Conditions(**{k: v for k, v in values.items() if k in simulator.spec.conditions})
             command, session, digest = make_driver(driver, simulator.spec), Session(simulator), hashlib.sha256()
-            observation = session.start(road, 3, conditions)
+            observation = session.start(Scenario(road, conditions, seed=3))
             assert session.run is not None
             probe = ContrastProbe(session.run, simulator)
             while observation is not None and observation.step < FRAMES:

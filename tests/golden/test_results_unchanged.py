@@ -114,7 +114,7 @@ def test_a_network_drives_the_same_way(run: dict[str, Any]) -> None:
     (test,) = [test for test in demo_tests() if test.test_id == run["test_id"]]
     simulator = make_simulator(run["simulator"])
     driver, session = make_driver(CONFIG.driver, simulator.spec), Session(simulator)
-    observation = session.start(test.road, test.seed)
+    observation = session.start(test.scenario)
     assert observation is not None
     first_image = observation.image
     while observation is not None and observation.step < run["steps"]:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from ds_road import Road
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 pytestmark = pytest.mark.graph
@@ -63,16 +64,16 @@ def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any
 
     node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
     spin(node)
-    straight = adapted.execute("donkey", STRAIGHT, 1)
+    straight = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert straight.outcome is Outcome.COMPLETED, straight.message
     assert straight.observations[-1].vehicle.speed == pytest.approx(4.0, abs=0.5)
     turn[0] = 0.5
-    left = adapted.execute("donkey", STRAIGHT, 1)
+    left = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert left.outcome is Outcome.OUT_OF_BOUNDS
     assert left.observations[-1].lane.lateral_position < -2.0
     assert left.observations[-1].vehicle.yaw_rate > 0.0
     turn[0] = float("nan")
-    broken = adapted.execute("donkey", STRAIGHT, 1)
+    broken = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert broken.outcome is Outcome.DRIVER_SILENT and "steering is nan" in broken.message
     node.destroy_node()
 
@@ -89,11 +90,11 @@ def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(adapted: 
     message.linear.x = 6.0
     timer = node.create_timer(0.05, lambda: publisher.publish(message))
     spin(node)
-    run = adapted.execute("donkey", STRAIGHT, 1)
+    run = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert run.outcome is Outcome.COMPLETED, run.message
     assert f"real time: {run.steps} frames at 20 Hz" in run.message and "ms in the median" in run.message
     timer.cancel()
     adapted._timeout = 1.0
-    silent = adapted.execute("donkey", STRAIGHT, 1)
+    silent = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert silent.outcome is Outcome.DRIVER_SILENT and "no command within 1 s" in silent.message
     node.destroy_node()

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from ds_road import Road
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
@@ -74,7 +75,7 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
     spaces = {"donkey": "/ds1"}
     with running_graph(spaces, "dave2_short", command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
-        unseen = executor.execute("donkey", STRAIGHT, 1)
+        unseen = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
         node = Node("viewer", context=executor.context)
         images: list[Any] = []
         node.create_subscription(Image, "/ds1/camera/image_raw", images.append, 1000)
@@ -82,7 +83,7 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
         client = node.create_client(GetSimulatorInfo, "/ds1/get_info")
         viewer = NodeThread(node)
         assert viewer.ask(client, GetSimulatorInfo.Request(), 30.0)
-        seen = executor.execute("donkey", STRAIGHT, 1)
+        seen = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
         deadline = time.monotonic() + 20.0
         while len(images) < len(seen.observations) and time.monotonic() < deadline:
             time.sleep(0.05)
@@ -108,7 +109,7 @@ def test_a_hanging_driver_stops_neither_reset_nor_watchdog_and_is_replaced(order
     executor, order = ordered
     order.write_text("hang")
     runs: list[Any] = []
-    drive = threading.Thread(target=lambda: runs.append(executor.execute("donkey", STRAIGHT, 1)))
+    drive = threading.Thread(target=lambda: runs.append(executor.execute("donkey", Scenario(STRAIGHT, seed=1))))
     drive.start()
     deadline = time.monotonic() + 60.0
     while order.exists() and time.monotonic() < deadline:
@@ -116,14 +117,14 @@ def test_a_hanging_driver_stops_neither_reset_nor_watchdog_and_is_replaced(order
     assert executor._thread.ask(executor._simulators["donkey"].reset, Trigger.Request(), BUSY).success
     drive.join(LIMIT + BUSY)
     assert (runs[0].outcome, runs[0].reason, runs[0].steps) == (Outcome.CANCELLED, Reason.RESET, 20)
-    silent = executor.execute("donkey", STRAIGHT, 1)  # it still hangs
+    silent = executor.execute("donkey", Scenario(STRAIGHT, seed=1))  # it still hangs
     assert silent.outcome is Outcome.DRIVER_SILENT and silent.steps == 0
-    assert executor.execute("donkey", STRAIGHT, 1).outcome is Outcome.COMPLETED
+    assert executor.execute("donkey", Scenario(STRAIGHT, seed=1)).outcome is Outcome.COMPLETED
 
 
 def test_a_crashing_driver_takes_its_simulator_along_and_both_come_back(ordered: tuple[Any, Path]) -> None:
     executor, order = ordered
     order.write_text("crash")
-    run = executor.execute("donkey", STRAIGHT, 1)
+    run = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert run.outcome is Outcome.SIM_ERROR and "closed_loop_ds1 ended during the run" in run.message
-    assert executor.execute("donkey", STRAIGHT, 1).outcome is Outcome.COMPLETED
+    assert executor.execute("donkey", Scenario(STRAIGHT, seed=1)).outcome is Outcome.COMPLETED

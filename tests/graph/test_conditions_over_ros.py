@@ -15,6 +15,7 @@ from ds_orchestrator.store.rows import trajectory_sha256
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
@@ -56,17 +57,17 @@ def of_library(conditions: Conditions) -> str:
 def test_a_run_has_the_conditions_of_its_goal_or_else_of_its_node(
     graph: Any, given: Conditions | None, expected: Conditions
 ) -> None:
-    run = graph.execute(DONKEY, SHORT, 5, given)
+    run = graph.execute(DONKEY, Scenario(SHORT, given or DEFAULT, seed=5), conditions_of_node=given is None)
     assert run.conditions == expected
     assert digest(run) == of_library(expected)
 
 
 def test_what_a_simulator_cannot_realise_is_refused_and_no_run_is_made(graph: Any) -> None:
-    refused = graph.execute(QUICK, SHORT, 5, Conditions(friction=0.5))
+    refused = graph.execute(QUICK, Scenario(SHORT, Conditions(friction=0.5), seed=5))
     assert (refused.outcome, refused.reason) == (Outcome.SIM_ERROR, Reason.NOT_APPLICABLE)
     assert refused.message == "quick cannot realise friction: it realises none"
     assert not refused.observations
-    assert graph.execute(QUICK, SHORT, 5).outcome.is_verdict
+    assert graph.execute(QUICK, Scenario(SHORT, seed=5)).outcome.is_verdict
 
 
 def test_loaded_conditions_hold_for_the_goal_that_brings_no_road(graph: Any, join: Callable[..., None]) -> None:

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from ds_road import Road
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 pytestmark = pytest.mark.graph
@@ -53,7 +54,7 @@ class Bench:
     def drive(self) -> tuple[Any, float]:
         """Drive the straight road; return the run and its wall-clock time, s."""
         began = time.monotonic()
-        run = self.executor.execute("donkey", STRAIGHT, 1)
+        run = self.executor.execute("donkey", Scenario(STRAIGHT, seed=1))
         return run, time.monotonic() - began
 
     def drive_until_completed(self) -> None:

@@ -176,7 +176,9 @@ def test_a_node_ends_in_the_midst_of_a_run(
         executor.wait_until_ready(30.0)
         import threading
 
-        threading.Thread(target=executor.execute, args=("donkey", STRAIGHT, 1), daemon=True).start()
+        from ds_sim.scenario import Scenario
+
+        threading.Thread(target=executor.execute, args=("donkey", Scenario(STRAIGHT, seed=1)), daemon=True).start()
         if "Stuck" in simulator:
             read_until(process, "stuck")
         else:

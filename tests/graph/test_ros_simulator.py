@@ -21,6 +21,7 @@ from ds_base.processes import ChildProcesses
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import Road
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Observation, Outcome
 from ds_sim.testing import CHECKS, STRAIGHT, digest, drive, reference_driver, run_check
@@ -193,7 +194,7 @@ def test_the_graph_of_the_command_line_drives_it(foreign: str, tmp_path: Path) -
     from ds_orchestrator.graph.session import running_graph
 
     with running_graph({foreign: "/ds1"}, "autopilot", command_timeout=10.0, logs=tmp_path) as executor:
-        run = executor.execute(foreign, BENDS, 1)
+        run = executor.execute(foreign, Scenario(BENDS, seed=1))
     assert run.outcome is Outcome.COMPLETED, run.message
 
 

@@ -19,6 +19,7 @@ from ds_base.processes import ChildProcesses
 from ds_road import Road, generate
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
@@ -80,13 +81,13 @@ def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
     handle = client._client_handle
     client._client_handle = Slow(handle)
     started = time.monotonic()
-    run = graph.execute("donkey", ROAD, 5)
+    run = graph.execute("donkey", Scenario(ROAD, seed=5))
     client._client_handle = handle
     assert run.outcome is Outcome.COMPLETED, run.message
     assert time.monotonic() - started < 60.0  # a busy machine drives slowly
 
 
-def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> None:
+def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any, caplog: pytest.LogCaptureFixture) -> None:
     """The second client waits, reports for whom, and is refused; it ends the run once the first client is gone."""
     import rclpy
     from ds_interfaces.action import DriveRoad
@@ -102,18 +103,17 @@ def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any) -> No
     sent = client.send_goal_async(goal)
     rclpy.spin_until_future_complete(node, sent, timeout_sec=10.0)
     assert sent.result() is not None and sent.result().accepted
-    said: list[str] = []
-    graph._report = said.append
+    caplog.set_level("INFO", "digital_siblings")
     limit, graph_client.BUSY_TIME = graph_client.BUSY_TIME, 1.0
     try:
-        run = graph.execute("donkey", ROAD, 5)
+        run = graph.execute("donkey", Scenario(ROAD, seed=5))
     finally:
         graph_client.BUSY_TIME = limit
     assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.BUSY, 0)
     assert ROAD.road_id in run.message and "/somebody" in run.message
-    assert said == ["/ds1 drives for /somebody: waiting 1 s at most"]
+    assert "/ds1 drives for /somebody: waiting 1 s at most" in caplog.messages
     node.destroy_node()
-    run = graph.execute("donkey", ROAD, 5)
+    run = graph.execute("donkey", Scenario(ROAD, seed=5))
     assert run.outcome is Outcome.COMPLETED, run.message
 
 
@@ -161,7 +161,7 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
         assert not answer.accepted and answer.reason.value == Reason.BAD_ROAD, name
         assert answer.message and "\n" not in answer.message, name
     node.destroy_node()
-    assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
+    assert graph.execute("donkey", Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
 
 
 def test_another_driver_takes_the_wheel_without_touching_anything_else(
@@ -174,7 +174,7 @@ def test_another_driver_takes_the_wheel_without_touching_anything_else(
     driver = ended_with_this.start(command, environment=environment, log=logs / "line_driver.log")
     try:
         gentle = generate(np.random.default_rng(2), max_angle=30)
-        run = executor.execute("donkey", gentle, 1)
+        run = executor.execute("donkey", Scenario(gentle, seed=1))
     finally:
         driver.kill()
         driver.wait()
@@ -187,7 +187,7 @@ def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> 
     victim = graph._supervisor._processes["closed_loop_ds1"]
     threading.Timer(1.0, lambda: os.kill(victim.pid, signal.SIGKILL)).start()
     slow = Road([(125.0, 25.0 * i) for i in range(9)])
-    outcomes = [graph.execute("donkey", road, 1).outcome for road in (ROAD, slow, ROAD)]
+    outcomes = [graph.execute("donkey", Scenario(road, seed=1)).outcome for road in (ROAD, slow, ROAD)]
     assert outcomes.count(Outcome.SIM_ERROR) == 1 and outcomes[-1] is Outcome.COMPLETED
 
 
@@ -202,7 +202,7 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     with running_graph(SPACE, "late:Late", command_timeout=6.0, logs=logs) as executor:
-        run = executor.execute("donkey", ROAD, 1)
+        run = executor.execute("donkey", Scenario(ROAD, seed=1))
     assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 5
     assert "no command within 6 s" in run.message and "steering is nan" in run.message
     log = (logs / "closed_loop_ds1.log").read_text()
@@ -288,11 +288,11 @@ def test_two_drivers_are_noticed_and_named_and_give_no_verdict(
     deadline = time.monotonic() + 10.0
     while nodes[0].count_subscribers("/ds1/camera/image_raw") < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
-    run = executor.execute("donkey", ROAD, 1)
+    run = executor.execute("donkey", Scenario(ROAD, seed=1))
     assert (run.outcome, run.reason) == (Outcome.SIM_ERROR, Reason.TWO_DRIVERS), run.message
     assert all(f"/{name}" in run.message for name in names) and run.steps < 5
     nodes[1].destroy_node()
-    straight = executor.execute("donkey", Road([(125.0, 25.0 * i) for i in range(9)]), 1)
+    straight = executor.execute("donkey", Scenario(Road([(125.0, 25.0 * i) for i in range(9)]), seed=1))
     assert straight.outcome is Outcome.COMPLETED, straight.message
 
 
@@ -310,13 +310,13 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(
         while "2 simulators live in /ds1" not in log.read_text() and time.monotonic() < deadline:
             time.sleep(0.1)
         time.sleep(0.5)  # until the second has discovered the first, too
-        run = graph.execute("donkey", ROAD, 1)
+        run = graph.execute("donkey", Scenario(ROAD, seed=1))
         assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.TWO_SIMULATORS, 0), run.message
     finally:
         second.kill()
         second.wait()
     time.sleep(2.5)
-    assert graph.execute("donkey", ROAD, 1).outcome is Outcome.COMPLETED
+    assert graph.execute("donkey", Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
 
 
 def test_a_driver_without_parameters_asks_its_simulator_and_says_so(graph: Any) -> None:

@@ -17,6 +17,7 @@ from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.translator import Translator
 from ds_road import Road
 from ds_sim.registry import make_simulator
+from ds_sim.scenario import Scenario
 
 pytestmark = pytest.mark.graph
 
@@ -52,7 +53,7 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
         # The driver has discovered the subscription once it answers a client that was made after it.
         client = node.create_client(GetParameters, "/ds1/driver/get_parameters")
         assert viewer.ask(client, GetParameters.Request(names=["use_sim_time"]), 20.0)
-        there = executor.execute("donkey", STRAIGHT, 1)
+        there = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
         deadline = time.monotonic() + 10.0
         while len(images) < len(there.commands) and time.monotonic() < deadline:
             time.sleep(0.05)

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from ds_road import generate
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, Outcome, SimulatorError
 from ds_sim.testing import STRAIGHT, missing_because
@@ -47,7 +48,7 @@ def test_a_drive_whose_host_fails_is_an_error_and_the_next_one_is_not(
     simulator: TorcsSimulator, number: signal.Signals, said: str
 ) -> None:
     session = Session(simulator)
-    assert session.start(STRAIGHT, 1) is not None and session.advance(GO) is not None
+    assert session.start(Scenario(STRAIGHT, seed=1)) is not None and session.advance(GO) is not None
     ended = host_of(simulator).pid
     assert ended is not None
     os.kill(ended, number)
@@ -55,7 +56,7 @@ def test_a_drive_whose_host_fails_is_an_error_and_the_next_one_is_not(
     assert session.run is not None and session.run.outcome is Outcome.SIM_ERROR and session.run.outcome.is_error
     assert said in session.run.message and session.run.message.endswith("the next drive starts another host")
     assert not Path(f"/proc/{ended}").exists()
-    assert session.start(STRAIGHT, 1) is not None and session.advance(GO) is not None
+    assert session.start(Scenario(STRAIGHT, seed=1)) is not None and session.advance(GO) is not None
     assert host_of(simulator).pid != ended
     simulator.close()
 

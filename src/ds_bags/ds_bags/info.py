@@ -24,9 +24,9 @@ def describe(path: Path) -> dict[str, Any]:
         >>> from pathlib import Path
         >>> from ds_bags import describe, write_bag
         >>> from ds_road import Road
-        >>> from ds_sim import Session, make_simulator
+        >>> from ds_sim import Scenario, Session, make_simulator
         >>> session = Session(make_simulator("softbody"))
-        >>> frame = session.start(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1)
+        >>> frame = session.start(Scenario(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1))
         >>> images = write_bag(Path("first_frame"), "/ds2", "softbody", session.run, about={})
         >>> describe(Path("first_frame"))["facts"]["simulator"]
         'softbody'

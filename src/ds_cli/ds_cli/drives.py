@@ -142,13 +142,12 @@ def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
             logs=Path(logs),
             attach=request.attach,
             wait=request.wait if request.attach else START_WAIT,
-        ) as executor,
-        _recorder(executor, request) as recorder,
+        ) as client,
+        _recorder(client, request) as recorder,
         DriveProgress(f"{sim} drives") as progress,
     ):
         own = request.attach and request.conditions.is_default  # those of the running node
-        conditions = None if own else request.conditions
-        run = executor.execute(sim, request.road, request.seed, conditions, watch=progress.update)
+        run = client.execute(sim, request.scenario, conditions_of_node=own, watch=progress.update)
         if recorder is not None:
             recorder.wait_for_images(len(run.observations))
         return run, recorder is not None
@@ -159,7 +158,7 @@ def _domain() -> str:
 
 
 @contextmanager
-def _recorder(executor: GraphClient, request: DriveOptions) -> Iterator[ImageRecorder | None]:
+def _recorder(client: GraphClient, request: DriveOptions) -> Iterator[ImageRecorder | None]:
     """Record the images of a simulator that cannot be re-simulated here; None where none are needed.
 
     A node that runs elsewhere may be another version with another look, and a simulator of the user's own may not
@@ -181,7 +180,7 @@ def _recorder(executor: GraphClient, request: DriveOptions) -> Iterator[ImageRec
     folder = image_spool_path(bag)
     shutil.rmtree(folder.parent, ignore_errors=True)
     facts = facts_of(sim, RunRecord(scenario=request.scenario), request.level)
-    with ImageRecorder(folder, request.namespace, facts, executor.context) as recorder:
+    with ImageRecorder(folder, request.namespace, facts, client.context) as recorder:
         if not recorder.wait_for_simulator():
             raise GraphError(
                 f"{request.namespace} publishes no camera/image_raw to record, or does not answer get_info: choose "

@@ -23,6 +23,7 @@ from ds_recording.sibling.sections import sections
 from ds_recording.sibling.simulator import RecordingSimulator
 from ds_road import RoadError
 from ds_sim.registry import UnknownSimulatorError, make_simulator
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, Outcome, Reason, VehicleState
 
@@ -127,7 +128,7 @@ def test_it_drives_to_the_end_and_repeats_its_bytes(folder: Path) -> None:
     digests = []
     for _ in range(2):
         session = Session(simulator)
-        frame = session.start(road, 1)
+        frame = session.start(Scenario(road, seed=1))
         images = 0
         while session.driving:
             assert frame is not None
@@ -141,7 +142,7 @@ def test_it_drives_to_the_end_and_repeats_its_bytes(folder: Path) -> None:
 def test_beyond_its_photographs_it_does_not_know(folder: Path) -> None:
     session = Session(RecordingSimulator.from_file(folder))
     (road,) = sections(read_drive(folder), 80.0, 1000.0)
-    session.start(road, 1)
+    session.start(Scenario(road, seed=1))
     while session.driving:
         session.advance(Command(1.0, 0.6))
     assert session.run is not None

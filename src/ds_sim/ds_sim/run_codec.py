@@ -64,10 +64,10 @@ def encode_run(run: RunRecord) -> bytes:
 
     Examples:
         >>> from ds_road import Road
-        >>> from ds_sim import Session, decode_run, encode_run, make_simulator
+        >>> from ds_sim import Scenario, Session, decode_run, encode_run, make_simulator
         >>> road = Road([(125, 0), (125, 25), (125, 50), (125, 75)])
         >>> session = Session(make_simulator("softbody"))
-        >>> _ = session.start(road, seed=1)
+        >>> _ = session.start(Scenario(road, seed=1))
         >>> run = session.run
         >>> decode_run(encode_run(run), run.scenario) == run
         True

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.simulator import (
     FRAME_TIME,
@@ -82,9 +80,9 @@ class Session:
 
     Examples:
         >>> from ds_road import Road
-        >>> from ds_sim import Command, Session, make_simulator
+        >>> from ds_sim import Command, Scenario, Session, make_simulator
         >>> session = Session(make_simulator("softbody"))
-        >>> frame = session.start(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1)
+        >>> frame = session.start(Scenario(Road([(125, 0), (125, 25), (125, 50), (125, 75)]), seed=1))
         >>> while session.driving:
         ...     frame = session.advance(Command(steering=1.0, throttle=0.5))
         >>> session.run.outcome.name, session.run.fitness < 0.0
@@ -100,8 +98,8 @@ class Session:
         """True while a run is in progress."""
         return self.run is not None and self.run.outcome is Outcome.RUNNING
 
-    def start(self, road: Road, seed: int, conditions: Conditions = DEFAULT) -> Observation | None:
-        """Start a run at the beginning of a road.
+    def start(self, scenario: Scenario) -> Observation | None:
+        """Start a run at the beginning of a scenario's road.
 
         Returns:
             First observation; None if the simulator failed, which ends the run as SIM_ERROR.
@@ -109,9 +107,11 @@ class Session:
         Raises:
             ds_sim.NotApplicableError: the simulator cannot realise a condition; no run is made of that.
         """
-        self.simulator.spec.check(conditions)
-        self.run = RunRecord(scenario=Scenario(road, conditions, seed=seed))
-        return self._record(lambda: self.simulator.load(road, seed=seed, conditions=conditions))
+        self.simulator.spec.check(scenario.conditions)
+        self.run = RunRecord(scenario=scenario)
+        return self._record(
+            lambda: self.simulator.load(scenario.road, seed=scenario.seed, conditions=scenario.conditions)
+        )
 
     def advance(self, command: Command) -> Observation | None:
         """Drive one step.

@@ -154,9 +154,9 @@ class Foreign:
 def test_a_simulator_without_conditions_goes_on_working() -> None:
     foreign: Any = Foreign()
     session = Session(foreign)
-    assert session.start(STRAIGHT, 1) is not None
+    assert session.start(Scenario(STRAIGHT, seed=1)) is not None
     with pytest.raises(NotApplicableError, match="^foreign cannot realise friction: it realises none$"):
-        session.start(STRAIGHT, 1, Conditions(friction=0.5))
+        session.start(Scenario(STRAIGHT, Conditions(friction=0.5), seed=1))
     assert session.run is not None and session.run.outcome is Outcome.RUNNING  # no run was made of that
     with pytest.raises(NotApplicableError):
         foreign.load(STRAIGHT, seed=1, conditions=Conditions(friction=0.5))
@@ -165,7 +165,7 @@ def test_a_simulator_without_conditions_goes_on_working() -> None:
 
 def test_a_sent_run_is_that_of_its_conditions() -> None:
     session, conditions = Session(make_simulator("donkey")), Conditions(steering_lag=0.2)
-    session.start(STRAIGHT, 1, conditions)
+    session.start(Scenario(STRAIGHT, conditions, seed=1))
     session.advance(Command(0.1, 0.5))
     assert session.run is not None
     data = encode_run(session.run)

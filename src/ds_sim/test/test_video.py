@@ -14,6 +14,7 @@ from ds_base.palette import SERIES, rgb
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
+from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command
 from ds_sim.video import VideoError, check_path, write_video
@@ -25,7 +26,7 @@ ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
 def run() -> RunRecord:
     """Forty frames on a straight road, ever more to the right."""
     session = Session(make_simulator("donkey"))
-    session.start(ROAD, 3)
+    session.start(Scenario(ROAD, seed=3))
     for step in range(40):
         session.advance(Command(0.004 * step, 0.8))
     session.simulator.close()

@@ -201,7 +201,7 @@ class _Drive:
     def __init__(self, simulator: Simulator, driver: Driver | None, scenario: Scenario, *, probed: bool) -> None:
         self.simulator, self.driver = simulator, driver
         self._session = Session(simulator)
-        self._seen = self._session.start(scenario.road, scenario.seed, scenario.conditions)
+        self._seen = self._session.start(scenario)
         self._probe = ContrastProbe(self.run, simulator) if probed else None
         self._look()
 

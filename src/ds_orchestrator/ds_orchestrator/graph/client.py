@@ -30,8 +30,6 @@ from ds_orchestrator.graph.supervisor import (
     closed_loop_process_name,
     simulator_process_name,
 )
-from ds_road import Road
-from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
@@ -155,25 +153,23 @@ class GraphClient:
     def execute(
         self,
         simulator: str,
-        road: Road,
-        seed: int,
-        conditions: Conditions | None = DEFAULT,
+        scenario: Scenario,
         *,
+        conditions_of_node: bool = False,
         watch: Watch | None = None,
     ) -> RunRecord:
-        """Drive a road on a simulator; always returns, and never raises for an error in another process.
+        """Drive a scenario on a simulator; always returns, and never raises for an error in another process.
 
         Args:
             simulator: name of the simulator.
-            road: road to drive.
-            seed: seed of the run.
-            conditions: operating conditions of the run; None for those of the simulator's node.
+            scenario: what to drive.
+            conditions_of_node: take the operating conditions of the simulator's node instead of default ones.
             watch: called from another thread with the simulator's feedback.
         """
         self._simulators[simulator].watch = watch
         while True:
-            record = RunRecord(scenario=Scenario(road, conditions or DEFAULT, seed=seed))
-            goal = self._goal(record, default=conditions is not None and conditions.is_default)
+            record = RunRecord(scenario=scenario)
+            goal = self._goal(scenario, default=scenario.conditions.is_default and not conditions_of_node)
             self._revive()
             began = time.monotonic()
             record.outcome, record.message = self._execute(simulator, record, goal)
@@ -188,7 +184,7 @@ class GraphClient:
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
         """See `ds_orchestrator.campaign.engine.Engine`; the driver is that of the graph's nodes."""
-        return self.execute(request.simulator, request.road, request.seed, request.conditions, watch=watch)
+        return self.execute(request.simulator, request.scenario, watch=watch)
 
     def stop(self) -> None:
         """End every wait now; active runs end as CANCELLED."""
@@ -264,12 +260,12 @@ class GraphClient:
             if self._renewed.get(driver, -math.inf) < began:
                 self._renew(driver)
 
-    def _goal(self, record: RunRecord, *, default: bool) -> DriveRoad.Goal:
+    def _goal(self, scenario: Scenario, *, default: bool) -> DriveRoad.Goal:
         """Make the goal of a run; it carries the whole test, so that another client's load_road cannot interfere."""
         return DriveRoad.Goal(
-            road=messages.road_to_message(record.road),
-            seed=record.seed,
-            conditions=messages.conditions_to_messages(record.conditions),
+            road=messages.road_to_message(scenario.road),
+            seed=scenario.seed,
+            conditions=messages.conditions_to_messages(scenario.conditions),
             default_conditions=default,
             command_timeout=self._timeout,
         )

@@ -42,7 +42,7 @@ def test_pictures_are_what_the_simulator_has_shown() -> None:
     """Rendered from the path alone, they equal the frames of the drive except for noise and the body's small tilts."""
     session = Session(make_simulator("bullet"))
     autopilot = Autopilot(session.simulator.spec.autopilot)
-    seen = session.start(TEST.road, TEST.seed)
+    seen = session.start(TEST.scenario)
     assert seen is not None
     images = [seen.image]
     while session.driving and seen.step < 120:

@@ -19,6 +19,7 @@ from ds_sim.donkey_protocol.messages import (
     number_in,
     telemetry,
 )
+from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, Observation, Simulator, SimulatorError
 
@@ -127,7 +128,8 @@ class Conversation:
     def _start(self) -> None:
         self._command = AT_REST
         tests = self._tests
-        self._frame = self._checked(self._session.start(tests.roads[self._road], tests.seed, tests.conditions))
+        scenario = Scenario(tests.roads[self._road], tests.conditions, seed=tests.seed)
+        self._frame = self._checked(self._session.start(scenario))
 
     def _control(self, message: dict[str, Any]) -> dict[str, Any]:
         if self._frame is None:

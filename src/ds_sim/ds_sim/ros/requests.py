@@ -17,6 +17,7 @@ from ds_base.errors import InputError
 from ds_road import Road, RoadError
 from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
 from ds_sim.ros.conversions import conditions_from_messages, refusal_result, road_from_message
+from ds_sim.scenario import Scenario
 from ds_sim.simulator import Reason, SimulatorSpec
 
 
@@ -39,7 +40,7 @@ def no_road() -> RequestRefused:
 
 
 class LoadedRoad:
-    """Stores the road, seed and conditions that were loaded last.
+    """Stores the scenario that was loaded last; None before the first.
 
     Args:
         spec: description of the simulator.
@@ -52,8 +53,7 @@ class LoadedRoad:
     def __init__(self, spec: SimulatorSpec, default: Conditions) -> None:
         spec.check(default)
         self._spec, self._default = spec, default
-        self.road: Road | None = None
-        self.seed, self.conditions = 0, default
+        self.scenario: Scenario | None = None
 
     def load(self, request: LoadRoad.Request | DriveRoad.Goal) -> Road:
         """Check and store a test; a refused one does not replace the stored one.
@@ -77,7 +77,7 @@ class LoadedRoad:
             raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
         except NotApplicableError as error:
             raise RequestRefused(Reason.NOT_APPLICABLE, str(error)) from None
-        self.road, self.seed, self.conditions = road, request.seed, conditions
+        self.scenario = Scenario(road, conditions, seed=request.seed)
         return road
 
 

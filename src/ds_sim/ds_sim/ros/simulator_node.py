@@ -79,7 +79,7 @@ class SimulatorNode(Node):
 
     def _on_reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """End the current run; the loaded road stays loaded."""
-        response.success = self._loaded.road is not None
+        response.success = self._loaded.scenario is not None
         response.message = "" if response.success else str(no_road())
         self._finish(Outcome.CANCELLED, "reset was called", Reason.RESET)
         return response
@@ -102,14 +102,14 @@ class SimulatorNode(Node):
         self._neighbours.check_alone()
         if request.road.control_points:
             self._load(request)
-        loaded = self._loaded
-        if loaded.road is None:
+        scenario = self._loaded.scenario
+        if scenario is None:
             raise no_road()
         self._goal = goal
         self._sync_now = request.sync or self._sync
         self.drawn.choose()
         self._standard.leave()
-        first = self._session.start(loaded.road, loaded.seed, loaded.conditions)  # costs the driver no time
+        first = self._session.start(scenario)  # costs the driver no time
         limit = request.command_timeout or self._timeout
         self._watchdog = CommandWatchdog(limit, frames_wait=self._sync_now != "realtime")
         self._monitor = CommandMonitor()

@@ -84,7 +84,7 @@ class StandardControl:
         if self._session.driving:
             response.state.state = states.STATE_PAUSED if self._stepping else states.STATE_PLAYING
         else:
-            response.state.state = states.STATE_NO_WORLD if self._loaded.road is None else states.STATE_STOPPED
+            response.state.state = states.STATE_NO_WORLD if self._loaded.scenario is None else states.STATE_STOPPED
         response.result.result = Result.RESULT_OK
         return response
 
@@ -101,7 +101,7 @@ class StandardControl:
         """Do what was asked unless a goal or a missing road forbids it; `act` returns why it failed, or ""."""
         try:
             self._check_idle()
-            if self._loaded.road is None:
+            if self._loaded.scenario is None:
                 raise no_road()
         except RequestRefused as refused:
             return Result(result=Result.RESULT_INCORRECT_STATE, error_message=str(refused))
@@ -109,11 +109,10 @@ class StandardControl:
         return Result(result=Result.RESULT_OPERATION_FAILED if failed else Result.RESULT_OK, error_message=failed)
 
     def _begin(self) -> str:
-        loaded = self._loaded
-        assert loaded.road is not None
+        assert self._loaded.scenario is not None
         self.leave()
         self._command = Command(0.0, 0.0)
-        observation = self._session.start(loaded.road, loaded.seed, loaded.conditions)
+        observation = self._session.start(self._loaded.scenario)
         self._run = self._session.run
         return self._show(observation)
 

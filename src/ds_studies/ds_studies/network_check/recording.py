@@ -124,7 +124,7 @@ def _drive(job: _Job, throttle: Callable[[Frame], float | None]) -> list[tuple[F
     spec, session = simulator.spec, Session(simulator)
     autopilot = make_driver(AUTOPILOT, spec)
     driven = []
-    seen = session.start(job.scenario.road, job.scenario.seed)
+    seen = session.start(job.scenario)
     while seen is not None and session.driving and seen.step < LONGEST:
         frame = replace(Frame.of(seen, spec), image=seen.image.copy())
         command, given = autopilot(seen), throttle(frame)

@@ -138,7 +138,7 @@ class Suite(_Strict):
             unknown = sorted(set(test.outcomes) - set(self.simulators))
             if unknown:
                 raise ValueError(f"test {test.name} has an outcome on {unknown[0]}, which is not among the simulators")
-            validity = self.road_of(test).validity
+            validity = self.scenario_of(test).road.validity
             if not validity.valid:
                 raise ValueError(f"the road of test {test.name} is not valid: {validity.reason}")
         return self
@@ -148,9 +148,10 @@ class Suite(_Strict):
         """Siblings, then the twin if there is one."""
         return [*self.siblings, *([self.twin] if self.twin else [])]
 
-    def road_of(self, test: SuiteTest) -> Road:
-        """The road of a test, in the suite's lane."""
-        return Road(test.control_points, maxitwo_compatible=self.maxitwo_compatible, lane=self.lane)
+    def scenario_of(self, test: SuiteTest) -> Scenario:
+        """The scenario of a test, in the suite's lane."""
+        road = Road(test.control_points, maxitwo_compatible=self.maxitwo_compatible, lane=self.lane)
+        return Scenario(road, test.conditions, seed=test.seed)
 
 
 def road_sha256(control_points: list[list[float]]) -> str:
@@ -340,7 +341,7 @@ def run_suite(
         The comparison, and every execution by test and simulator.
     """
     tests = {
-        one.name: Test(f"suite-0-{number:04d}", Scenario(suite.road_of(one), one.conditions, seed=one.seed))
+        one.name: Test(f"suite-0-{number:04d}", suite.scenario_of(one))
         for number, one in enumerate(suite.tests)
     }
     work = {name: [tests[one.name] for one in suite.tests if name in one.outcomes] for name in suite.simulators}
