@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds road`: generate, mirror, check, draw, export and import roads."""
+"""`ds road`: generate, check, draw, export, import and cut roads."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,12 +16,14 @@ from ds_cli.options import JsonFlag, Lane, MaxAngle, Seed
 from ds_cli.output import Result, answer, say
 
 if TYPE_CHECKING:
+    from ds_base.left_out import LeftOut
     from ds_road import Road, Side
+    from ds_road.importing import ImportedRoad
 
 Format = Literal["opendrive", "commonroad", "sbft"]
 
 app = typer.Typer()
-road_app = typer.Typer(help="Generate, check, draw, export and import roads.", no_args_is_help=True)
+road_app = typer.Typer(help="Generate, check, draw, export, import and cut roads.", no_args_is_help=True)
 app.add_typer(road_app, name="road")
 
 
@@ -152,24 +155,58 @@ def road_export_command(
         print(path)
 
 
+Files = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="FILE...", help="OpenDRIVE, CommonRoad, JSON of the SBFT and SDC competitions, or a track's CSV."
+    ),
+]
+LaneWidth = Annotated[
+    float | None,
+    typer.Option(min=1.0, max=20.0, help="Lane width of tracks, m; half of the track's width, or 4, if left out."),
+]
+Strict = Annotated[bool, typer.Option("--strict", help="Refuse a file with a road that cannot be read.")]
+
+
 @road_app.command("import")
-def road_import_command(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="OpenDRIVE, CommonRoad, or JSON of the SBFT competition.")
-    ],
-) -> None:
+def road_import_command(files: Files, lane_width: LaneWidth = None, strict: Strict = False) -> None:
     """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
 
-    The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit.
+    The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit; of what is
+    larger, `ds road cut` makes sections.
     """
-    from ds_road import importing
+    from ds_base.left_out import LeftOut
+    from ds_road.importing import import_roads
 
-    found = []
-    for file in files:
-        for one in importing.import_roads(file):
-            found.append(one.to_json())
+    left_out = LeftOut("roads", strict)
+    _print_roads(left_out, ((file, import_roads(file, left_out, lane_width=lane_width)) for file in files))
+
+
+@road_app.command("cut")
+def road_cut_command(
+    files: Files,
+    length: Annotated[float, typer.Option(min=20.0, max=900.0, help="Length of a section, m.")] = 200.0,
+    every: Annotated[float, typer.Option(min=1.0, help="Distance between the starts of two sections, m.")] = 100.0,
+    lane_width: LaneWidth = None,
+    strict: Strict = False,
+) -> None:
+    """Print sections of roads and tracks as a JSON list, such as those of a track that is larger than the box."""
+    from ds_base.left_out import LeftOut
+    from ds_road.importing import cut_roads
+
+    left_out = LeftOut("roads", strict)
+    _print_roads(left_out, ((one, cut_roads(one, length, every, left_out, lane_width=lane_width)) for one in files))
+
+
+def _print_roads(left_out: LeftOut, roads: Iterable[tuple[Path, Sequence[ImportedRoad]]]) -> None:
+    document = []
+    for file, imported in roads:
+        for one in imported:
+            document.append(one.to_json())
             if any(one.moved):
                 say(f"{file}: {one.name} moved by ({one.moved[0]:g}, {one.moved[1]:g}) m into the box")
             if not one.road.validity.valid:
                 say(f"{file}: {one.name} cannot be driven: {one.road.validity.reason}")
-    print(json.dumps(found))
+    if left_out.items:
+        say(left_out.line())
+    print(json.dumps(document))

@@ -127,8 +127,8 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "road",
                 "roads",
-                "Generate, check, draw, export and import roads.",
-                ("generate", "check", "show", "export", "import"),
+                "Generate, check, draw, export, import and cut roads.",
+                ("generate", "check", "show", "export", "import", "cut"),
             ),
             Verb(
                 "bag",

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ds_road.commonroad import add, commonroad
 from ds_road.geometry import SAMPLES_PER_SEGMENT
-from ds_road.importing import STEPS_CODE
+from ds_road.opendrive import STEPS_CODE
 from ds_road.road import Road, RoadError
 
 Format = Literal["opendrive", "commonroad", "sbft"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads roads of other tools: ASAM OpenDRIVE, CommonRoad scenarios, and tests of the SBFT tool competition.
+"""Reads roads of other tools: ASAM OpenDRIVE, CommonRoad, tests of the SBFT and SDC competitions, and tracks.
 
 All become roads of road points, in metres. A road that fits into the box of 250 m but lies outside of it is moved into
 its middle, without turning it.
@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,177 +20,13 @@ from scipy.interpolate import splev, splprep
 
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_xml import parse_xml
-from ds_road.commonroad import constant_width, read_commonroad, without_repeats
+from ds_base.left_out import LeftOut
+from ds_road.centre_lines import CentreLine, in_box
+from ds_road.commonroad import constant_width, read_commonroad
 from ds_road.files import LARGEST_FILE, road_from_json, road_to_json
-from ds_road.geometry import BOX
+from ds_road.opendrive import SPACING, read_opendrive
 from ds_road.road import LANE_WIDTH, MAX_POINTS, Road, RoadError, Side
-
-SPACING = 1.25
-"""m between two samples at most; chosen: that of 20 samples on the 25 m between control points."""
-STEPS_CODE = "digital_siblings_steps_per_piece"
-"""Code of the user data in which an exported road says how its pieces are sampled, so that its samples come back."""
-_MOST_STEPS = 100
-LONGEST = 10_000.0
-"""m; chosen: far longer than what fits into the box, and sampled at once."""
-
-
-def read_opendrive(root: Element, *, most: int) -> list[tuple[str, Road]]:
-    """Roads of a file that lie outside of junctions.
-
-    The centre line is the reference line, shifted by the lane offset. Driven is lane -1 in right-hand traffic, lane 1
-    in left-hand traffic; its width, which has to be constant, becomes that of both lanes. Height, other lanes, links,
-    objects and signals are ignored.
-
-    Args:
-        root: root of the document.
-        most: largest number of roads.
-
-    Returns:
-        Name and road.
-
-    Raises:
-        RoadError: a road cannot be read; one line says which and why.
-    """
-    elements = [element for element in root.iter("road") if element.get("junction", "-1") == "-1"]
-    if not elements:
-        raise RoadError("an OpenDRIVE file without roads outside of junctions: expected at least one")
-    if len(elements) > most:
-        raise RoadError(f"{len(elements)} roads, expected at most {most}: divide the file")
-    roads = []
-    for element in elements:
-        name = element.get("name") or element.get("id") or "road"
-        try:
-            roads.append((name, _road(element)))
-        except RoadError as error:
-            raise RoadError(f"road {name[:60]!r}: {error}") from None
-    return roads
-
-
-def _road(element: Element) -> Road:
-    s, line, headings = _reference_line(element)
-    offsets = _polynomial(_entries(element, "lanes/laneOffset"), "s", s, 0.0)
-    line = line + offsets[:, None] * np.stack((-np.sin(headings), np.cos(headings)), axis=1)
-    left_hand = element.get("rule", "RHT") == "LHT"
-    widths = _lane_widths(element, "1" if left_hand else "-1", s)
-    return Road.from_road_points(
-        without_repeats(line), lane_width=constant_width(widths), lane="left" if left_hand else "right"
-    )
-
-
-def _reference_line(
-    element: Element,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Distances s (n,), points (n, 2) and headings (n,) of samples, joints twice."""
-    pieces = _entries(element, "planView/geometry")
-    if not pieces:
-        raise RoadError("it has no planView with geometry")
-    if sum(number(piece, "length") for piece in pieces) > LONGEST:
-        raise RoadError(f"it is longer than {LONGEST:g} m")
-    own = next((one for one in element.findall("userData") if one.get("code") == STEPS_CODE), None)
-    steps = 0 if own is None else int(min(max(number(own, "value"), 1), _MOST_STEPS))
-    sampled = [_sample(piece, steps) for piece in pieces]
-    s, points, headings = (np.concatenate([part[k] for part in sampled]) for k in range(3))
-    if len(s) > 4 * MAX_POINTS:  # far beyond, even where joints come twice
-        raise RoadError(f"a road has {len(s)} road points, expected 2 to {MAX_POINTS}")
-    return s, points, headings
-
-
-def _sample(piece: Element, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    length, s0, heading = (number(piece, key) for key in ("length", "s", "hdg"))
-    start = np.array([number(piece, "x"), number(piece, "y")])
-    if length <= 0:
-        raise RoadError(f"a piece of its geometry has length {length:g}: expected more than 0")
-    count = steps or max(1, math.ceil(length / SPACING - 1e-6))
-    along = np.linspace(0.0, length, count + 1)
-    shape = next((child for child in piece if child.tag in ("line", "arc", "spiral", "paramPoly3")), None)
-    if shape is None:
-        kinds = ", ".join(child.tag for child in piece)[:40] or "nothing"
-        raise RoadError(f"its geometry has {kinds}: expected line, arc, spiral or paramPoly3")
-    if shape.tag == "paramPoly3":
-        points, directions = _cubic(shape, length, count)
-        turned = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
-        return s0 + along, start + points @ turned, heading + directions
-    first, last = 0.0, 0.0
-    if shape.tag == "arc":
-        first = last = number(shape, "curvature")
-    elif shape.tag == "spiral":
-        first, last = number(shape, "curvStart"), number(shape, "curvEnd")
-    return s0 + along, start + _clothoid(heading, first, last, along), heading + _turned(first, last, along)
-
-
-def _turned(first: float, last: float, along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Change of heading where the curvature changes linearly, as on lines, arcs and spirals."""
-    return first * along + (last - first) * along**2 / (2.0 * along[-1])
-
-
-def _clothoid(heading: float, first: float, last: float, along: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points relative to the first one, by Gauss-Legendre quadrature of the direction between samples."""
-    nodes, weights = np.polynomial.legendre.leggauss(5)
-    steps = np.diff(along)
-    inner = along[:-1, None] + steps[:, None] * (nodes + 1.0) / 2.0
-    angles = heading + first * inner + (last - first) * inner**2 / (2.0 * along[-1])
-    moved = np.stack((np.cos(angles) @ weights, np.sin(angles) @ weights), axis=1) * steps[:, None] / 2.0
-    return np.vstack((np.zeros(2), np.cumsum(moved, axis=0)))
-
-
-def _cubic(shape: Element, length: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points and directions in the piece's own axes; of a spline's segment, those of this project's samples."""
-    end = length if shape.get("pRange") == "arcLength" else 1.0
-    p = np.linspace(0.0, end, count + 1)
-    axes = [[number(shape, letter + axis) for letter in "abcd"] for axis in "UV"]
-    points: NDArray[np.float64] = np.stack([np.polynomial.polynomial.polyval(p, axis) for axis in axes], axis=1)
-    slopes = [np.polynomial.polynomial.polyval(p, np.polynomial.polynomial.polyder(axis)) for axis in axes]
-    return points, np.asarray(np.arctan2(slopes[1], slopes[0]), np.float64)
-
-
-def _lane_widths(element: Element, lane: str, s: NDArray[np.float64]) -> NDArray[np.float64]:
-    sections = _entries(element, "lanes/laneSection")
-    starts = [number(section, "s") for section in sections]
-    widths = np.full(len(s), np.nan)
-    for index, section in enumerate(sections):
-        found = next((one for one in section.iter("lane") if one.get("id") == lane), None)
-        if found is None or found.get("type") != "driving":
-            raise RoadError(f"it has no driving lane {lane}")
-        end = starts[index + 1] if index + 1 < len(sections) else math.inf
-        inside = (s >= starts[index]) & (s <= end)
-        widths[inside] = _polynomial(_entries(found, "width"), "sOffset", s[inside] - starts[index], math.nan)
-    return widths
-
-
-def _polynomial(entries: list[Element], start: str, s: NDArray[np.float64], otherwise: float) -> NDArray[np.float64]:
-    """Value of a piecewise cubic whose entries begin at increasing distances."""
-    rows = sorted(([number(entry, key) for key in (start, *"abcd")] for entry in entries), key=lambda row: row[0])
-    table = np.array(rows, np.float64).reshape(-1, 5)
-    row = np.searchsorted(table[:, 0] - 1e-9, s, side="right") - 1
-    inside, used = row >= 0, table[row[row >= 0]]
-    values = np.full(len(s), otherwise)
-    values[inside] = np.polynomial.polynomial.polyval(s[inside] - used[:, 0], used[:, 1:].T, tensor=False)
-    return values
-
-
-def _entries(parent: Element, path: str) -> list[Element]:
-    """Elements below a parent, no more than a road may have points."""
-    found = parent.findall(path)
-    if len(found) > MAX_POINTS:
-        raise RoadError(f"it has {len(found)} entries of {path}, expected at most {MAX_POINTS}")
-    return found
-
-
-def number(element: Element, name: str) -> float:
-    """A finite number in an attribute.
-
-    Raises:
-        RoadError: it is missing or no number.
-    """
-    text = element.get(name, "")
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise RoadError(f"{name} of {element.tag[:30]} is {text[:30]!r}, expected a number")
-    return value
-
+from ds_road.tracks import Track, read_track
 
 SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
@@ -219,11 +55,16 @@ class ImportedRoad:
         return {**(raw if isinstance(raw, dict) else {"control_points": raw}), "test_id": self.name}
 
 
-def import_roads(path: Path) -> list[ImportedRoad]:
-    """Read all roads of a file; its content tells the format.
+def import_roads(path: Path, left_out: LeftOut | None = None, *, lane_width: float | None = None) -> list[ImportedRoad]:
+    """Read the roads of a file; its content tells the format.
+
+    Args:
+        path: file.
+        left_out: takes the roads that cannot be read; if None, the first one is an error.
+        lane_width: of tracks, m; half of the track's width, or 4 m, if None.
 
     Raises:
-        RoadError: not one of the formats, or a road that cannot be used; one line names the file.
+        RoadError: not one of the formats, or no road that can be used; one line names the file.
         OSError: the file cannot be read.
 
     Examples:
@@ -237,34 +78,91 @@ def import_roads(path: Path) -> list[ImportedRoad]:
         >>> abs(found.road.length - road.length) < 0.01
         True
     """
+    return _roads(path, read_lines(path, left_out, lane_width=lane_width), left_out)
+
+
+def cut_roads(
+    path: Path, length: float, every: float, left_out: LeftOut | None = None, *, lane_width: float | None = None
+) -> list[ImportedRoad]:
+    """Read the roads of a file and cut them into sections, as for a track that is too large for the box.
+
+    Args:
+        path: file.
+        length: of a section, m.
+        every: distance between the starts of two sections, m.
+        left_out: see `import_roads`.
+        lane_width: see `import_roads`.
+
+    Raises:
+        RoadError: see `import_roads`; or no road is as long.
+        OSError: the file cannot be read.
+    """
+    left_out = left_out or LeftOut("roads", strict=True)
+    sections: list[CentreLine] = []
+    for line in read_lines(path, left_out, lane_width=lane_width):
+        try:
+            sections += line.sections(length, every)
+        except RoadError as error:
+            left_out.add(line.name, RoadError(f"{path}: {error}"))
+    return _roads(path, sections, left_out)
+
+
+def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut | None) -> list[ImportedRoad]:
+    left_out = left_out or LeftOut("roads", strict=True)
+    roads = []
+    for line in lines:
+        try:
+            roads.append(ImportedRoad(line.name, *in_box(line.road())))
+        except RoadError as error:
+            left_out.add(line.name, RoadError(f"{path}: {error}"))
+    if not roads:
+        raise RoadError(f"{path}: no road can be used: {left_out.line()}")
+    return roads
+
+
+def read_lines(path: Path, left_out: LeftOut | None = None, *, lane_width: float | None = None) -> list[CentreLine]:
+    """Read centre lines, or roads of control points with their names; see `import_roads`."""
+    left_out = left_out or LeftOut("roads", strict=True)
     try:
-        return [_in_box(name, road) for name, road in _read(path)]
+        return _read(path, left_out, lane_width)
     except RoadError as error:
         raise RoadError(f"{path}: {error}") from None
 
 
-def _read(path: Path) -> list[tuple[str, Road]]:
+def _read(path: Path, left_out: LeftOut, lane_width: float | None) -> list[CentreLine]:
     try:
         content = read_regular(path, LARGEST_FILE)
     except FileError as error:
         raise RoadError(str(error)) from None
     beginning = content.lstrip(b"\xef\xbb\xbf \t\r\n")
     if beginning[:1] in (b"{", b"["):
-        return _read_sbft(content, path.stem)
+        return _read_sbft(content, path.stem, left_out)
     if beginning[:1] != b"<":
-        raise RoadError("neither XML nor JSON: expected OpenDRIVE, CommonRoad or SBFT's JSON")
+        return [_track(read_track(content), path.stem, lane_width)]
     try:
         root = parse_xml(content)
     except FileError as error:
         raise RoadError(str(error)) from None
-    if root.tag == "OpenDRIVE":
-        return read_opendrive(root, most=MOST_ROADS)
-    if root.tag == "commonRoad":
-        return [(path.stem, read_commonroad(root))]
+    kind = root.tag.rpartition("}")[2]
+    if kind == "OpenDRIVE":
+        return read_opendrive(root, left_out, most=MOST_ROADS)
+    if kind == "commonRoad":
+        return [CentreLine.of(path.stem, read_commonroad(root))]
     raise RoadError(f"XML of {root.tag[:40]!r}: expected OpenDRIVE or commonRoad")
 
 
-def _read_sbft(content: bytes, stem: str) -> list[tuple[str, Road]]:
+def _track(track: Track, name: str, lane_width: float | None) -> CentreLine:
+    """The line in the middle of a track; where it has no widths, that of the file."""
+    points, right, left = track
+    if right is None or left is None:
+        return CentreLine(name, points, lane_width or LANE_WIDTH)
+    along = np.gradient(points, axis=0)
+    normal = np.stack((-along[:, 1], along[:, 0]), axis=1) / np.maximum(np.hypot(*along.T), 1e-12)[:, None]
+    middle = points + ((left - right) / 2.0)[:, None] * normal
+    return CentreLine(name, middle, lane_width or constant_width((left + right) / 2.0))
+
+
+def _read_sbft(content: bytes, stem: str, left_out: LeftOut) -> list[CentreLine]:
     try:
         raw = json.loads(content)
     except (ValueError, RecursionError) as error:
@@ -276,16 +174,23 @@ def _read_sbft(content: bytes, stem: str) -> list[tuple[str, Road]]:
         raise RoadError(f"{len(tests)} tests, expected at most {MOST_ROADS}: divide the file")
     found = []
     for index, test in enumerate(tests):
-        given = next((test[key] for key in ("name", "test_id", "id") if isinstance(test.get(key), str | int)), None)
+        keys = [test.get(key) for key in ("name", "test_id", "id", "_id")]
+        keys = [key.get("$oid") if isinstance(key, dict) else key for key in keys]
+        given = next((key for key in keys if isinstance(key, str | int)), None)
         name = str(given) if given is not None else stem if len(tests) == 1 else f"{stem}_{index}"
+        left_out.total += 1
         try:
-            found.append((name[:200], _sbft_road(test)))
+            found.append(CentreLine.of(name[:200], _sbft_road(test)))
         except RoadError as error:
-            raise RoadError(f"test {index}: {error}") from None
+            left_out.add(name[:60], RoadError(f"test {index}: {error}") if left_out.strict else error)
     return found
 
 
 def _sbft_road(test: dict[str, Any]) -> Road:
+    points = test.get("road_points")
+    if isinstance(points, list) and points and all(isinstance(point, dict) for point in points):  # SDC 2025 and 2026
+        ordered = sorted(points, key=lambda point: point.get("sequence_number", 0))
+        test = {**test, "road_points": [[point.get("x"), point.get("y")] for point in ordered]}
     if "interpolated_points" not in test:
         road = road_from_json({key: value for key, value in test.items() if key != "interpolated_points"})
         if not road.sampled:
@@ -308,14 +213,3 @@ def _interpolated(points: NDArray[np.float64]) -> NDArray[np.float64]:
         raise RoadError(f"it takes {count + 1} road points to interpolate, expected 2 to {MAX_POINTS}: give them all")
     spline, _ = splprep(points.T, s=0.0, k=3)
     return np.stack(splev(np.linspace(0.0, 1.0, count + 1), spline), axis=1)
-
-
-def _in_box(name: str, road: Road) -> ImportedRoad:
-    edges = np.vstack((road.left_edge, road.right_edge))
-    low, high = edges.min(axis=0), edges.max(axis=0)
-    inside = low.min() >= 0 and high.max() <= BOX
-    if inside or not road.sampled or (high - low).max() > BOX:
-        return ImportedRoad(name, road)
-    shift = np.round(BOX / 2 - (low + high) / 2, 3)
-    moved = Road.from_road_points(road.points + shift, lane_width=road.lane_width, lane=road.lane)
-    return ImportedRoad(name, moved, (float(shift[0]), float(shift[1])))

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 import sys
 from contextlib import suppress
 from importlib.machinery import ModuleSpec
@@ -16,10 +18,12 @@ import numpy as np
 import pytest
 import shapely
 
+from ds_base.left_out import LeftOut
 from ds_road import Road, RoadError, generate, read_roads
 from ds_road.commonroad import commonroad
 from ds_road.export import Format, opendrive, sbft, write_all
-from ds_road.importing import SPACING, import_roads
+from ds_road.importing import cut_roads, import_roads
+from ds_road.opendrive import SPACING
 
 etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
 ROADS = {
@@ -182,7 +186,10 @@ LINE = (0, 50, 50, 0.0, 100, "<line/>")
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("hello", "neither XML nor JSON"),
+        ("hello", "not a track: expected at least two lines x,y"),
+        ("1,2\n3,4\n5", "line 3 is '5', expected numbers as in the lines before"),
+        ("s,psi\n1,2\n3,4", "columns s, psi: expected x and y"),
+        ("1,2\n3,nan\n5,6", "row 2 of the track has no finite x and y"),
         ("<a", "not XML"),
         ("<a/>", "XML of 'a': expected OpenDRIVE or commonRoad"),
         ('<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE/>', "XML with a document type"),
@@ -195,8 +202,7 @@ LINE = (0, 50, 50, 0.0, 100, "<line/>")
         (xodr((0, 50, 50, 0.0, 100, "<arc/>")), "curvature of arc is ''"),
         (xodr(LINE, slope=0.01), "the lane is 3.50 to 4.50 m wide"),
         (xodr(LINE, width=300), "lane width is 300"),
-        (xodr(LINE).replace('id="-1" type="driving"', 'id="-1" type="border"'), "no driving lane -1"),
-        (xodr((0, 50, 50, 0.0, 2000, "<line/>")), "1601 road points"),
+        (xodr(LINE).replace('id="-1" type="driving"', 'id="-1" type="border"'), "no driving lane from 0 m on"),
         ('<commonRoad commonRoadVersion="2017a"/>', "CommonRoad version 2017a, expected 2018b or 2020a"),
         ('<commonRoad commonRoadVersion="2020a"/>', "without lanelets"),
         ('<commonRoad commonRoadVersion="2020a"><lanelet id="1"/></commonRoad>', "0 points on its left"),
@@ -228,3 +234,131 @@ def test_every_damaged_file_is_refused_or_read(tmp_path: Path) -> None:
             path.write_bytes(content)
             with suppress(RoadError):
                 import_roads(path)
+
+
+LANES = """<laneSection s="0"><left>{left}</left><center><lane id="0" type="none"/></center><right>{right}</right>
+</laneSection>"""
+
+
+def lanes(left: str, right: str) -> str:
+    """A straight road of 100 m along y = 50 m with these lanes: `TYPE:WIDTH`, from the inside, or `TYPE|BORDER`."""
+
+    def of(text: str, sign: int) -> str:
+        tags = []
+        for number, (kind, border, size) in enumerate((re.split(r"([:|])", one) for one in text.split()), 1):
+            tag, value = ("border", sign * float(size)) if border == "|" else ("width", float(size))
+            tags.append(
+                f'<lane id="{sign * number}" type="{kind}"><{tag} sOffset="0" a="{value}" b="0" c="0" d="0"/></lane>'
+            )
+        return "".join(tags)
+
+    text = xodr(LINE)
+    begin, end = text.index("<laneSection"), text.index("</laneSection>") + len("</laneSection>")
+    return text[:begin] + LANES.format(left=of(left, 1), right=of(right, -1)) + text[end:]
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "y", "width", "eastwards"),
+    [
+        ("driving:3.5", "driving:3.5", 50.0, 3.5, True),
+        ("driving|3.25", "driving|3.25", 50.0, 3.25, True),
+        ("median:1", "median:1 driving:3.5", 49.0, 3.5, True),
+        ("", "median|1 driving|4.5", 49.0, 3.5, True),
+        ("driving:3", "sidewalk:2", 50.0, 3.0, False),
+        ("median:0.5 driving:3", "", 50.5, 3.0, False),
+    ],
+)
+def test_the_innermost_driving_lane_is_driven(
+    tmp_path: Path, left: str, right: str, y: float, width: float, eastwards: bool
+) -> None:
+    road = imported(lanes(left, right), tmp_path)
+    assert road.points[:, 1] == pytest.approx(y) and (road.lane_width, road.lane) == (width, "right")
+    assert bool(road.points[-1, 0] > road.points[0, 0]) is eastwards and road.length == pytest.approx(100.0)
+    assert road.lane_centre[:, 1] == pytest.approx(y - width / 2 if eastwards else y + width / 2)
+
+
+def test_a_file_with_a_footpath_gives_its_other_roads(tmp_path: Path) -> None:
+    good, foot = lanes("driving:3.5", "driving:3.5"), lanes("", "sidewalk:2").replace('name="r"', 'name="foot"')
+    path = tmp_path / "map.xodr"
+    road = re.search("<road .*</road>", foot, re.DOTALL)
+    assert road is not None
+    path.write_text(good.replace("</road>", f"</road>{road[0]}").replace("<OpenDRIVE>", '<OpenDRIVE xmlns="http://x">'))
+    left_out = LeftOut("roads")
+    (found,) = import_roads(path, left_out)
+    assert found.road.length == pytest.approx(100.0)
+    assert left_out.line() == "1 of 2 roads left out: foot (it has no driving lane from 0 m on)"
+    with pytest.raises(RoadError, match="road 'foot': it has no driving lane"):
+        import_roads(path)
+
+
+@pytest.mark.parametrize("shift", [(50.0, 0.005), (49.995, 0.0), (50.009, 0.0), (50.0, 0.0)])
+def test_joints_may_have_the_gaps_that_asam_allows(tmp_path: Path, shift: tuple[float, float]) -> None:
+    text = xodr((0, 50, 50, 0.0, 50, "<line/>"), (50, 50 + shift[0], 50 + shift[1], 0.0, 50, "<line/>"))
+    road = imported(text, tmp_path)
+    assert road.validity.valid and road.length == pytest.approx(100.0, abs=0.02) and road.curvature < 0.002
+
+
+CIRCLE = np.array([(60 * math.cos(a), 60 * math.sin(a)) for a in np.arange(0.0, 2 * math.pi, 0.05)])
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "width"),
+    [
+        ("", "{x},{y}", 4.0),
+        ("", "{x}, {y}", 4.0),
+        ("", "{x} {y}", 4.0),
+        ("x;y", "{x};{y}", 4.0),
+        ("# x_m, y_m, w_tr_right_m, w_tr_left_m", "{x}, {y}, 1.5, 1.5", 1.5),
+        ("# 9ab3\n# s_m; x_m; y_m; psi_rad; vx_mps", "7; {x}; {y}; 0.5; 3.0", 4.0),
+        ("time,y,x", "0.1,{y},{x}", 4.0),
+        ("\ufeffX,Y", "{x},{y}", 4.0),
+    ],
+)
+def test_tracks_are_read_whoever_wrote_them(tmp_path: Path, header: str, row: str, width: float) -> None:
+    path = tmp_path / "track.csv"
+    rows = [row.format(x=x, y=y) for x, y in CIRCLE.tolist()]
+    path.write_text("\n".join([*([header] if header else []), *rows, ""]))
+    (found,) = import_roads(path)
+    assert found.name == "track" and found.road.lane_width == width
+    assert found.road.points - np.array(found.moved) == pytest.approx(CIRCLE, abs=1e-9)
+    (wide,) = import_roads(path, lane_width=3.0)
+    assert wide.road.lane_width == 3.0
+
+
+def test_the_line_lies_in_the_middle_of_its_track(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text(
+        "x_m,y_m,w_tr_right_m,w_tr_left_m\n" + "".join(f"{x},50,1,2\n" for x in range(0, 60, 2))
+    )
+    (found,) = import_roads(tmp_path / "t.csv")
+    assert found.road.lane_width == 1.5 and found.road.points[:, 1] - found.moved[1] == pytest.approx(50.5)
+
+
+def test_a_track_that_is_too_large_is_cut(tmp_path: Path) -> None:
+    """A circle of 400 m radius: sections of 200 m, each a fourteenth of a turn, over the end, too."""
+    angles = np.linspace(0.0, 2 * math.pi, 2500, endpoint=False)
+    (tmp_path / "ring.csv").write_text("".join(f"{400 * math.cos(a)},{400 * math.sin(a)}\n" for a in angles))
+    (whole,) = import_roads(tmp_path / "ring.csv")
+    assert not whole.road.validity.valid
+    sections = cut_roads(tmp_path / "ring.csv", 200.0, 300.0)
+    assert [one.name for one in sections] == [f"ring_{start}" for start in range(0, 2500, 300)]
+    for one in sections:
+        assert one.road.validity.valid and one.road.length == pytest.approx(200.0, abs=0.01)
+        turned = np.diff(np.unwrap(np.arctan2(*np.diff(one.road.points, axis=0)[[0, -1], ::-1].T)))
+        assert turned == pytest.approx(200.0 / 400.0, abs=0.01)
+    (tmp_path / "open.csv").write_text("".join(f"{x},{x % 7}\n" for x in range(0, 250, 10)))
+    assert len(cut_roads(tmp_path / "open.csv", 100.0, 50.0)) == 4
+    with pytest.raises(RoadError, match="is 2.. m long, expected 900 m: cut shorter sections"):
+        cut_roads(tmp_path / "open.csv", 900.0, 50.0)
+
+
+def test_tests_of_the_sdc_competition_are_read(tmp_path: Path) -> None:
+    points = [{"sequence_number": n, "x": 100.0 + 2 * n, "y": 50.0} for n in range(40)]
+    tests = [
+        {"_id": {"$oid": "65aa"}, "road_points": points[::-1]},
+        {"_id": {"$oid": "65ab"}, "road_points": [{"x": 1}]},
+    ]
+    (tmp_path / "sdc.json").write_text(json.dumps(tests))
+    left_out = LeftOut("roads")
+    (found,) = import_roads(tmp_path / "sdc.json", left_out)
+    assert found.name == "65aa" and found.road.points[:, 0] == pytest.approx(np.arange(40) * 2 + 100.0)
+    assert left_out.line().startswith("1 of 2 roads left out: 65ab (")

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_road import Road, RoadError, read_roads
+from ds_road.centre_lines import CentreLine
+from ds_road.tracks import read_track as read_points
 from ds_sim.oracle import LaneTracker
 from ds_sim.road_simulator import start_of
 from ds_sim_ros.settings import RosSettingsError
@@ -38,7 +38,7 @@ def write_road(road: Road, path: Path) -> None:
 
 
 def read_track(path: Path, lane_width: float) -> Road:
-    """Read the centre line of a fixed track: lines `x,y` in m, or a road file of JSON.
+    """Read the centre line of a fixed track: a CSV file as `ds road import` reads it, or a road file of JSON.
 
     Raises:
         RosSettingsError: in one line, why it is no track.
@@ -47,15 +47,12 @@ def read_track(path: Path, lane_width: float) -> Road:
         if path.suffix == ".json":
             (road,) = read_roads(path)
             return road
-        lines = read_bounded(path, LARGEST).decode().split()
-        if not lines:
-            raise ValueError("it is empty")
-        return Road.from_road_points(np.loadtxt(lines, delimiter=",", ndmin=2), lane_width=lane_width)
+        return CentreLine(path.stem, read_points(read_bounded(path, LARGEST)).points, lane_width).road()
     except OSError as error:
         raise RosSettingsError(f"{path}: cannot be read ({error.strerror}): check the path") from None
     except (ValueError, BoundedYamlError) as error:
         reason = " ".join(str(error).split())
-        raise RosSettingsError(f"{path}: not one track ({reason}): expected lines of x,y in metres") from None
+        raise RosSettingsError(f"{path}: not one track ({reason})") from None
 
 
 def check_is_track(road: Road, track: Road, name: str) -> None:
@@ -70,5 +67,6 @@ def check_is_track(road: Road, track: Road, name: str) -> None:
     ends = max(abs(reached[0][1]), abs(reached[-1][1] - tracker.length))
     if max(furthest, ends, abs(road.lane_width - track.lane_width)) > TOLERANCE:
         raise RoadError(
-            f"road {road.road_id} is not the track of {name}, which is fixed: drive the road of its centre_line"
+            f"road {road.road_id} is not the track of {name}, which is fixed: drive the road that ds road import makes "
+            f"of its centre_line, with --lane-width {track.lane_width:g}"
         )

@@ -89,13 +89,13 @@ def test_only_the_road_of_a_fixed_track_is_accepted(tmp_path: Path) -> None:
     shifted = Road.from_road_points(TRACK.points + [0.5, 0.0])
     for road in (shifted, Road.from_road_points(TRACK.points[:-4])):
         with pytest.raises(
-            RoadError, match="is not the track of mine, which is fixed: drive the road of its centre_line"
+            RoadError, match="is not the track of mine, which is fixed: drive the road that ds road import makes"
         ):
             simulator.load(road, seed=1)
     with pytest.raises(SimulatorError, match="mine: no road is loaded"):
         simulator.step(Command(0.0, 0.0))
     (tmp_path / "track.csv").write_text("x,y\n1,2\n")
-    with pytest.raises(RosSettingsError, match="track.csv: not one track .*: expected lines of x,y in metres"):
+    with pytest.raises(RosSettingsError, match="track.csv: not one track .*expected at least two lines x,y"):
         RosSimulator(settings, tmp_path)
 
 

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads roads of ASAM OpenDRIVE 1.4 to 1.8: the line beside which the driven lane lies, and the lane's width."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ds_base.left_out import LeftOut
+from ds_road.centre_lines import CentreLine
+from ds_road.commonroad import constant_width
+from ds_road.road import MAX_POINTS, RoadError, Side
+
+SPACING = 1.25
+"""m between two samples at most; chosen: that of 20 samples on the 25 m between control points."""
+STEPS_CODE = "digital_siblings_steps_per_piece"
+"""Code of the user data in which an exported road says how its pieces are sampled, so that its samples come back."""
+_MOST_STEPS = 100
+LONGEST = 10_000.0
+"""m; chosen: far longer than what fits into the box, and sampled at once."""
+JOINT = 0.01
+"""Largest gap between two pieces, m: what ASAM's checker allows."""
+
+
+def read_opendrive(root: Element, left_out: LeftOut, *, most: int) -> list[CentreLine]:
+    """Roads of a file that lie outside of junctions.
+
+    Driven is the innermost driving lane: to the right of the reference line in right-hand traffic, or, of a road that
+    has none there, the one to its left, against the line. The road's centre line is that lane's inner border, and its
+    width, which has to be constant, becomes that of both lanes. Height, other lanes, links, objects and signals are
+    ignored.
+
+    Args:
+        root: root of the document, whose namespaces are ignored.
+        left_out: takes the roads that cannot be read.
+        most: largest number of roads.
+
+    Raises:
+        RoadError: there is no road outside of junctions, or too many; one line says why.
+    """
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    elements = [element for element in root.iter("road") if element.get("junction", "-1") == "-1"]
+    if not elements:
+        raise RoadError("an OpenDRIVE file without roads outside of junctions: expected at least one")
+    if len(elements) > most:
+        raise RoadError(f"{len(elements)} roads, expected at most {most}: divide the file")
+    roads = []
+    for element in elements:
+        name = element.get("name") or element.get("id") or "road"
+        left_out.total += 1
+        try:
+            roads.append(_road(element, name))
+        except RoadError as error:
+            left_out.add(name[:60], RoadError(f"road {name[:60]!r}: {error}") if left_out.strict else error)
+    return roads
+
+
+def _road(element: Element, name: str) -> CentreLine:
+    s, line, headings = _reference_line(element)
+    left = np.stack((-np.sin(headings), np.cos(headings)), axis=1)
+    line = line + _polynomial(_entries(element, "lanes/laneOffset"), "s", s, 0.0)[:, None] * left
+    side: Side = "left" if element.get("rule", "RHT") == "LHT" else "right"
+    sections = _entries(element, "lanes/laneSection")
+    starts = [number(section, "s") for section in sections]
+    against = all(_driven(section, side) is None for section in sections)
+    inner, outer = np.full(len(s), np.nan), np.full(len(s), np.nan)
+    for index, section in enumerate(sections):
+        end = starts[index + 1] if index + 1 < len(sections) else math.inf
+        inside = (s >= starts[index]) & (s <= end)
+        borders = _driven(section, ("right" if side == "left" else "left") if against else side)
+        if borders is None:
+            raise RoadError(f"it has no driving lane from {starts[index]:g} m on")
+        inner[inside], outer[inside] = _borders(borders, s[inside] - starts[index])
+    width = constant_width(outer - inner)
+    if np.ptp(inner) > JOINT:
+        raise RoadError(
+            f"the inner border of its driven lane moves by {np.ptp(inner):.2f} m: expected a constant offset"
+        )
+    sign = -1.0 if (side == "right") is not against else 1.0
+    points = _without_joints(line + (sign * inner)[:, None] * left)
+    return CentreLine(name, points[::-1] if against else points, width, side)
+
+
+def _driven(section: Element, side: Side) -> list[Element] | None:
+    """Lanes of a side from the inside to the innermost driving one; None if none is driving."""
+    lanes = [lane for lane in section.findall(f"{side}/lane") if lane.get("id", "0").lstrip("-").isdecimal()]
+    lanes.sort(key=lambda lane: abs(int(lane.get("id", "0"))))
+    driving = next((index for index, lane in enumerate(lanes) if lane.get("type") == "driving"), None)
+    return None if driving is None else lanes[: driving + 1]
+
+
+def _borders(lanes: Sequence[Element], along: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Distances of the inner and the outer border of the last lane from the line, m."""
+    inner = outer = np.zeros(len(along))
+    for lane in lanes:
+        borders = _entries(lane, "border")
+        inner = outer
+        if borders and not lane.findall("width"):
+            outer = np.abs(_polynomial(borders, "sOffset", along, math.nan))
+        else:
+            outer = inner + _polynomial(_entries(lane, "width"), "sOffset", along, math.nan)
+    return inner, outer
+
+
+def _without_joints(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points without those that are too near to the one before: joints come twice, or with a gap that is allowed."""
+    kept = [points[0]]
+    for point in points[1:]:
+        if np.hypot(*(point - kept[-1])) > JOINT:
+            kept.append(point)
+    return np.array(kept)
+
+
+def _reference_line(
+    element: Element,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Distances s (n,), points (n, 2) and headings (n,) of samples, joints twice."""
+    pieces = _entries(element, "planView/geometry")
+    if not pieces:
+        raise RoadError("it has no planView with geometry")
+    if sum(number(piece, "length") for piece in pieces) > LONGEST:
+        raise RoadError(f"it is longer than {LONGEST:g} m")
+    own = next((one for one in element.findall("userData") if one.get("code") == STEPS_CODE), None)
+    steps = 0 if own is None else int(min(max(number(own, "value"), 1), _MOST_STEPS))
+    sampled = [_sample(piece, steps) for piece in pieces]
+    s, points, headings = (np.concatenate([part[k] for part in sampled]) for k in range(3))
+    if len(s) > 4 * MAX_POINTS:  # far beyond, even where joints come twice
+        raise RoadError(f"a road has {len(s)} road points, expected 2 to {MAX_POINTS}")
+    return s, points, headings
+
+
+def _sample(piece: Element, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    length, s0, heading = (number(piece, key) for key in ("length", "s", "hdg"))
+    start = np.array([number(piece, "x"), number(piece, "y")])
+    if length <= 0:
+        raise RoadError(f"a piece of its geometry has length {length:g}: expected more than 0")
+    count = steps or max(1, math.ceil(length / SPACING - 1e-6))
+    along = np.linspace(0.0, length, count + 1)
+    shape = next((child for child in piece if child.tag in ("line", "arc", "spiral", "paramPoly3")), None)
+    if shape is None:
+        kinds = ", ".join(child.tag for child in piece)[:40] or "nothing"
+        raise RoadError(f"its geometry has {kinds}: expected line, arc, spiral or paramPoly3")
+    if shape.tag == "paramPoly3":
+        points, directions = _cubic(shape, length, count)
+        turned = np.array([[math.cos(heading), math.sin(heading)], [-math.sin(heading), math.cos(heading)]])
+        return s0 + along, start + points @ turned, heading + directions
+    first, last = 0.0, 0.0
+    if shape.tag == "arc":
+        first = last = number(shape, "curvature")
+    elif shape.tag == "spiral":
+        first, last = number(shape, "curvStart"), number(shape, "curvEnd")
+    return s0 + along, start + _clothoid(heading, first, last, along), heading + _turned(first, last, along)
+
+
+def _turned(first: float, last: float, along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Change of heading where the curvature changes linearly, as on lines, arcs and spirals."""
+    return first * along + (last - first) * along**2 / (2.0 * along[-1])
+
+
+def _clothoid(heading: float, first: float, last: float, along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points relative to the first one, by Gauss-Legendre quadrature of the direction between samples."""
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    steps = np.diff(along)
+    inner = along[:-1, None] + steps[:, None] * (nodes + 1.0) / 2.0
+    angles = heading + first * inner + (last - first) * inner**2 / (2.0 * along[-1])
+    moved = np.stack((np.cos(angles) @ weights, np.sin(angles) @ weights), axis=1) * steps[:, None] / 2.0
+    return np.vstack((np.zeros(2), np.cumsum(moved, axis=0)))
+
+
+def _cubic(shape: Element, length: float, count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Points and directions in the piece's own axes; of a spline's segment, those of this project's samples."""
+    end = length if shape.get("pRange") == "arcLength" else 1.0
+    p = np.linspace(0.0, end, count + 1)
+    axes = [[number(shape, letter + axis) for letter in "abcd"] for axis in "UV"]
+    points: NDArray[np.float64] = np.stack([np.polynomial.polynomial.polyval(p, axis) for axis in axes], axis=1)
+    slopes = [np.polynomial.polynomial.polyval(p, np.polynomial.polynomial.polyder(axis)) for axis in axes]
+    return points, np.asarray(np.arctan2(slopes[1], slopes[0]), np.float64)
+
+
+def _polynomial(entries: list[Element], start: str, s: NDArray[np.float64], otherwise: float) -> NDArray[np.float64]:
+    """Value of a piecewise cubic whose entries begin at increasing distances."""
+    rows = sorted(([number(entry, key) for key in (start, *"abcd")] for entry in entries), key=lambda row: row[0])
+    table = np.array(rows, np.float64).reshape(-1, 5)
+    row = np.searchsorted(table[:, 0] - 1e-9, s, side="right") - 1
+    inside, used = row >= 0, table[row[row >= 0]]
+    values = np.full(len(s), otherwise)
+    values[inside] = np.polynomial.polynomial.polyval(s[inside] - used[:, 0], used[:, 1:].T, tensor=False)
+    return values
+
+
+def _entries(parent: Element, path: str) -> list[Element]:
+    """Elements below a parent, no more than a road may have points."""
+    found = parent.findall(path)
+    if len(found) > MAX_POINTS:
+        raise RoadError(f"it has {len(found)} entries of {path}, expected at most {MAX_POINTS}")
+    return found
+
+
+def number(element: Element, name: str) -> float:
+    """A finite number in an attribute.
+
+    Raises:
+        RoadError: it is missing or no number.
+    """
+    text = element.get(name, "")
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise RoadError(f"{name} of {element.tag[:30]} is {text[:30]!r}, expected a number")
+    return value
