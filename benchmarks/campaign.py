@@ -10,14 +10,15 @@ same back end, or the benchmark fails.
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import psutil
 from rich.console import Console
@@ -41,8 +42,8 @@ def processor_time() -> float:
     return float(total)
 
 
-def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> None:
-    """Drive one campaign and print its measures as JSON; runs in a process of its own."""
+def drive(engine: str, driver: str, drives: int, workers: int) -> dict[str, Any]:
+    """Drive one campaign; returns its measures. Runs in a process of its own."""
     from ds_orchestrator.campaign.config import parse_config
     from ds_orchestrator.campaign.executor import Listener
     from ds_orchestrator.campaign.runner import Campaign
@@ -57,15 +58,19 @@ def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> 
         "search": {"population": tests // 2, "iterations": tests - tests // 2, "runs": 2},
     }
     config = parse_config(raw, "benchmark")
-    (folder / "bags").mkdir()
-    with closing(Store(folder / "campaign.sqlite", config=config.identity())) as store:
+    with (
+        tempfile.TemporaryDirectory() as temporary,
+        closing(Store(Path(temporary) / "campaign.sqlite", config=config.identity())) as store,
+    ):
+        folder = Path(temporary)
+        (folder / "bags").mkdir()
         started = time.perf_counter()
         with running_engine(config.drive_settings(), logs=folder / "logs") as started_engine:
             ready = time.perf_counter()
             Campaign(config, folder, store, started_engine, Listener()).run()
             ended, processor = time.perf_counter(), processor_time()
         executions = store.executions()
-    measures = {
+    return {
         "drives": len(executions),
         "frames": sum(e.steps for e in executions),
         "start": ready - started,
@@ -73,7 +78,6 @@ def drive(engine: str, driver: str, drives: int, workers: int, folder: Path) -> 
         "processor": processor,
         "digest": sorted((e.test_id, e.simulator, e.trajectory_sha256) for e in executions),
     }
-    print("MEASURES" + json.dumps(measures))
 
 
 def main() -> None:
@@ -82,13 +86,7 @@ def main() -> None:
     parser.add_argument("--drives", type=int, default=200)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--case", action="append", help="ENGINE:DRIVER; repeatable")
-    parser.add_argument("--inside", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.inside:
-        engine, driver = arguments.inside
-        with tempfile.TemporaryDirectory() as folder:
-            drive(engine, driver, arguments.drives, arguments.workers, Path(folder))
-        return
     cores = len(os.sched_getaffinity(0))
     columns = (
         "engine",
@@ -105,10 +103,8 @@ def main() -> None:
     seen: dict[str, object] = {}
     for case in arguments.case or CASES:
         engine, _, driver = case.partition(":")
-        command = [sys.executable, __file__, "--inside", engine, driver]
-        command += ["--drives", str(arguments.drives), "--workers", str(arguments.workers)]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        found = json.loads(next(x for x in done.stdout.splitlines() if x.startswith("MEASURES"))[8:])
+        with ProcessPoolExecutor(1, get_context("spawn")) as own:
+            found = own.submit(drive, engine, driver, arguments.drives, arguments.workers).result()
         if seen.setdefault(driver, found["digest"]) != found["digest"]:
             sys.exit(f"error: {case} gives other trajectories than another engine with the same driver")
         idle = 1.0 - found["processor"] / (cores * (found["wall"] + found["start"]))

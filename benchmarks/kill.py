@@ -1,29 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kills processes of a campaign at seeded moments, resumes it, and checks that no result is lost or changed.
 
-`python -m benchmarks.kill [--moments 25] [--seed 1] [--kinds simulator,driver]` prints one row per moment, as Markdown,
-and exits with status 1 if anything differs. Moments are uniform over the duration of the undisturbed campaign. They are
-relative to its last line of progress before them, so that they fall at the same place however busy the machine is.
+`tests/graph/test_kill.py` does this. Moments are uniform over the time in which the undisturbed campaign drives. They
+are relative to its last line of progress before them, so that they fall at the same place however busy the machine is.
 After each kill the campaign is resumed until it is complete. Then
 
 - maps, evaluation and bags must equal those of the undisturbed campaign byte for byte, with no files left over;
 - executions in the store at the moment of the kill must be unchanged, and not driven again according to the logs;
 - at most as many runs as were in progress may have been driven twice;
 - no process may be left.
-
-`tests/graph/test_kill.py` does this for a few moments.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import signal
 import sqlite3
 import subprocess
 import sys
-import tempfile
 import time
 from collections import Counter
 from dataclasses import dataclass, field
@@ -43,8 +38,7 @@ search: {{population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}}
 SIMULATORS, EXECUTIONS = 3, 12
 WHOLE = "undisturbed"
 DRIVER = "benchmarks.kill:Swerving"
-KILLS = ("simulator", "driver", "worker", "orchestrator")
-KINDS = (*KILLS, "two", "sigterm", "sigint")
+KINDS = ("simulator", "driver", "worker", "orchestrator", "two", "sigterm", "sigint")
 """What to kill: `worker` is all processes of one graph, `two` are any two processes, and the last two are signals to
 the orchestrator."""
 LIMIT = 240.0
@@ -224,19 +218,10 @@ class Report:
     kept: int = 0
     again: int = 0
     sessions: int = 1
-    seconds: float = 0.0
     problems: list[str] = field(default_factory=list)
 
 
-def disturbed(
-    folder: Path,
-    times: list[float],
-    kind: str,
-    workers: int,
-    rng: np.random.Generator,
-    *,
-    driving: bool = False,
-) -> Report:
+def disturbed(folder: Path, times: list[float], kind: str, workers: int, rng: np.random.Generator) -> Report:
     """Run the campaign, kill processes at a random moment, resume to the end, and look for differences.
 
     Args:
@@ -245,9 +230,8 @@ def disturbed(
         kind: one of `KINDS`.
         workers: number of graphs at the same time.
         rng: source of the moment and of the process to kill.
-        driving: restrict the moment to the time between the start of the first stage and the end of the last run.
     """
-    moment = float(rng.uniform(*((times[1], times[EXECUTIONS + 2]) if driving else (0.0, times[-1]))))
+    moment = float(rng.uniform(times[1], times[EXECUTIONS + 2]))  # first stage's start to last run's end
     line = int(np.searchsorted(times[:-1], moment, side="right")) - 1
     report = Report(line, moment - times[line], kind, workers)
     session = Session(folder, DRIVER, workers)
@@ -270,7 +254,6 @@ def disturbed(
     while status and report.sessions < SESSIONS:
         report.sessions += 1
         status = Session(folder, DRIVER, workers, resume=bool(before)).wait()
-    report.seconds = time.monotonic() - session.began
     if status:
         report.problems.append(f"final status {status}")
     if left := processes_left(folder):
@@ -310,34 +293,3 @@ def differences(folder: Path, whole: Path, before: dict[tuple[str, str], tuple[o
     errors = folder.with_suffix(".err").read_text()
     problems += ["a traceback"] * ("Traceback" in errors)
     return problems
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--moments", type=int, default=25)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--kinds", default=",".join(KILLS), help=f"of {', '.join(KINDS)}")
-    arguments = parser.parse_args()
-    with tempfile.TemporaryDirectory() as temporary:
-        out = Path(temporary)
-        times = lines_of(Session(out / WHOLE, DRIVER, 1))
-        print(f"Undisturbed: {times[-1]:.0f} s, {EXECUTIONS} executions.\n")
-        print("| | moment | killed | workers | kept | driven again | commands | took, s | |")
-        print("|---|---|---|---|---|---|---|---|---|", flush=True)
-        bad = 0
-        for number in range(arguments.moments):
-            rng = np.random.default_rng([arguments.seed, number])
-            kind, workers = str(rng.choice(arguments.kinds.split(","))), 1 + int(rng.random() < 0.2)
-            r = disturbed(out / f"moment_{number:02d}", times, kind, workers, rng)
-            bad += bool(r.problems)
-            print(
-                f"| {number} | {r.delay:.2f} s after line {r.line} | {kind}: {r.killed} | {r.workers} | {r.kept} | "
-                f"{r.again} | {r.sessions} | {r.seconds:.0f} | {'; '.join(r.problems) or 'identical'} |",
-                flush=True,
-            )
-    sys.exit(bad > 0)
-
-
-if __name__ == "__main__":
-    main()

@@ -13,9 +13,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import closing
 from functools import cache
 from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -128,17 +130,14 @@ def main() -> None:
     parser.add_argument("--sizes", default="1200,10000,100000", help="numbers of executions")
     parser.add_argument("--verbs", default=",".join(VERBS))
     parser.add_argument("--keep", type=Path, help="folder for the campaigns, which are used again")
-    parser.add_argument("--write", nargs=2, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.write:
-        write_campaign(Path(arguments.write[0]), int(arguments.write[1]))
-        return
     table = Table("verb", *(f"{int(size):,}" for size in arguments.sizes.split(",")))
     with tempfile.TemporaryDirectory() as temporary:
         folders = {int(size): (arguments.keep or Path(temporary)) / size for size in arguments.sizes.split(",")}
         for size, folder in folders.items():
             if not folder.exists():  # in a process of its own: a child's peak counts what its parent holds
-                subprocess.run([sys.executable, __file__, "--write", str(folder), str(size)], check=True)
+                with ProcessPoolExecutor(1, get_context("spawn")) as own:
+                    own.submit(write_campaign, folder, size).result()
         for verb in arguments.verbs.split(","):
             found = (measure(verb, folder) for folder in folders.values())
             table.add_row(verb, *(f"{seconds:.1f} s {memory:.0f} MB" for seconds, memory in found))

@@ -3,8 +3,8 @@
 
 `python -m benchmarks.physics convergence [--roads 20] [--finer 2]` drives every road with the nominal substep and with
 finer ones, and prints one row per simulator, as Markdown, with the change of fitness; `training` drives the paper's
-training set (4.2.2: 25 roads in both directions) and counts completed drives. Both take
-`--sims bullet,softbody,panda,donkey`.
+training set (4.2.2: 25 roads in both directions) and counts completed drives; `commands [--out docs/images]` draws
+where the commands that drive one vehicle along a road take the others. All take `--sims bullet,softbody,panda,donkey`.
 """
 
 from __future__ import annotations
@@ -12,19 +12,23 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ds_base.figures import draw_figure
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.collection import CollectionPlan, roads_both_ways
 from ds_road import Road, generate
+from ds_sim.camera.encodings import png
 from ds_sim.oracle import LaneTracker, Oracle
 from ds_sim.parts import Vehicle
-from ds_sim.simulator import FRAME_TIME, AutopilotGains, Outcome
+from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, Outcome
 from ds_sim_bullet import simulator as bullet
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
@@ -40,6 +44,8 @@ from ds_twin_donkey.dynamics import CarModel
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
+COLOURS = {"bullet": "#005ab5", "softbody": "#d55e00", "panda": "#943ca0", "donkey": "#008c64"}
+
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
@@ -49,11 +55,13 @@ class Drive:
         fitness: smallest lateral distance, m (paper 3.3).
         outcome: how it ended.
         path: (steps + 1, 4) x, y, yaw, speed in road metres, including the start.
+        commands: the autopilot's commands, one a step.
     """
 
     fitness: float
     outcome: Outcome
     path: NDArray[np.float64]
+    commands: Sequence[Command]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,12 +98,10 @@ def _car(make: Callable[[int], Vehicle], settings: Any, substeps: int) -> Car:
 
 def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
     """Let the autopilot drive a road until the run ends, as `ds_sim.road_simulator` would."""
-    lane = road.lane_centre
-    ahead = lane[1] - lane[0]
-    vehicle.reset(float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(0))
-    tracker, pilot = LaneTracker(lane), Autopilot(car.gains)
+    _start(vehicle, road)
+    tracker, pilot = LaneTracker(road.lane_centre), Autopilot(car.gains)
     oracle = Oracle(tracker.length)
-    fitness, rows, outcome = math.inf, [], Outcome.RUNNING
+    fitness, rows, outcome, commands = math.inf, [], Outcome.RUNNING, list[Command]()
     for step in range(10_000):
         s = vehicle.state()
         rows.append((s.x, s.y, s.yaw, s.speed))
@@ -105,8 +111,15 @@ def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
         if outcome is not Outcome.RUNNING:
             break
         preview = tracker.lateral_position(s.x + car.preview * math.cos(s.yaw), s.y + car.preview * math.sin(s.yaw))
-        vehicle.advance(pilot.command(preview, s.speed))
-    return Drive(fitness=fitness, outcome=outcome, path=np.array(rows))
+        commands.append(pilot.command(preview, s.speed))
+        vehicle.advance(commands[-1])
+    return Drive(fitness=fitness, outcome=outcome, path=np.array(rows), commands=commands)
+
+
+def _start(vehicle: Vehicle, road: Road) -> None:
+    lane = road.lane_centre
+    ahead = lane[1] - lane[0]
+    vehicle.reset(float(lane[0, 0]), float(lane[0, 1]), math.atan2(ahead[1], ahead[0]), np.random.default_rng(0))
 
 
 def _bullet(finer: int) -> Vehicle:
@@ -188,19 +201,54 @@ def print_convergence(chosen: dict[str, Car], roads: list[Road], finer: int) -> 
         )
 
 
+def draw_same_commands(chosen: dict[str, Car], road: Road, path: Path) -> None:
+    """Draw the paths when the autopilot drives the first vehicle and the others replay its commands."""
+    paths: dict[str, NDArray[np.float64]] = {}
+    commands: Sequence[Command] = ()
+    for name, car in chosen.items():
+        vehicle = car.make(1)
+        if not paths:
+            driven = drive(car, vehicle, road)
+            paths[name], commands = driven.path[:, :2], driven.commands
+        else:
+            _start(vehicle, road)
+            places = []
+            for command in commands:
+                state = vehicle.state()
+                places.append((state.x, state.y))
+                vehicle.advance(command)
+            paths[name] = np.array(places)
+        vehicle.close()
+
+    def draw(figure: Figure) -> None:
+        axes = figure.subplots()
+        for line, style in ((road.left_edge, "-"), (road.points, "--"), (road.right_edge, "-")):
+            axes.plot(*line.T, style, color="#aaaaaa")
+        for name, way in paths.items():
+            axes.plot(*way.T, color=COLOURS[name], label=name)
+        axes.set(title=f"The commands that drive {next(iter(paths))} along the lane, given to all")
+        axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+        axes.legend()
+
+    path.write_bytes(png(draw_figure(700, 760, draw)))
+
+
 def main() -> None:
-    """Print the table."""
+    """Print the table, or draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", choices=("convergence", "training"))
+    parser.add_argument("what", choices=("convergence", "training", "commands"))
     parser.add_argument("--roads", type=int, default=20)
     parser.add_argument("--finer", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("docs/images"))
     parser.add_argument("--sims", default=",".join(cars()))
     arguments = parser.parse_args()
     chosen = {name: cars()[name] for name in arguments.sims.split(",")}
     if arguments.what == "convergence":
         print_convergence(chosen, random_roads(arguments.roads), arguments.finer)
-    else:
+    elif arguments.what == "training":
         print_training(chosen)
+    else:
+        draw_same_commands(chosen, random_roads(1)[0], arguments.out / "vehicles_commands.png")
 
 
 if __name__ == "__main__":

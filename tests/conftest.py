@@ -10,7 +10,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Add `--simulator` and `--moments`.
 
     `--simulator module:Class` runs the conformance suite on that simulator alone; it may be repeated. `--moments 25`
-    with `-m long` kills a campaign's processes 25 times; `python -m benchmarks.kill` prints a table.
+    with `-m long` kills a campaign's processes 25 times.
     """
     parser.addoption("--simulator", action="append", default=[], help="simulator for the conformance suite")
     parser.addoption("--moments", type=int, default=7, help="moments at which a campaign's processes are killed")

@@ -19,10 +19,7 @@ from pathlib import Path
 def main() -> int:
     """Run set-up; the result is the exit status."""
     if sys.version_info < (3, 9):  # noqa: UP036 - whatever Python the system has
-        print(
-            "set-up needs Python 3.11 or 3.12: apt-get install -y python3 python3-dev python3-venv",
-            file=sys.stderr,
-        )
+        print("set-up needs Python 3.11 or 3.12: apt-get install -y python3 python3-dev python3-venv", file=sys.stderr)
         return 1
     from setup_tool.console import Console, SetupError
     from setup_tool.stamps import one_at_a_time

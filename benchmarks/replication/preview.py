@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from benchmarks.replication.networks import ROADS, SEED
 
 from ds_driver.closed_loop.simulation import drive_road
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
@@ -18,6 +17,8 @@ from ds_driver.data.collection import roads_both_ways
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, Simulator
 
+ROADS, SEED = 25, 424242
+"""As on the cards of the shipped networks."""
 SIMULATORS = ("bullet", "softbody", "donkey")
 DERIVATIVE = 20.0
 """Derivative gain of the third way, in proportional gains; the largest of 5, 10 and 20, which were tried."""

@@ -86,6 +86,6 @@ def test_a_killed_process_costs_the_runs_under_way_and_nothing_else(
     assert set(ORDER) == set(KINDS)
     kind, workers = ORDER[number % len(ORDER)], 1 + (number % 5 == 4)
     rng = np.random.default_rng([SEED, number])
-    report = disturbed(folder / f"moment_{number}", times, kind, workers, rng, driving=True)
+    report = disturbed(folder / f"moment_{number}", times, kind, workers, rng)
     assert report.problems == [], report
     assert report.killed

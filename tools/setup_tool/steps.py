@@ -27,12 +27,7 @@ EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 USED_MODULES = (
     *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
     *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
-    *(
-        "ds_sim_ros.simulator",
-        "ds_studies.whole_campaign",
-        "ds_orchestrator.graph.client",
-        "ds_report.heatmap",
-    ),
+    *("ds_sim_ros.simulator", "ds_studies.whole_campaign", "ds_orchestrator.graph.client", "ds_report.heatmap"),
     *("ds_report.html_report", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
 )
 """Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""

@@ -235,20 +235,11 @@ def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
         (change("input", "divide", to=0), "divide is 0"),
         (change("input", "crop", to={"top": 100, "bottom": 59}), "leaves nothing to see"),
         (change("input", "type", to="uint8"), "leave out subtract and divide"),
-        (
-            change("input", "size", to=[160, 120]),
-            "an input of anyx120x160x3, its description gives 1x160x120x3",
-        ),
+        (change("input", "size", to=[160, 120]), "an input of anyx120x160x3, its description gives 1x160x120x3"),
         (change("input", "layout", to="nchw"), "its description gives 1x3x120x160: correct size or layout"),
         (change("outputs", "steering", to={"output": "angle"}), "no output 'angle'.*one of n_outputs0, n_outputs1"),
-        (
-            change("outputs", "steering", to={"output": 2}),
-            "no output 2 for steering: the network has 2, counted",
-        ),
-        (
-            change("outputs", "steering", to={"index": 1}),
-            "output for steering has 1 numbers: its description needs 2",
-        ),
+        (change("outputs", "steering", to={"output": 2}), "no output 2 for steering: the network has 2, counted"),
+        (change("outputs", "steering", to={"index": 1}), "output for steering has 1 numbers: its description needs 2"),
         (change("outputs", "steering", to={"scale": float("inf")}), r"outputs\.steering\.scale: .*finite number"),
         (change("file", to="gone.onnx"), "'gone.onnx' is missing: its path is relative to p.yaml"),
         (change("file", to="pilot.h5"), r"expected \.onnx, \.pt.*says how to convert"),
@@ -296,11 +287,7 @@ def test_wrong_types_and_inputs_are_refused(tmp_path: Path) -> None:
 
 def test_the_guides_descriptions_are_valid() -> None:
     found = [DescribedNetwork.model_validate(yaml.safe_load(text)) for text in examples("yaml")]
-    assert [f.file for f in found] == [
-        "my_net.onnx",
-        "recurrent.onnx",
-        "stacked.onnx",
-    ]
+    assert [f.file for f in found] == ["my_net.onnx", "recurrent.onnx", "stacked.onnx"]
     table = GUIDE[GUIDE.index("### What it answers") : GUIDE.index("A value is `scale` times")]
     rows = [line.split("|")[2] for line in table.splitlines()[3:] if line]
     for row in rows:

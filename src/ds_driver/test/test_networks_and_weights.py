@@ -153,8 +153,7 @@ def damaged(tmp_path: Path, kind: str) -> Path:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    "kind",
-    ["truncated", "pickle", "empty", "other", "foreign", "nan", "beyond float32", "integers", "missing"],
+    "kind", ["truncated", "pickle", "empty", "other", "foreign", "nan", "beyond float32", "integers", "missing"]
 )
 def test_unusable_weights_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     with pytest.raises(WeightsError) as refused:

@@ -75,10 +75,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
         ).encode(),
         "expected at most",
     ),
-    "many roads": (
-        lambda: f"<OpenDRIVE>{'<road/>' * 100_000}</OpenDRIVE>".encode(),
-        "roads, expected at most",
-    ),
+    "many roads": (lambda: f"<OpenDRIVE>{'<road/>' * 100_000}</OpenDRIVE>".encode(), "roads, expected at most"),
     "many elements": (lambda: b"<OpenDRIVE>" + b"<a/>" * 4_000_000 + b"</OpenDRIVE>", "elements"),
     "deep elements": (lambda: b"<OpenDRIVE>" + b"<a>" * 4_000_000, "elements"),
     "a sparse road of a million kilometres": (

@@ -67,13 +67,7 @@ def test_a_spot_on_the_ground_is_projected_correctly(
     heave: float,
     ahead: tuple[float, float],
 ) -> None:
-    spec = CameraSpec(
-        horizontal_fov=math.radians(100),
-        height=1.4,
-        forward=0.6,
-        pitch=0.06,
-        lens=lens,
-    )
+    spec = CameraSpec(horizontal_fov=math.radians(100), height=1.4, forward=0.6, pitch=0.06, lens=lens)
     vehicle = pose(20.0, 30.0, yaw, roll, pitch, heave)
     rotation = np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
     x, y = np.round((rotation @ ahead + (20.0, 30.0)) / 0.05) * 0.05
