@@ -46,6 +46,11 @@ from ds_sim.simulator import VehicleState as PlainState
 _VEHICLE = tuple(field.name for field in fields(PlainState))
 _LANE = tuple(field.name for field in fields(LaneState))
 _COMMAND = tuple(field.name for field in fields(Command))
+_SPEC = (
+    *("name", "physics", "crop_top", "crop_bottom", "vehicle_length", "vehicle_width", "wheelbase"),
+    "max_steering_angle",
+)
+"""Fields that a simulator's spec and its description by `get_info` share."""
 
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run; two messages per simulated second."""
@@ -145,19 +150,11 @@ def frame_to_message(observation: Observation, header: Header, spec: SimulatorSp
 
 def info_response(spec: SimulatorSpec, response: GetSimulatorInfo.Response) -> GetSimulatorInfo.Response:
     """Fill in the description of a simulator."""
-    response.name = spec.name
-    response.physics = spec.physics
+    for name in _SPEC:
+        setattr(response, name, getattr(spec, name))
     response.version = spec.engine
-    response.frame_rate = FRAME_RATE
-    response.max_speed = MAX_SPEED
-    response.image_width = spec.camera.width
-    response.image_height = spec.camera.height_px
-    response.crop_top = spec.crop_top
-    response.crop_bottom = spec.crop_bottom
-    response.vehicle_length = spec.vehicle_length
-    response.vehicle_width = spec.vehicle_width
-    response.wheelbase = spec.wheelbase
-    response.max_steering_angle = spec.max_steering_angle
+    response.frame_rate, response.max_speed = FRAME_RATE, MAX_SPEED
+    response.image_width, response.image_height = spec.camera.width, spec.camera.height_px
     for gain, value in asdict(spec.autopilot).items():
         setattr(response, f"autopilot_{gain}", value)
     extra = spec.extra | {"conditions": ",".join(spec.conditions)}
