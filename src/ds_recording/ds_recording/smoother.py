@@ -128,12 +128,12 @@ class _Rows:
         """Sum of squares."""
         return float(sum((part**2).sum() for part in self.right))
 
-    def solve(self, unknowns: int, damping: Array, shyness: float = 0.0) -> tuple[Array, Callable[[Array], Array]]:
-        """Changes of the unknowns, shortened by `shyness`, and what multiplies by their covariance matrix."""
+    def solve(self, unknowns: int, damping: Array, step_damping: float = 0.0) -> tuple[Array, Callable[[Array], Array]]:
+        """Changes of the unknowns, shortened by `step_damping`, and what multiplies by their covariance matrix."""
         entries = (np.concatenate(self.rows), np.concatenate(self.columns))
         matrix = coo_matrix((np.concatenate(self.values), entries), shape=(self.count, unknowns)).tocsc()
         normal = csc_matrix(matrix.T @ matrix)
-        normal.setdiag(normal.diagonal() * (1.0 + shyness) + damping)
+        normal.setdiag(normal.diagonal() * (1.0 + step_damping) + damping)
         factors = splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
         return factors.solve(matrix.T @ np.concatenate(self.right)), factors.solve
 
@@ -170,7 +170,7 @@ class Smoother:
 
     def solve(self, turns: int = _TURNS) -> Solution:
         """Run Gauss-Newton, with the gates closing, and return what was found."""
-        shyness = 1e-5
+        step_damping = 1e-5
         for turn in range(turns):
             # From near to far: what is far away turns a road that is only guessed by too much.
             self._far = NEAR + 1.0 * turn
@@ -179,14 +179,14 @@ class Smoother:
             now = rows.cost
             for _ in range(_TRIES):
                 state = self._poses.copy(), self._track, self._pieces, self._nearest
-                change, _ = rows.solve(self._unknowns, self._damping, shyness)
+                change, _ = rows.solve(self._unknowns, self._damping, step_damping)
                 self._apply(change)
                 if self._sound and self._rows(gate).cost < 1.2 * now:
-                    shyness *= 0.2
+                    step_damping *= 0.2
                     break
                 # The step went astray: a shorter one, after Marquardt.
                 self._poses, self._track, self._pieces, self._nearest = state
-                shyness = max(10.0 * shyness, 1e-4)
+                step_damping = max(10.0 * step_damping, 1e-4)
             if turn in (4, 8):
                 self._steering = self._follow()
         return self._solution()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a driver is tested on, whatever the driver and the simulator."""
+"""One test of a driver: road, operating conditions and seed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a driver's commands and speed say about how it is connected: saturated, constant, or crawling."""
+"""Finds commands that hint at a wrongly connected driver: saturated, constant, or crawling."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera images by which networks are quantised, shipped (`benchmarks/calibration_frames.py` makes them)."""
+"""Shipped camera images by which networks are quantised; `benchmarks/calibration_frames.py` makes them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ds_driver.networks.weights import SHIPPED
 from ds_sim.camera.spec import IMAGE_HEIGHT
 
 FOLDER = SHIPPED / "calibration"
-"""For each simulator a file of images below each other; and the crops of all, as simulators are slow to ask."""
+"""One vertical strip of frames per simulator, plus cached crops, because constructing simulators is slow."""
 
 
 def calibration_frames() -> list[Frame]:

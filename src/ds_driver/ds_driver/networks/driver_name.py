@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The name of a driver, `NETWORK+GENERATORS@BACKEND`, as a value, and which names a received file may give."""
+"""Parses driver names, `NETWORK+GENERATORS@BACKEND`, and decides which ones a received file may give."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a described network is given beside one image, and what it remembers of its run: images, commands and states."""
+"""Input of described networks beside one image: earlier images, commands and states of the run."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What conditions do to the light on its way to the sensor: haze, stray light, dirt on the lens, exposure.
+"""Applies haze, stray light, dirt on the lens and exposure to rendered images.
 
 Light is linear, decoded from pixel values by the sRGB curve (IEC 61966-2-1): contrast and stray light add in it.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scene that another renderer draws: mounts the camera, and puts before and behind its lens what conditions ask for."""
+"""Base class of scenes drawn by another renderer: mounts the camera, and applies conditions to its images."""
 
 from __future__ import annotations
 

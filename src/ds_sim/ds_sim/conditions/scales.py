@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scales of conditions: how far a value lies between two others, as shares of what a driver notices."""
+"""Perceptual scales of conditions: interpolates between two values, and inverts that."""
 
 from __future__ import annotations
 

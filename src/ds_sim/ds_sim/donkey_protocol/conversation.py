@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the server answers to each message of one client, without sockets."""
+"""Answers each message of one client of the Donkey protocol, without sockets."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Says of a test on one simulator whether a network can be judged by it.
+"""Decides whether a network can be judged by a test on one simulator.
 
 *Validity gate*: the autopilot, which knows the road, must complete the test; else nobody could.
 *Visibility gate*: the lines must be visible in the image; else the test is out of the operational design domain.

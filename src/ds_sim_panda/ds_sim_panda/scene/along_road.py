@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What conditions cover of a road: textures along it with bare pieces of line, repair patches and shadows."""
+"""Textures along a road with bare pieces of line, repair patches and shadows, as conditions ask for them."""
 
 from __future__ import annotations
 

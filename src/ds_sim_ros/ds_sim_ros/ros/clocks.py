@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How one frame of 1/20 s passes in another simulator: in lock-step, or in real time.
+"""Advances another simulator by one frame of 1/20 s, in lock-step or in real time.
 
 Both go by the stamps of the messages. Arrival would not do: an image may arrive before the answer of the step that it
 was taken after, and a simulator may publish several messages a frame.
