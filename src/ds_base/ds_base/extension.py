@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import import_module
@@ -44,8 +43,11 @@ def plugin_of(part: str, group: Group) -> str:
         part: name of the part.
         group: kind of part.
     """
+    import tomllib
+
     for file in sorted(Path(__file__).resolve().parents[3].glob("plugins/*/pyproject.toml")):
-        if part in tomllib.loads(file.read_text())["project"]["entry-points"].get(f"digital_siblings.{group}", ()):
+        groups = tomllib.loads(file.read_text())["project"].get("entry-points", {})
+        if part in groups.get(f"digital_siblings.{group}", ()):
             return f"plugins/{file.parent.name}"
     return ""
 
