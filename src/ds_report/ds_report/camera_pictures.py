@@ -22,7 +22,7 @@ from ds_driver.control.autopilot import AUTOPILOT, Autopilot
 from ds_driver.networks.network_driver import Translation, generators_of, translation_of
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution, Test
-from ds_report.pages import data_address, outcome_in_words
+from ds_report.pages import data_address
 from ds_sim.camera.encodings import jpeg
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.parts import Scene
@@ -255,7 +255,7 @@ def _camera_picture(name: str, scenario: Scenario, trusted: Collection[str], dri
         f"{3.6 * reached.vehicle.speed:.0f} km/h"
     )
     if reached.lane.arc_length < CAMERA_PLACE:
-        note += f"; the autopilot got no further ({outcome_in_words(reached.outcome)})"
+        note += f"; the autopilot got no further ({reached.outcome.words})"
     return CameraPicture(simulator=name, physics=physics, picture=data_address(image), note=note)
 
 

@@ -22,7 +22,6 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import FEET, Cell, Feature, base_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.findings import radius
-from ds_report.pages import outcome_in_words
 from ds_report.plotly_figures import DASHES
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import colours_of
@@ -220,7 +219,7 @@ def _run(execution: Execution | None) -> list[Any] | None:
         return None
     points = len(kept(len(execution.trajectory) - 1)) if len(execution.trajectory) else 0
     return [
-        outcome_in_words(execution.outcome),
+        execution.outcome.words,
         int(execution.outcome.is_failure),
         round(execution.fitness, 3),
         round(execution.max_lateral_position, 3),

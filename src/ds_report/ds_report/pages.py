@@ -15,7 +15,6 @@ from ds_base import palette
 from ds_base.atomic_files import write_whole
 from ds_base.words import count, duration
 from ds_sim.camera.encodings import png
-from ds_sim.simulator import Outcome
 
 
 def write_page(path: Path, template: str, **values: Any) -> Path:
@@ -39,14 +38,9 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.filters |= {"count": count, "duration": duration, "outcome": outcome_in_words}
+    environment.filters |= {"count": count, "duration": duration}
     environment.globals["palette"] = palette
     return environment
-
-
-def outcome_in_words(outcome: Outcome) -> str:
-    """Write an outcome in words: `out of bounds`."""
-    return outcome.name.lower().replace("_", " ")
 
 
 def data_address(picture: NDArray[np.uint8]) -> str:

@@ -178,19 +178,9 @@ def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlatio
     lows = [c.r_interval[0] for c in correlations if c.r_interval] + [c.r for c in correlations if c.r is not None]
     grid = {"showgrid": True, "gridcolor": "#e8ebef", "zeroline": True, "zerolinecolor": "#9aa1a7"}
     shares = sorted({c.baseline for c in correlations if c.baseline is not None})
-    chance = [
-        {
-            "type": "line",
-            "x0": s,
-            "x1": s,
-            "y0": 0,
-            "y1": 1,
-            "xref": "x2",
-            "yref": "paper",
-            "line": {"color": SOFT, "dash": "dot", "width": 1.5},
-        }
-        for s in shares
-    ]
+    dots = {"color": SOFT, "dash": "dot", "width": 1.5}
+    upright = {"type": "line", "y0": 0, "y1": 1, "xref": "x2", "yref": "paper", "line": dots}
+    chance = [{**upright, "x0": share, "x1": share} for share in shares]
     return _layout(
         margin={"l": 8, "r": 12, "t": 36, "b": 40},
         height=90 + 34 * len(labels),

@@ -114,29 +114,16 @@ def pair_table(table: OutcomeTable) -> Table:
         both = np.all([table.known(name) for name in pair], axis=0)
         if both.any():
             (one,) = [each for each in nestings(table.select(both)) if (each.first, each.second) == pair]
-            rows.append(
-                (
-                    *pair,
-                    one.both,
-                    one.only_first,
-                    one.only_second,
-                    one.neither,
-                    one.second_given_first,
-                    one.second_given_first_interval,
-                    one.first_given_second,
-                    one.first_given_second_interval,
-                )
-            )
-    names = ("both fail", "only the first", "only the second", "none")
-    shares = ("second fails where the first does", "95 %", "first fails where the second does", "95 % ")
+            rows.append(tuple(vars(one).values()))
     return Table(
         name="pairs",
         title="Whose failures lie inside whose",
         columns=[
-            Column("first"),
-            Column("second"),
-            *(Column(name, "count") for name in names),
-            *(Column(name, "number") for name in shares),
+            *styled("text", "first", "second"),
+            *styled("count", "both fail", "only the first", "only the second", "none"),
+            *styled(
+                "number", "second fails where the first does", "95 %", "first fails where the second does", "95 % "
+            ),
         ],
         rows=rows,
     )

@@ -79,6 +79,11 @@ class Outcome(IntEnum):
     CANCELLED = 7
 
     @property
+    def words(self) -> str:
+        """For a reader: `out of bounds`."""
+        return self.name.lower().replace("_", " ")
+
+    @property
     def is_verdict(self) -> bool:
         """True if the run is a valid test of the driver and may enter a feature map."""
         return Outcome.COMPLETED <= self <= Outcome.TIMEOUT

@@ -196,7 +196,7 @@ class _Panel:
         _write(panel, f"{observation.time:6.2f} s", (left, row))
         _write(panel, f"{vehicle.speed * 3.6:4.1f} km/h", (left + 100, row))
         failed = observation.outcome not in (Outcome.RUNNING, Outcome.COMPLETED)
-        state = "" if observation.outcome is Outcome.RUNNING else observation.outcome.name.lower().replace("_", " ")
+        state = "" if observation.outcome is Outcome.RUNNING else observation.outcome.words
         _write(panel, state, (left + 180, row), _BAD if failed else _GOOD)
         out_of_bounds = lane.lateral_distance < 0.0
         _gauge(

@@ -15,6 +15,7 @@ from junitparser import Error, Failure, JUnitXml, Skipped, TestCase, TestSuite
 from ds_analysis.comparison.analysis import Comparison
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import CampaignData
+from ds_sim.simulator import Outcome
 
 FailOn = Literal["failure", "regression", "worse"]
 
@@ -148,8 +149,8 @@ def cases_of(comparison: Comparison) -> list[Case]:
             simulator=drive.simulator,
             state=states.get(drive.change, "passed"),
             seconds=drive.candidate.simulated_seconds,
-            message=f"{_words(drive.candidate.outcome.name)}, {_margin(drive.candidate.fitness)}; "
-            f"{comparison.reference.driver}: {_words(drive.reference.outcome.name)}",
+            message=f"{drive.candidate.outcome.words}, {_margin(drive.candidate.fitness)}; "
+            f"{comparison.reference.driver}: {drive.reference.outcome.words}",
         )
         for drive in comparison.drives
     ]
@@ -168,12 +169,12 @@ def cases_of_campaign(data: CampaignData) -> list[Case]:
             simulator=one.simulator,
             state="failed" if one.outcome.is_failure else "passed",
             seconds=one.simulated_seconds,
-            message=f"{_words(one.outcome.name)}, {_margin(one.fitness)}",
+            message=f"{one.outcome.words}, {_margin(one.fitness)}",
         )
         for one in data.verdicts
     ]
     done = {(one.test_id, one.simulator) for one in data.executions}
-    errors = {(test, sim): f"{_words(outcome)}: {text}" for test, sim, _, outcome, text in data.errors}
+    errors = {(test, sim): f"{Outcome[outcome].words}: {text}" for test, sim, _, outcome, text in data.errors}
     found += [
         Case(test=test, simulator=sim, state="error", message=text)
         for (test, sim), text in errors.items()
@@ -218,7 +219,3 @@ def _margin(fitness: float | None) -> str:
     if fitness is None:
         return "by its verdict"
     return f"{fitness:.2f} m inside its lane" if fitness >= 0.0 else f"{-fitness:.2f} m out of its lane"
-
-
-def _words(outcome: str) -> str:
-    return outcome.lower().replace("_", " ")

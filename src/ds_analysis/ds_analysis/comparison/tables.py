@@ -25,23 +25,10 @@ def simulator_table(comparison: Comparison) -> Table:
     with_random = comparison.origin == "reference" and any(row.unsearched.tests for row in comparison.simulators)
     rows: list[tuple[Value, ...]] = []
     for row in comparison.simulators:
-        counts, random = row.counts, row.unsearched
-        rows.append(
-            (
-                row.simulator + (" (twin)" if row.simulator == comparison.twin else ""),
-                counts.tests,
-                counts.reference_failures,
-                counts.candidate_failures,
-                counts.newly_fail,
-                counts.fixed,
-                counts.difference,
-                counts.interval,
-                row.p_adjusted,
-                *((f"+{random.newly_fail} -{random.fixed} /{random.tests}",) if with_random else ()),
-                row.margin_change,
-                row.verdict,
-            )
-        )
+        name = row.simulator + (" (twin)" if row.simulator == comparison.twin else "")
+        *counts, _ = _counts(row.counts).values()
+        random = f"+{row.unsearched.newly_fail} -{row.unsearched.fixed} /{row.unsearched.tests}"
+        rows.append((name, *counts, row.p_adjusted, *[random] * with_random, row.margin_change, row.verdict))
     return Table(
         name="compared_networks",
         title=f"{comparison.candidate.label} against {comparison.reference.label}",
@@ -50,7 +37,7 @@ def simulator_table(comparison: Comparison) -> Table:
             *styled("count", "tests", "reference", "candidate", "newly fail", "fixed"),
             *styled("number", "difference", "95 %"),
             Column("p (Holm)", "p"),
-            *((Column("random roads"),) if with_random else ()),
+            *[Column("random roads")] * with_random,
             Column("margin, m", "number"),
             Column("on other roads"),
         ],
@@ -153,7 +140,7 @@ def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
         title="Every test, the worst change first" if every else title,
         columns=[
             *styled("text", "test", "simulator"),
-            *((Column("change"),) if every else ()),
+            *[Column("change")] * every,
             *styled("text", "reference", "candidate"),
             *styled("number", "margin of reference, m", "of candidate, m"),
         ],
@@ -161,9 +148,9 @@ def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
             (
                 drive.test.name,
                 drive.simulator,
-                *((drive.change,) if every else ()),
-                _words(drive.reference.outcome.name),
-                _words(drive.candidate.outcome.name),
+                *[drive.change] * every,
+                drive.reference.outcome.words,
+                drive.candidate.outcome.words,
                 drive.reference.fitness,
                 drive.candidate.fitness,
             )
@@ -238,20 +225,8 @@ def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, s
 
 
 def _counts(counts: PairedCounts) -> dict[str, Any]:
-    return {
-        "tests": counts.tests,
-        "reference_failures": counts.reference_failures,
-        "candidate_failures": counts.candidate_failures,
-        "newly_fail": counts.newly_fail,
-        "fixed": counts.fixed,
-        "difference": counts.difference,
-        "interval": None if counts.interval is None else list(counts.interval),
-        "p": counts.p,
-    }
-
-
-def _words(outcome: str) -> str:
-    return outcome.lower().replace("_", " ")
+    names = "tests", "reference_failures", "candidate_failures", "newly_fail", "fixed", "difference", "interval", "p"
+    return {name: getattr(counts, name) for name in names}
 
 
 _READING = (
@@ -309,15 +284,8 @@ def _where(comparison: Comparison) -> list[str]:
             f"{p_in_words(smallest)} after Benjamini and Hochberg; most cells have too few tests.",
             "",
         ]
-    cells = _table(cell_table(comparison, most=MOST_ROWS))
-    return [
-        "<details><summary>Where: cells of the feature map that changed</summary>",
-        "",
-        *cells,
-        "",
-        "</details>",
-        "",
-    ]
+    head = "<details><summary>Where: cells of the feature map that changed</summary>"
+    return [head, "", *_table(cell_table(comparison, most=MOST_ROWS)), "", "</details>", ""]
 
 
 def _table(table: Table) -> list[str]:

@@ -240,26 +240,13 @@ class Sensitivity:
 
     def long_table(self) -> Table:
         """One row for each factor and simulator, with every number."""
+        keys = ["condition", "unit", "end", "simulator", "verdict", "first_fails", "first", "last", "completes"]
+        keys += ["excluded_from", "share_of_range", "roads"]
         rows: list[list[Value]] = []
         for one in (self.thresholds[k, name] for k in self.order for name in self.simulators):
             values = one.document()
-            first, last = values["interval"]
-            rows.append(
-                [
-                    one.factor.name,
-                    one.factor.unit,
-                    one.factor.end,
-                    one.simulator,
-                    one.verdict,
-                    values["first_fails"],
-                    first,
-                    last,
-                    values["completes"],
-                    values["excluded_from"],
-                    one.withstood,
-                    len(one.roads),
-                ]
-            )
+            values |= {"first": values["interval"][0], "last": values["interval"][1], "roads": len(one.roads)}
+            rows.append([values[key] for key in keys])
         return Table(
             name="sensitivity_values",
             title=f"Strength at which {self.driver} first fails, in numbers",
@@ -267,15 +254,8 @@ class Sensitivity:
                 *styled("text", "condition", "unit"),
                 Column("hardest", "number"),
                 *styled("text", "simulator", "verdict"),
-                *styled(
-                    "number",
-                    "first fails",
-                    "first road fails",
-                    "last road fails",
-                    "completes",
-                    "excluded from",
-                    "share of range",
-                ),
+                *styled("number", "first fails", "first road fails", "last road fails"),
+                *styled("number", "completes", "excluded from", "share of range"),
                 Column("roads", "count"),
             ],
             rows=rows,

@@ -126,20 +126,7 @@ def _nesting_table(nesting: Sequence[Nesting]) -> Table:
             *styled("count", "both", "first only", "second only", "neither"),
             *styled("number", "second fails where first does", "95 %", "first fails where second does", "95 % of that"),
         ],
-        rows=[
-            (
-                f"{one.first}, {one.second}",
-                one.both,
-                one.only_first,
-                one.only_second,
-                one.neither,
-                one.second_given_first,
-                one.second_given_first_interval,
-                one.first_given_second,
-                one.first_given_second_interval,
-            )
-            for one in nesting
-        ],
+        rows=[(f"{one.first}, {one.second}", *list(vars(one).values())[2:]) for one in nesting],
     )
 
 
@@ -178,28 +165,10 @@ def _residual_table(residuals: Sequence[ResidualCorrelation]) -> Table:
         title="What is left: correlation of lateral positions beyond the best feature",
         columns=[
             Column("pair"),
-            *styled(
-                "number",
-                "largest per road",
-                "95 %",
-                "beyond the best feature",
-                "95 % of it",
-                "per place, beyond curvature",
-                "95 % of that",
-            ),
+            *styled("number", "largest per road", "95 %", "beyond the best feature", "95 % of it"),
+            *styled("number", "per place, beyond curvature", "95 % of that"),
         ],
-        rows=[
-            (
-                f"{one.first}, {one.second}",
-                one.plain,
-                one.plain_interval,
-                one.roads,
-                one.roads_interval,
-                one.places,
-                one.places_interval,
-            )
-            for one in residuals
-        ],
+        rows=[(f"{one.first}, {one.second}", *list(vars(one).values())[2:-1]) for one in residuals],
         notes=list(dict.fromkeys(part for one in residuals if one.caution for part in one.caution.split("; "))),
     )
 

@@ -15,11 +15,10 @@ from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.camera_pictures import SPACINGS, PicturedDrive, render_drive, replay_frames
 from ds_report.page_data import simulator_rows
-from ds_report.pages import outcome_in_words
 from ds_report.watch.campaign_reader import Snapshot
 from ds_road.geometry import arc_lengths
 from ds_sim.registry import make_simulator, received_simulator
-from ds_sim.simulator import Simulator
+from ds_sim.simulator import Outcome, Simulator
 
 
 class DrivePictures:
@@ -120,7 +119,7 @@ def _last_error(errors: tuple[tuple[str, str, int, str, str], ...]) -> str:
     if not errors:
         return ""
     test_id, simulator, _, outcome, message = errors[-1]
-    return f"{test_id} on {simulator}: {outcome.lower().replace('_', ' ')}, {message}"
+    return f"{test_id} on {simulator}: {Outcome[outcome].words}, {message}"
 
 
 def _axes(snapshot: Snapshot) -> list[dict[str, Any]]:
@@ -194,7 +193,7 @@ def drive_lines(test: Test, execution: Execution, names: list[str]) -> dict[str,
     commands = steering[np.minimum(steps, len(steering) - 1)] if len(steering) else steering
     moved = np.hypot(*np.diff(path[steps][:, :2], axis=0).T) if len(steps) > 1 else np.empty(0)
     run = {
-        "outcome": outcome_in_words(execution.outcome),
+        "outcome": execution.outcome.words,
         "failed": execution.outcome.is_failure,
         "seconds": execution.simulated_seconds,
         "fitness": execution.fitness,
