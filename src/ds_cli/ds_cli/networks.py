@@ -24,7 +24,7 @@ from ds_cli.options import (
     rows_of,
     simulators_of,
 )
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 
 if TYPE_CHECKING:
     pass
@@ -81,17 +81,23 @@ def import_command(
     factor: SteeringFactor = 1.0,
     rows: ImageRows = None,
     trust: Trust = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse a recording with an image that cannot be read.")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Import recorded drives of a real car into a data set.
 
     Networks can then be trained on it and compared.
     """
+    from ds_base.left_out import LeftOut
     from ds_driver.data.recordings import Reading, import_recordings, open_recording
 
     reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), trusted=tuple(trust or ()))
     try:
-        found = import_recordings([open_recording(folder, reading) for folder in folders], out, name, ScreenProgress())
+        left_out = LeftOut("images", strict)
+        recordings = [open_recording(folder, reading) for folder in folders]
+        found = import_recordings(recordings, out, name, ScreenProgress(), left_out)
     except KeyboardInterrupt:
         raise Interrupted from None
 
@@ -99,7 +105,9 @@ def import_command(
         left = f"; {found.unlabelled} images without recorded steering are left out" if found.unlabelled else ""
         print(f"{found.images} images in {found.files} files are in {out / name}{left}")
 
-    answer(Result(document=asdict(found), show=show), as_json)
+    if left_out.items:
+        say(left_out.line())
+    answer(Result(document=asdict(found) | {"unreadable": len(left_out.items)}, show=show), as_json)
 
 
 @app.command("train")

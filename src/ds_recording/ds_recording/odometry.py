@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from ds_bags.clock import time_of
 from ds_bags.donkey_tub import read_tub
-from ds_bags.reader import BagReader, stamp_of
-from ds_driver.data.recordings import Recording
+from ds_bags.reader import BagReader
+from ds_driver.data.recordings import MOTION, Recording
 from ds_recording.errors import RecordingError
 from ds_recording.hints import NOTHING, Hint
 from ds_road.road import abbreviated
@@ -33,7 +34,7 @@ SPEEDS = ("enc/speed", "pos/speed")
 GYROSCOPES = (("imu/gyr_z", math.radians(1.0)), ("imu/gyr_y", -1.0))
 """Yaw rates of a tub, and the factor to rad/s to the left. Donkey Car's parts/imu.py (MPU-6050 and MPU-9250) writes
 degrees/s, about z upwards on a board that lies flat; parts/realsense435i.py rad/s, about y downwards."""
-ODOMETRY, IMU, POSE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped"
+ODOMETRY, IMU, POSE = MOTION
 LARGEST = {AHEAD: 50.0, TURN: 50.0}
 """Largest speed (m/s) and yaw rate (rad/s); chosen: beyond, it is no measurement of a car."""
 FARTHEST = 1e6
@@ -205,7 +206,7 @@ def _bag_sources(recording: Recording, start: float, wanted: str | None) -> Iter
                     values = _IN_MESSAGE[kind](message)
                 except (AttributeError, TypeError, ValueError, IndexError, OverflowError):
                     continue  # another message of the same name
-                rows.append(((stamp_of(message) or logged) / 1e9 - start, *values))
+                rows.append((time_of(message, logged, headers=recording.headers) / 1e9 - start, *values))
             table = np.array(rows, dtype=np.float64).reshape(-1, 6)
             times, speed, rate = table[:, :3].T
             # Many publishers fill in one of both: a twist, with the car's own axes (REP-105), or a pose.

@@ -7,19 +7,21 @@ import math
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_bags.clock import headers_are_shared, time_of
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED, BagError
-from ds_bags.reader import STATE, BagReader, read_run, stamp_of
+from ds_bags.reader import STATE, BagReader, read_run
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
-from ds_base.progress import Progress
+from ds_base.left_out import LeftOut
+from ds_base.progress import Progress, logger_of
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
@@ -28,6 +30,9 @@ from ds_driver.networks.pilot import NOT_SIMULATED, Frame
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import label_of, received_simulator, simulators, spec_of
 
+LOG = logger_of(__name__)
+MOTION = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped")
+"""Types whose times are compared with those of the images."""
 NEAR = 0.1
 """Largest time between an image and its steering value in other bags, s; chosen: two frames at 20 Hz."""
 MAX_IMAGE_FILE = 64 * 2**20
@@ -131,6 +136,24 @@ class Recording:
     reading: Reading
     simulator: str = NOT_SIMULATED
 
+    @cached_property
+    def headers(self) -> bool:
+        """Whether times are those of the messages' headers, and not of logging; see `ds_bags.clock`.
+
+        Raises:
+            ds_bags.layout.BagError: images and steering share no clock.
+        """
+        if self.kind != "bag":
+            return True
+        with BagReader(self.path) as bag:
+            topic = (self.reading.steering or "").partition(":")[0]
+            moving = [one for one in bag.connections if one.topic == topic or one.msgtype in MOTION]
+            images = [_camera(bag, self.reading)] if bag.of_type(IMAGE) or bag.of_type(COMPRESSED) else []
+            shared = headers_are_shared(bag, [*images, *moving], topic)
+        if not shared:
+            LOG.info("%s: times are those of logging, as the headers have no common clock", self.path)
+        return shared
+
     def frames(self) -> Iterator[RecordedFrame]:
         """Iterate over the images in order.
 
@@ -187,10 +210,11 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
 def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
     reading = recording.reading
     with BagReader(recording.path) as bag:
+        camera, headers = _camera(bag, reading), recording.headers
         labels = _labels(bag, recording)
         first: int | None = None
-        for index, (_, logged, message) in enumerate(bag.decoded([_camera(bag, reading)])):
-            time = stamp_of(message) or logged
+        for index, (_, logged, message) in enumerate(bag.decoded([camera])):
+            time = time_of(message, logged, headers=headers)
             first = time if first is None else first
             image, trouble = None, ""
             try:
@@ -237,7 +261,7 @@ _Labels = Callable[[int], tuple[float | None, float, float | None]]
 def _labels(bag: BagReader, recording: Recording) -> _Labels:
     """Return what gives steering, or None, speed, m/s, and throttle, or None, at a time in ns."""
     if recording.reading.steering is not None:
-        return _nearest(_field(bag, recording.reading))
+        return _nearest(_field(bag, recording))
     if recording.kind != _PROJECT_BAG:
         return lambda _time: (None, 0.0, None)
     recorded = read_run(bag, trusted=recording.reading.trusted)
@@ -266,7 +290,8 @@ def _nearest(steering: dict[int, float]) -> _Labels:
     return at
 
 
-def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
+def _field(bag: BagReader, recording: Recording) -> dict[int, float]:
+    reading = recording.reading
     topic, _, path = (reading.steering or "").partition(":")
     found = [connection for connection in bag.connections if connection.topic == topic]
     if not found or not path:
@@ -279,7 +304,7 @@ def _field(bag: BagReader, reading: Reading) -> dict[int, float]:
         except (AttributeError, TypeError, ValueError):
             raise BagError(f"{bag.path}: {connection.msgtype} has no number {path!r}: see `ds bag info`") from None
         if math.isfinite(value):
-            values[stamp_of(message) if hasattr(message, "header") else logged] = min(max(value, -1.0), 1.0)
+            values[time_of(message, logged, headers=recording.headers)] = min(max(value, -1.0), 1.0)
     return values
 
 
@@ -293,10 +318,13 @@ class Imported:
     files: int
 
 
-def import_recordings(recordings: list[Recording], out: Path, name: str, progress: Progress) -> Imported:
+def import_recordings(
+    recordings: list[Recording], out: Path, name: str, progress: Progress, left_out: LeftOut | None = None
+) -> Imported:
     """Write recordings into a data set under a name of their own.
 
-    Images are resized to (160, 320, 3) RGB; training does not crop them.
+    Images are resized to (160, 320, 3) RGB; training does not crop them. Images that cannot be read are `left_out`; the
+    first one is an error if that is None.
 
     Raises:
         DatasetError: the name is taken, an image is damaged, or nothing has a label.
@@ -313,13 +341,16 @@ def import_recordings(recordings: list[Recording], out: Path, name: str, progres
         raise DatasetError("two recordings have the same name: rename the folder of one")
     unfinished = out / UNFINISHED
     shutil.rmtree(unfinished, ignore_errors=True)
+    left_out = left_out or LeftOut("images", strict=True)
     images = unlabelled = files = 0
     progress.start(len(recordings))
     for recording, stem in zip(recordings, stems, strict=True):
         rows: list[dict[str, object]] = []
         for frame in recording.frames():
+            left_out.total += 1
             if frame.image is None:
-                raise DatasetError(f"{frame.trouble}: remove that record, or record it again")
+                left_out.add(recording.path.name, frame.trouble, DatasetError)
+                continue
             if frame.steering is None:
                 unlabelled += 1
                 continue
@@ -341,8 +372,14 @@ def import_recordings(recordings: list[Recording], out: Path, name: str, progres
             files += 1
         images += len(rows)
         progress.advance(line=f"{recording.path}: {len(rows)} images")
+    if not images and left_out.items:
+        raise DatasetError(left_out.line())
     if not images:
-        raise DatasetError("no image has a steering beside it: name its topic with --steering TOPIC:FIELD")
+        named = recordings[0].reading.steering
+        advice = (
+            "name its topic with --steering TOPIC:FIELD" if named is None else f"{named} has none within {NEAR:g} s"
+        )
+        raise DatasetError(f"no image has a steering beside it: {advice}")
     about: dict[str, Any] = {"recordings": stems, "kinds": sorted({r.kind for r in recordings}), "images": images}
     keep_import(unfinished, name, about | {"unlabelled": unlabelled, "rows": recordings[0].reading.rows})
     (unfinished / name).rename(out / name)

@@ -340,10 +340,7 @@ def run_suite(
     Returns:
         The comparison, and every execution by test and simulator.
     """
-    tests = {
-        one.name: Test(f"suite-0-{number:04d}", suite.scenario_of(one))
-        for number, one in enumerate(suite.tests)
-    }
+    tests = {one.name: Test(f"suite-0-{number:04d}", suite.scenario_of(one)) for number, one in enumerate(suite.tests)}
     work = {name: [tests[one.name] for one in suite.tests if name in one.outcomes] for name in suite.simulators}
     found = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, callbacks)
     pairs, left_out, executions = [], [], {}
