@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`, and their cost.
 
-    python -m benchmarks.conditions --out docs/images [--sim bullet ...] [--only visibility ...]
+    python -m benchmarks.conditions --out docs/images [--sim bullet ...]
     python -m benchmarks.conditions --costs [--frames 40] [--sim bullet ...]
 
 One sheet per simulator: a row per condition, its strengths from left to right. With `--set SET` only the middle and the
@@ -67,14 +67,13 @@ def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint
     return simulator.scene.still(state, np.random.default_rng(SEED))
 
 
-def sheet(name: str, only: list[str], stage: ImageTranslation | None = None) -> NDArray[np.uint8]:
+def sheet(name: str, stage: ImageTranslation | None = None) -> NDArray[np.uint8]:
     """Rows of pictures with their conditions below; with a stage each has its translation beside it."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
     rows = []
     for texts in STRENGTHS:
-        kind = texts[0].partition("=")[0]
-        if (only and kind not in only) or kind not in simulator.spec.conditions:
+        if texts[0].partition("=")[0] not in simulator.spec.conditions:
             continue
         row = []
         for text in texts if stage is None else texts[1:]:
@@ -120,7 +119,6 @@ def main() -> None:
     wanted.add_argument("--costs", action="store_true", help="print what conditions cost instead")
     parser.add_argument("--frames", type=int, default=40, help="frames to time")
     parser.add_argument("--sim", nargs="*", default=list(STANDARD), help="simulators")
-    parser.add_argument("--only", nargs="*", default=[], help="conditions, by the first name of a row")
     parser.add_argument("--set", help="shipped set of sim2real generators, or a folder")
     arguments = parser.parse_args()
     if arguments.costs:
@@ -129,7 +127,7 @@ def main() -> None:
     suffix = "" if stage is None else "_translated"
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name in arguments.sim:
-        image = sheet(name, arguments.only, stage)
+        image = sheet(name, stage)
         file = arguments.out / f"conditions_{name}{suffix}.jpg"
         cv2.imwrite(str(file), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 70])
 

@@ -3,7 +3,7 @@
 
     python -m benchmarks.explanation --out explanation        # about 20 minutes of processor time
 
-A made car is a simulator with one part changed: its camera is pitched or raised, its look is dim or its lines have
+A made car is a simulator with one part changed: its camera is raised, its look is dim or its lines have
 faded, its vehicle is slippery or its steering lags, its commands or images are late. A pair is a road and a change with
 which the made car fails, while the simulator as it was, and another one, complete. The other one gives the parts for
 the exchange, so it differs from the made car in everything, and not in the planted part alone. A pair is recovered if
@@ -37,7 +37,6 @@ from ds_studies.explanation.shares import Explanation, Subset
 from ds_studies.sensitivity.measurement import candidate_roads
 
 PLANTS = {
-    "pitched": ("camera", (0.4, 0.55)),
     "raised": ("camera", (2.5, 4.0)),
     "dim": ("look", (0.25, 0.15)),
     "faded": ("look", (0.15, 0.0)),
@@ -46,7 +45,7 @@ PLANTS = {
     "late_commands": ("delays", (0.7, 1.0)),
     "late_images": ("delays", (12.0, 18.0)),
 }
-"""Change -> its part, and strengths: rad nose down; factors on height, brightness, line contrast and grip; seconds of
+"""Change -> its part, and strengths: factors on height, brightness, line contrast and grip; seconds of
 steering lag and dead time; frames of latency. Chosen so that most of the cars fail, before any share was seen."""
 AGAINST = {"bullet": "softbody", "softbody": "bullet"}
 """Simulator that is changed -> simulator that gives the parts for the exchange."""
@@ -114,9 +113,7 @@ class MadeCar(RoadSimulator):
         own = exchangeable(base)
         spec, vehicle = own.spec, own.vehicle
         camera, look = spec.camera, spec.look
-        if plant == "pitched":
-            camera = replace(camera, pitch=camera.pitch + strength)
-        elif plant == "raised":
+        if plant == "raised":
             camera = replace(camera, height=camera.height * strength)
         elif plant == "dim":
             camera = replace(camera, gain=camera.gain * strength)

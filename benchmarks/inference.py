@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from ds_driver.closed_loop.simulation import make_driver
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import simulator_crop
 from ds_driver.networks.architectures import NETWORKS
@@ -30,7 +29,7 @@ from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
 from ds_road import Road
 from ds_sim.registry import STANDARD, make_simulator
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Command, Observation
 
 BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
 BATCHES = (1, 4, 8)
@@ -61,16 +60,19 @@ def speed(name: str, frames: int, table: Table) -> None:
         table.add_row(name, backend, str(size), f"{min(times):.2f}", f"{np.median(times):.2f}", first)
 
 
-def frames_of(driver: str, simulator: str, road: Road, seed: int, every: int) -> Iterator[NDArray[np.uint8]]:
-    """Yield every n-th image that a driver sees on a road; n is `every`."""
+def frames_of(driver: str, simulator: str, road: Road, seed: int, every: int) -> list[NDArray[np.uint8]]:
+    """Every n-th image that a driver sees on a road; n is `every`."""
     world = make_simulator(simulator)
-    drive = make_driver(driver, world.spec)
-    observation = world.load(road, seed=seed)
-    while observation.outcome is Outcome.RUNNING:
+    drive, images = make_driver(driver, world.spec), []
+
+    def watched(observation: Observation) -> Command:
         if observation.step % every == 0:
-            yield observation.image
-        observation = world.step(drive(observation))
+            images.append(observation.image.copy())
+        return drive(observation)
+
+    drive_road(world, watched, road, seed)
     world.close()
+    return images
 
 
 def differences(name: str, roads: list[Road], console: Console) -> None:

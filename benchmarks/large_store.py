@@ -28,13 +28,14 @@ if TYPE_CHECKING:
     from ds_orchestrator.store.model import Execution, Test
 
 VERBS = {
-    "status": ("campaign", "status", "--json"),
-    "maps": ("maps", "--json"),
-    "predict": ("predict", "--json"),
-    "evaluate": ("evaluate", "--json"),
-    "report": ("report",),
-    "runs": ("runs", "--json"),
+    "status": ("campaign", "status", "", "--json"),
+    "maps": ("maps", "", "--json"),
+    "predict": ("predict", "", "--json"),
+    "evaluate": ("evaluate", "", "--json"),
+    "report": ("report", ""),
+    "runs": ("runs", "", "--json"),
 }
+"""Verb -> its words; the folder stands for the empty one."""
 BUDGET, POPULATION = 200, 20
 """Tests of a search run, and the random roads among them; the others are mutants."""
 _ROADS = 500
@@ -112,9 +113,7 @@ def _tests(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[Test
 
 def measure(verb: str, folder: Path) -> tuple[float, float]:
     """Run a verb; return its processor time, s, and the most memory that it held, MB."""
-    command = [sys.executable, "-m", "ds_cli.main", *VERBS[verb][:2], str(folder), *VERBS[verb][2:]]
-    if verb != "status":
-        command = [sys.executable, "-m", "ds_cli.main", verb, str(folder), *VERBS[verb][1:]]
+    command = [sys.executable, "-m", "ds_cli.main", *(word or str(folder) for word in VERBS[verb])]
     with tempfile.TemporaryFile() as output:
         process = subprocess.Popen(command, stdout=output, stderr=output)
         _, status, used = os.wait4(process.pid, 0)

@@ -2,9 +2,9 @@
 """Vehicles with the autopilot, but without camera and ROS, so that only the physics count.
 
 `python -m benchmarks.physics convergence [--roads 20] [--finer 2]` drives every road with the nominal substep and with
-finer ones, and prints one row per simulator, as Markdown, with the change of fitness; `training` drives the paper's
-training set (4.2.2: 25 roads in both directions) and counts completed drives; `commands [--out docs/images]` draws
-where the commands that drive one vehicle along a road take the others. All take `--sims bullet,softbody,panda,donkey`.
+finer ones, and prints one row per simulator, as Markdown, with the change of fitness; `commands [--out docs/images]`
+draws where the commands that drive one vehicle along a road take the others. Both take
+`--sims bullet,softbody,panda,donkey`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from ds_base.figures import draw_figure
 from ds_driver.control.autopilot import Autopilot
-from ds_driver.data.collection import CollectionPlan, roads_both_ways
 from ds_road import Road, generate
 from ds_sim.camera.encodings import png
 from ds_sim.oracle import LaneTracker, Oracle
@@ -171,23 +170,6 @@ def fitness_shift(car: Car, roads: list[Road], finer: int) -> tuple[list[float],
     return shifts, distances
 
 
-def print_training(chosen: dict[str, Car]) -> None:
-    """Print one row per simulator: results of the autopilot on the training set, and its top speed."""
-    plan = CollectionPlan()
-    trained_on = roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)
-    roads = [way for road in trained_on for way in (road, road.reversed())]
-    print("| simulator | drives | completed | smallest lateral distance, m | highest speed, km/h |")
-    print("|---|---|---|---|---|")
-    for name, car in chosen.items():
-        vehicle = car.make(1)
-        drives = [drive(car, vehicle, road) for road in roads]
-        vehicle.close()
-        done = sum(d.outcome is Outcome.COMPLETED for d in drives)
-        speed = 3.6 * max(float(d.path[:, 3].max()) for d in drives)
-        fitness = min(d.fitness for d in drives)
-        print(f"| {name} | {len(drives)} | {done} | {fitness:.2f} | {speed:.1f} |", flush=True)
-
-
 def print_convergence(chosen: dict[str, Car], roads: list[Road], finer: int) -> None:
     """Print one row per simulator: how much finer substeps change fitness and paths."""
     print("| simulator | substep, ms | halved: change of fitness, mm (median, max) | distance of paths, mm (max) |")
@@ -236,7 +218,7 @@ def draw_same_commands(chosen: dict[str, Car], road: Road, path: Path) -> None:
 def main() -> None:
     """Print the table, or draw."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", choices=("convergence", "training", "commands"))
+    parser.add_argument("what", choices=("convergence", "commands"))
     parser.add_argument("--roads", type=int, default=20)
     parser.add_argument("--finer", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
@@ -245,8 +227,6 @@ def main() -> None:
     chosen = {name: cars()[name] for name in arguments.sims.split(",")}
     if arguments.what == "convergence":
         print_convergence(chosen, random_roads(arguments.roads), arguments.finer)
-    elif arguments.what == "training":
-        print_training(chosen)
     else:
         draw_same_commands(chosen, random_roads(1)[0], arguments.out / "vehicles_commands.png")
 

@@ -2,7 +2,6 @@
 """Scores predictors of a car that was driven a few times, on tables of outcomes of ours and of others.
 
     python -m benchmarks.predictors --foreign FOLDER --out scores         # FOLDER with studies of `ds outcomes import`
-    python -m benchmarks.predictors --predictor my_module:MyPredictor --out scores
 
 Each simulator of a table is the car in turn, predicted from the others. A predictor has two methods:
 
@@ -25,7 +24,6 @@ import argparse
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
@@ -233,13 +231,9 @@ def main() -> None:
     """Score all tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--foreign", type=Path, help="folder of studies that are not shipped")
-    parser.add_argument("--predictor", help="module:Class beside the built-in ones")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     scored = predictors()
-    if arguments.predictor:
-        module, _, name = arguments.predictor.partition(":")
-        scored[name] = getattr(import_module(module), name)()
     studies = sorted(one.parent for one in OURS.glob("*/outcomes.parquet"))
     studies += sorted(one.parent for one in arguments.foreign.glob("*/outcomes.parquet")) if arguments.foreign else []
     rows: list[tuple[Value, ...]] = []

@@ -264,8 +264,6 @@ def train(images: Images, training: list[int], validation: list[int], plan: Plan
             optimizer.step()
             schedule.step()
             losses.append(loss.item())
-            if step % 50 == 49:
-                print(f"epoch {epoch + 1}: {step + 1}/{steps}, loss {np.mean(losses[-50:]):.5f}")
         network.eval()
         with torch.inference_mode():
             chosen = np.array(validation[WINDOW :: WINDOW if plan.kind == "recurrent" else 7])

@@ -61,8 +61,8 @@ def write(page: Any, words: str, x: int, y: int, colour: tuple[int, int, int] = 
     cv2.putText(page, words, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
 
 
-def main() -> int:
-    """Write the picture; the result is the exit status."""
+def main() -> None:
+    """Write the picture."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "build/four_drives"
     folder.mkdir(parents=True, exist_ok=True)
     drives = {
@@ -91,8 +91,7 @@ def main() -> int:
     animation.durations = [1000 // FRAMES_PER_SECOND] * (len(animation.frames) - 1) + [LAST_PICTURE_MS]
     cv2.imwriteanimation(str(PICTURE), animation, [cv2.IMWRITE_WEBP_QUALITY, 70])
     print(PICTURE)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

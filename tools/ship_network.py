@@ -36,16 +36,6 @@ from ds_sim.registry import STANDARD
 from ds_sim.simulator import Outcome
 from ds_studies.same_roads import drive_same_roads
 
-PAPER = {
-    "dave2": {"mean_squared_error": 0.08, "success": 0.84},
-    "chauffeur": {"mean_squared_error": 0.07, "success": 0.72},
-    "epoch": {"mean_squared_error": 0.09, "success": 0.52},
-    "dave2_real": {"mean_squared_error": 0.07, "success": 0.96},
-    "chauffeur_real": {"mean_squared_error": 0.07, "success": 0.92},
-    "epoch_real": {"mean_squared_error": 0.07, "success": 0.96},
-}
-"""Paper, Table 1, on the twin, networks for plain and for translated images; steering is in [-1, 1] there, too."""
-
 
 def main() -> None:
     """Assess the network, copy its files and write the card."""
@@ -72,7 +62,6 @@ def main() -> None:
         "offline": _offline(predict(arguments.offline, driver, ScreenProgress())),
         "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": _success_rates(driver, roads, arguments.seed),
-        "paper": PAPER.get(card["network"]),
         "versions": manifest["versions"],
     }
     SHIPPED.mkdir(exist_ok=True)

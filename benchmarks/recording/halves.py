@@ -33,12 +33,12 @@ def even(line: Array, count: int) -> Array:
     return np.column_stack([np.interp(stations, track.stations, column) for column in closed.T])
 
 
-def moved(points: Array, onto: Array) -> Array:
-    """Points after the rotation and translation that brings them nearest to their partners, after Kabsch."""
+def moved(points: Array, onto: Array, others: Array | None = None) -> Array:
+    """Points, or others, after the rigid motion that brings points nearest to their partners, after Kabsch."""
     middle, target = points.mean(axis=0), onto.mean(axis=0)
     left, _, right = np.linalg.svd((points - middle).T @ (onto - target))
     rotation = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
-    return np.asarray((points - middle) @ rotation + target)
+    return np.asarray(((points if others is None else others) - middle) @ rotation + target)
 
 
 def distances(a: Array, b: Array) -> Array:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from benchmarks.recording.drives import Plan, line_distance, record
+from benchmarks.recording.halves import moved
 from numpy.typing import NDArray
 
 from ds_driver.data.recordings import Reading
@@ -116,15 +117,11 @@ def _track_error(found: Located, rows: NDArray[np.void], folder: Path) -> float:
     line = np.loadtxt(folder / "track.csv", delimiter=",", skiprows=1)
     true = np.stack((rows["x_m"], rows["y_m"]), axis=1)
     ours = np.stack((found.column("x_m"), found.column("y_m")), axis=1)
-    left, _, right = np.linalg.svd((ours - ours.mean(axis=0)).T @ (true - true.mean(axis=0)))
-    rotation = left @ np.diag([1.0, np.linalg.det(left @ right)]) @ right
     low, high = found.column("along_m").min(), found.column("along_m").max()
-    driven = (found.track.stations[: len(found.track.points)] >= low) & (
-        found.track.stations[: len(found.track.points)] <= high
-    )
-    moved = (found.track.points[driven] - ours.mean(axis=0)) @ rotation + true.mean(axis=0)
+    stations = found.track.stations[: len(found.track.points)]
+    placed = moved(ours, true, found.track.points[(stations >= low) & (stations <= high)])
     dense = np.concatenate([np.linspace(a, b, 10) for a, b in zip(line[:-1], line[1:], strict=True)])
-    away = np.sqrt(((moved[:, None] - dense[None]) ** 2).sum(axis=2).min(axis=1))
+    away = np.sqrt(((placed[:, None] - dense[None]) ** 2).sum(axis=2).min(axis=1))
     return float(np.percentile(away, 95))
 
 

@@ -86,8 +86,6 @@ class Setup:
         self._prefix = self._ros_prefix()
         self._python: machine.Python | None = None
 
-    # ------------------------------------------------------------------ steps
-
     def is_complete(self) -> bool:
         """Check whether all steps are done; takes milliseconds."""
         return (
@@ -162,8 +160,6 @@ class Setup:
             step.run()
         self._stamps.finish(step.name, step.inputs)
 
-    # ------------------------------------------------------------------ the machine
-
     def _ros_prefix(self) -> Path | None:
         sourced = ros.sourced_prefix(os.environ, self.root)
         if sourced is not None:
@@ -226,8 +222,6 @@ class Setup:
             for name in self._changed_packages():
                 workspace.remove_build(self.workspace, name)
             self._package_stamps.clear(UNFINISHED)
-
-    # ------------------------------------------------------------------ the virtual environment
 
     def _make_environment(self) -> None:
         assert self._python is not None
@@ -310,8 +304,6 @@ class Setup:
         # `ds doctor` names a library that cannot be imported; set-up is complete all the same.
         with suppress(CommandFailedError):
             self.console.run([self.environment / "bin/python", "-c", script], environment=variables, folder=self.root)
-
-    # ------------------------------------------------------------------ the workspace
 
     def _changed_packages(self) -> list[str]:
         inputs = self._package_inputs()
