@@ -203,7 +203,7 @@ def read_camera(path: Path) -> FloorCamera:
 def _lens(path: Path, content: Mapping[str, Any]) -> Lens:
     model = content.get("distortion_model", "plumb_bob")
     model = "equidistant" if model == "fisheye" else model
-    if model not in MODELS:
+    if model not in list(MODELS):  # it may be of any type
         raise RecordingError(
             f"{path}: distortion_model is {abbreviated(model)}, expected {', '.join(MODELS)}, fisheye: calibrate again"
         )
