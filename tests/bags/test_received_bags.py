@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sqlite3
 import struct
@@ -144,38 +143,6 @@ def test_a_compressed_file_that_opens_to_gigabytes_is_refused(bag: Path) -> None
     new = {"compression_mode": "FILE", "compression_format": "zstd", "relative_file_paths": ["telemetry.mcap.zstd"]}
     change(bag, lambda information: information.update(new))
     refused(lambda: describe(bag), "the limit for a bag of this size")
-
-
-@pytest.mark.parametrize(
-    ("text", "match"),
-    [
-        (
-            "a: &a [x]\n"
-            + "".join(f"b{i}: &b{i} [{'*a, ' * 9}*a]\n".replace("*a", f"*b{i - 1}" if i else "*a") for i in range(12)),
-            "aliases expanded",
-        ),
-        ("[" * 100_000, "nested deeper"),
-        ("a: b\n" * 4_000_000, "longer than 16 MiB"),
-    ],
-)
-def test_metadata_bombs_are_refused(bag: Path, text: str, match: str) -> None:
-    (bag / "metadata.yaml").write_text(text)
-    refused(lambda: describe(bag), match)
-
-
-def test_special_files_are_refused_at_once(bag: Path) -> None:
-    for name in ("telemetry.mcap", "metadata.yaml"):
-        kept = (bag / name).read_bytes()
-        (bag / name).unlink()
-        os.mkfifo(bag / name)
-        refused(lambda: describe(bag), "not a regular file")
-        (bag / name).unlink()
-        (bag / name).symlink_to("/dev/zero")
-        refused(lambda: describe(bag), "not a regular file")
-        (bag / name).unlink()
-        (bag / name).write_bytes(kept)
-    (bag / "telemetry.mcap").unlink()
-    refused(lambda: describe(bag), "No such file")
 
 
 def test_tables_that_are_computed_are_refused(tmp_path: Path) -> None:

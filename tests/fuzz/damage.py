@@ -26,6 +26,38 @@ STRANGE: Sequence[Any] = (
 """Values that often break programs."""
 
 
+BRACKETS = b"[" * 200_000
+ALIASES = b"z0: &z0 [lol]\n" + b"".join(
+    b"z%d: &z%d [%s]\n" % (i, i, b", ".join([b"*z%d" % (i - 1)] * 9)) for i in range(1, 10)
+)
+"""YAML whose aliases expand to billions of values."""
+NO_FILE: dict[str, Callable[[Path], object]] = {
+    "a folder": Path.mkdir,
+    "an empty file": Path.touch,
+    "a FIFO": os.mkfifo,
+    "a device": lambda path: path.symlink_to("/dev/zero"),
+    "a dangling link": lambda path: path.symlink_to("none"),
+    "nothing": lambda path: None,
+}
+"""What may stand in a file's place."""
+
+
+def _write_16_gib(path: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**34)
+
+
+HOSTILE: dict[str, Callable[[Path], object]] = {
+    **NO_FILE,
+    "16 GiB": _write_16_gib,
+    "20 MB of YAML": lambda path: path.write_bytes(b"a: b\n" * 4_000_000),
+    "brackets": lambda path: path.write_bytes(BRACKETS),
+    "aliases": lambda path: path.write_bytes(ALIASES),
+    "no text": lambda path: path.write_bytes(b"\xff\xfe\x00"),
+}
+"""The same, and content that takes a careless reader endless time or memory."""
+
+
 def damaged_bytes(data: bytes, rng: Rng) -> bytes:
     """Apply one to four changes to bytes: flips, cuts, splices, repeats, and overwriting with extreme numbers."""
     made = bytearray(data)
@@ -109,7 +141,7 @@ def damaged_json(text: str, rng: Rng) -> bytes:
     if rng.random() < 0.2:
         return damaged_bytes(text.encode(), rng)
     if rng.random() < 0.02:
-        return b"[" * 200_000
+        return BRACKETS
     return json.dumps(damaged_value(json.loads(text), rng), ensure_ascii=bool(rng.random() < 0.5)).encode()
 
 
@@ -126,9 +158,8 @@ def damaged_yaml(text: str, rng: Rng) -> bytes:
 def yaml_bomb(text: str, rng: Rng) -> bytes:
     """Create deeply nested brackets, or aliases that expand to billions of values, alone or before a document."""
     if rng.random() < 0.2:
-        return b"[" * 200_000
-    laughs = "z0: &z0 [lol]\n" + "".join(f"z{i}: &z{i} [{', '.join([f'*z{i - 1}'] * 9)}]\n" for i in range(1, 10))
-    return (laughs if rng.random() < 0.5 else f"{laughs}{text}").encode()
+        return BRACKETS
+    return ALIASES if rng.random() < 0.5 else ALIASES + text.encode()
 
 
 def damaged_file(path: Path, rng: Rng) -> None:
@@ -148,16 +179,6 @@ def damaged_one_of(folder: Path, rng: Rng) -> None:
 
 
 def replace_with_no_file(path: Path, rng: Rng) -> None:
-    """Replace a file with a folder, an empty file, a FIFO, a link to a device, a dangling link, or nothing."""
+    """Replace a file with what is none: an entry of `NO_FILE`."""
     path.unlink()
-    match int(rng.integers(6)):
-        case 0:
-            path.mkdir()
-        case 1:
-            path.touch()
-        case 2:
-            os.mkfifo(path)
-        case 3:
-            path.symlink_to("/dev/zero")
-        case 4:
-            path.symlink_to("none")
+    list(NO_FILE.values())[int(rng.integers(len(NO_FILE)))](path)

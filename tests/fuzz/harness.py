@@ -35,7 +35,7 @@ class Hang(BaseException):
     """Reader that took too long; a BaseException, so that no reader catches it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Kind:
     """Kind of received file and the reader under test.
 

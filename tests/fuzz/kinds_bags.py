@@ -223,15 +223,15 @@ def _one_of(*choices: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], None
 _damage_bag = _one_of(damaged_one_of, _damage_records)
 
 KINDS = [
-    Kind(name="yaml", write=_write_yaml, damage=damaged_file, read=read_yaml, errors=(BoundedYamlError, OSError)),
-    Kind(name="bag-info", write=_write_bag, damage=_damage_bag, read=_read_everything, errors=_ERRORS),
-    Kind(name="bag-run", write=_write_bag, damage=_damage_bag, read=_read_run, errors=_ERRORS),
-    Kind(name="bag-log", write=_write_bag, damage=_damage_bag, read=read_log, errors=(LogError,)),
-    Kind(name="bag-sqlite", write=_write_foreign, damage=damaged_one_of, read=_read_everything, errors=_ERRORS),
-    Kind(name="bag-ros1", write=_write_ros1, damage=damaged_file, read=_read_everything, errors=_ERRORS),
-    Kind(name="bag-images", write=_write_image_bag, damage=_damage_bag, read=_read_recording, errors=_ERRORS),
-    Kind(name="bag-recover", write=_write_unfinished, damage=damaged_file, read=_recover, errors=_ERRORS),
-    Kind(name="tub", write=_write_tub, damage=_damage_lines, read=read_tub, errors=(TubError,)),
-    Kind(name="tub-images", write=_write_tub, damage=_damage_lines, read=_read_recording, errors=(TubError, BagError)),
-    Kind(name="tub-log", write=_write_tub, damage=_damage_lines, read=read_log, errors=(LogError,)),
+    Kind("yaml", _write_yaml, damaged_file, read_yaml, (BoundedYamlError, OSError)),
+    Kind("bag-info", _write_bag, _damage_bag, _read_everything, _ERRORS),
+    Kind("bag-run", _write_bag, _damage_bag, _read_run, _ERRORS),
+    Kind("bag-log", _write_bag, _damage_bag, read_log, (LogError,)),
+    Kind("bag-sqlite", _write_foreign, damaged_one_of, _read_everything, _ERRORS),
+    Kind("bag-ros1", _write_ros1, damaged_file, _read_everything, _ERRORS),
+    Kind("bag-images", _write_image_bag, _damage_bag, _read_recording, _ERRORS),
+    Kind("bag-recover", _write_unfinished, damaged_file, _recover, _ERRORS),
+    Kind("tub", _write_tub, _damage_lines, read_tub, (TubError,)),
+    Kind("tub-images", _write_tub, _damage_lines, _read_recording, (TubError, BagError)),
+    Kind("tub-log", _write_tub, _damage_lines, read_log, (LogError,)),
 ]

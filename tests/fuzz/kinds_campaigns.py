@@ -276,54 +276,12 @@ def _damage_data(folder: Path, rng: Rng) -> None:
 
 
 KINDS = [
-    Kind(
-        name="campaign-yaml",
-        write=_text("campaign.yaml", _CONFIG),
-        damage=damaged_file,
-        read=read_config,
-        errors=(ConfigError,),
-    ),
-    Kind(
-        name="campaign-sqlite",
-        write=_write_store,
-        damage=_damage_store,
-        read=_read_store,
-        errors=(StoreError, ConfigError),
-    ),
-    Kind(
-        name="roads",
-        write=_text("roads.json", json.dumps(_ROADS)),
-        damage=damaged_file,
-        read=read_roads,
-        errors=(RoadError, OSError),
-    ),
-    Kind(
-        name="weights",
-        write=_write_weights,
-        damage=_damage_weights,
-        read=lambda path: load_weights(str(path)),
-        errors=(WeightsError,),
-    ),
-    Kind(
-        name="network-description",
-        write=_write_network,
-        damage=_damage_of("network.yaml"),
-        read=_read_network,
-        errors=(DriverError,),
-    ),
-    Kind(
-        name="network-onnx",
-        write=_write_network,
-        damage=_damage_of("network.onnx"),
-        read=_read_network,
-        errors=(DriverError,),
-    ),
-    Kind(name="data-set", write=_write_data, damage=_damage_data, read=read_samples, errors=(DatasetError,)),
-    Kind(
-        name="twin-parameters",
-        write=_text("car.yaml", _CAR),
-        damage=damaged_file,
-        read=read_parameters,
-        errors=(ParameterFileError,),
-    ),
+    Kind("campaign-yaml", _text("campaign.yaml", _CONFIG), damaged_file, read_config, (ConfigError,)),
+    Kind("campaign-sqlite", _write_store, _damage_store, _read_store, (StoreError, ConfigError)),
+    Kind("roads", _text("roads.json", json.dumps(_ROADS)), damaged_file, read_roads, (RoadError, OSError)),
+    Kind("weights", _write_weights, _damage_weights, lambda path: load_weights(str(path)), (WeightsError,)),
+    Kind("network-description", _write_network, _damage_of("network.yaml"), _read_network, (DriverError,)),
+    Kind("network-onnx", _write_network, _damage_of("network.onnx"), _read_network, (DriverError,)),
+    Kind("data-set", _write_data, _damage_data, read_samples, (DatasetError,)),
+    Kind("twin-parameters", _text("car.yaml", _CAR), damaged_file, read_parameters, (ParameterFileError,)),
 ]

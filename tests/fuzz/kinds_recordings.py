@@ -75,13 +75,13 @@ def _write_description(folder: Path) -> Path:
 
 KINDS = [
     Kind(
-        name="ros-description",
-        write=_write_description,
-        damage=damaged_one_of,
-        read=lambda folder: RosSimulator.from_file(folder / "sim.yaml"),
-        errors=(RosSettingsError,),
+        "ros-description",
+        _write_description,
+        damaged_one_of,
+        lambda folder: RosSimulator.from_file(folder / "sim.yaml"),
+        (RosSettingsError,),
     ),
-    Kind(name="located", write=_write_located, damage=damaged_one_of, read=_drive, errors=(RecordingError,)),
-    Kind(name="located-log", write=_write_located, damage=damaged_one_of, read=read_log, errors=(LogError,)),
-    Kind(name="floor-camera", write=_write_camera, damage=damaged_file, read=read_camera, errors=(RecordingError,)),
+    Kind("located", _write_located, damaged_one_of, _drive, (RecordingError,)),
+    Kind("located-log", _write_located, damaged_one_of, read_log, (LogError,)),
+    Kind("floor-camera", _write_camera, damaged_file, read_camera, (RecordingError,)),
 ]

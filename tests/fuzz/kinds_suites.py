@@ -42,4 +42,4 @@ def _read(path: Path) -> object:
     return settings_of_suite(suite, "autopilot"), [suite.scenario_of(test).road.points for test in suite.tests]
 
 
-KINDS = [Kind(name="suite", write=_write, damage=damaged_file, read=_read, errors=(ConfigError,))]
+KINDS = [Kind("suite", _write, damaged_file, _read, (ConfigError,))]

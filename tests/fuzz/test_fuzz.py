@@ -10,9 +10,11 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from importlib import import_module
+from itertools import product
 from pathlib import Path
 
 import pytest
+from tests.fuzz.damage import HOSTILE, Rng
 from tests.fuzz.harness import Finding, Kind, try_inputs
 
 COUNT = int(os.environ.get("DS_FUZZ", "200"))
@@ -40,3 +42,28 @@ def test_every_damaged_input_is_accepted_or_refused_in_one_line(
     defects = [f"seed {finding.seed}: {finding.defect}" for finding in findings if finding.defect]
     assert not defects, f"{len(defects)} of {COUNT}:\n" + "\n".join(defects[:20])
     assert COUNT < 50 or any(finding.refused for finding in findings), "the damage damaged nothing"
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+def test_no_hostile_file_takes_a_reader_time_or_memory(
+    kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "base").mkdir()
+    base = kind.write(tmp_path / "base")
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    files = sorted(path.relative_to(base) for path in base.rglob("*") if path.is_file()) if base.is_dir() else [Path()]
+    inputs = list(product(files, HOSTILE))
+
+    def replace_one(copy: Path, rng: Rng) -> None:
+        file, what = pending.pop(0)
+        (copy / file).unlink()
+        HOSTILE[what](copy / file)
+
+    pending = list(inputs)
+    findings = try_inputs(replace(kind, damage=replace_one), base, work, range(len(inputs)))
+    defects = [
+        f"{what} for {file}: {one.defect}" for (file, what), one in zip(inputs, findings, strict=True) if one.defect
+    ]
+    assert not defects, "\n".join(defects)

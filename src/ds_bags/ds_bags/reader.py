@@ -39,6 +39,7 @@ from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outc
 
 STATE, DRIVE = "ds_interfaces/msg/VehicleState", "ds_interfaces/msg/DriveCommand"
 ROAD = "ds_interfaces/msg/Road"
+ROS1_MAGIC = b"#ROSBAG V2.0\n"
 MAX_SEED = 2**63 - 1
 """Largest seed that a bag may have: the limit of a campaign's configuration and store."""
 
@@ -72,6 +73,8 @@ class BagReader:
             for file in self.files:
                 if file.suffix == ".db3":
                     _check_tables(file)
+                elif file.suffix == ".bag":
+                    _check_first_line(file)
             with Opening(self._size).counting():
                 self._reader = AnyReader([self.path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
                 self._reader.open()
@@ -196,6 +199,13 @@ def _check_finished(path: Path) -> None:
                 f"{path} has no metadata.yaml: `{ds_command('bag', 'recover', path, '--out', 'DIR')}` completes it"
             )
         raise BagError(f"{path} is no bag: expected a folder with metadata.yaml")
+
+
+def _check_first_line(file: Path) -> None:
+    """Refuse what is no ROS 1 bag before `rosbags` reads its first line, however long it is."""
+    with file.open("rb") as stream:
+        if stream.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
+            raise ValueError("no ROS 1 bag of version 2.0")
 
 
 def _check_tables(file: Path) -> None:

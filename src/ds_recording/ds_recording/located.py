@@ -90,7 +90,7 @@ def read_located(folder: Path) -> Located:
             raise ValueError(f"lane_width_m in {ABOUT} is {abbreviated(width)}, expected metres")
     except (OSError, ValueError, BoundedYamlError, RecursionError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise RecordingError(f"{folder}: {reason}: give a folder that `ds recording locate` wrote") from None
+        raise RecordingError(f"{folder}: {reason!s:.200}: give a folder that `ds recording locate` wrote") from None
     track, _ = read_track(folder / TRACK)
     camera = read_camera(folder / CAMERA)
     return Located(table=table, track=track, lane_width=float(width), camera=camera, about=about)

@@ -155,7 +155,7 @@ def read_track(path: Path) -> tuple[Track, Array]:
         values = np.array([[float(v) for v in row] for row in rows])
     except (OSError, UnicodeDecodeError, BoundedYamlError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise RecordingError(f"{path}: {reason}: expected lines x_m,y_m,w_tr_right_m,w_tr_left_m") from None
+        raise RecordingError(f"{path}: {reason!s:.200}: expected lines x_m,y_m,w_tr_right_m,w_tr_left_m") from None
     if values.ndim != 2 or values.shape[1] != 4 or len(values) < 4 or not np.isfinite(values).all():
         raise RecordingError(
             f"{path}: expected 4 or more lines of four finite numbers x_m,y_m,w_tr_right_m,w_tr_left_m"
