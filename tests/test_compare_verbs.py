@@ -8,8 +8,7 @@ import io
 import json
 import re
 import shlex
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from xml.etree import ElementTree
 
 import pytest
 import typer
-from tests.campaign.engines import MadeUpEngine
+from tests.campaign.engines import MadeUpEngine, use_engines
 from tests.command_line import ds
 
 from ds_analysis.comparison.ci_results import Criteria
@@ -34,7 +33,6 @@ from ds_orchestrator.campaign.folder import open_store, store_of
 from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
-from ds_orchestrator.engines import drive_tests as given_tests
 from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
@@ -58,14 +56,11 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
     """Every engine that a verb starts is an executor that drives nothing; returns those that were started."""
     started: list[OfDriver] = []
 
-    @contextmanager
-    def running(settings: DriveSettings, *_: object, **__: object) -> Iterator[OfDriver]:
+    def start(settings: DriveSettings) -> OfDriver:
         started.append(OfDriver(settings.driver))
-        yield started[-1]
+        return started[-1]
 
-    monkeypatch.setattr(given_tests, "running_engine", running)
-    monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", running)
-    monkeypatch.setattr("ds_studies.whole_campaign.running_engine", running)
+    use_engines(monkeypatch, start)
     monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_: None)
     monkeypatch.setattr(
         "ds_driver.networks.network_driver.driver_sha256", lambda name: name.encode().hex().ljust(64, "0")
@@ -107,7 +102,7 @@ def test_a_network_drives_the_tests_of_a_campaign_once(tmp_path: Path, engine: l
     assert json.loads(road.read_text())[0]["seed"] == worse["seed"]
     for name in ("comparison.html", "comparison.md", "comparison.json", "tables/compared_networks.csv"):
         assert (out / name).stat().st_size > 0
-    again = ds("campaign", "compare", old, "other", "--out", out, "--json")
+    again = ds("compare", old, "other", "--out", out, "--json")
     assert again.stdout == done.stdout and len(engine) == 2
 
 
@@ -131,16 +126,15 @@ def test_a_moved_comparison_finds_its_roads(
 def test_a_stopped_comparison_goes_on(tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch) -> None:
     old, out = campaign(tmp_path / "old"), tmp_path / "out"
 
-    @contextmanager
-    def stopping(settings: DriveSettings, *_: object, **__: object) -> Iterator[OfDriver]:
+    def start(settings: DriveSettings) -> OfDriver:
         engine.append(OfDriver(settings.driver, runs=10))
-        yield engine[-1]
+        return engine[-1]
 
     with monkeypatch.context() as patch:
-        patch.setattr(given_tests, "running_engine", stopping)
-        stopped = ds("campaign", "compare", old, "other", "--out", out)
+        use_engines(patch, start)
+        stopped = ds("compare", old, "other", "--out", out)
     assert stopped.returncode == 130 and "the same command" in stopped.stderr
-    assert ds("campaign", "compare", old, "other", "--out", out).returncode == 0
+    assert ds("compare", old, "other", "--out", out).returncode == 0
     assert [len(executor.roads) for executor in engine] == [3, 10, 14]
 
 
@@ -149,7 +143,7 @@ def test_two_campaigns_share_the_tests_that_both_drove(tmp_path: Path, engine: l
     search: dict[str, Any] = {"search": {"population": 2, "iterations": 8, "runs": 1}}
     old, new = campaign(tmp_path / "old", **search), campaign(tmp_path / "new", driver="other", **search)
     mine, theirs = contents_of(old), contents_of(new)
-    document = json.loads(ds("campaign", "compare", old, new, "--out", tmp_path / "out", "--json").stdout)
+    document = json.loads(ds("compare", old, new, "--out", tmp_path / "out", "--json").stdout)
     compared = {(test["road_id"], test["seed"]) for test in document["tests"]}
     assert compared == mine | theirs and len(mine & theirs) >= 4 and theirs - mine
     assert {row["tests"] for row in document["simulators"]} == {len(compared)}
@@ -165,7 +159,7 @@ def contents_of(folder: Path) -> set[tuple[str, int]]:
 
 def test_two_networks_drive_the_same_random_roads(tmp_path: Path, engine: list[OfDriver]) -> None:
     options = ("--roads", 3, "--sims", "bullet,donkey", "--out", tmp_path / "out", "--json")
-    document = json.loads(ds("campaign", "compare", "autopilot", "other", *options).stdout)
+    document = json.loads(ds("compare", "autopilot", "other", *options).stdout)
     assert [sorted(executor.roads) for executor in engine][0] == sorted(engine[1].roads)
     assert document["origin"] == "random" and {row["tests"] for row in document["simulators"]} == {3}
 
@@ -179,13 +173,13 @@ def test_a_reference_that_drives_differently_than_before_is_refused(tmp_path: Pa
         digest = trajectory_sha256(first)
         store.add_execution(replace(execution, drive=DriveArrays(first, execution.steering), trajectory_sha256=digest))
     store.close()
-    done = ds("campaign", "compare", old, "other", "--out", tmp_path / "out")
+    done = ds("compare", old, "other", "--out", tmp_path / "out")
     assert (
         done.returncode == 2
         and "--again drives the reference again" in done.stderr
         and done.stderr.count("error:") == 1
     )
-    assert ds("campaign", "compare", old, "other", "--again", "--out", tmp_path / "out").returncode == 0
+    assert ds("compare", old, "other", "--again", "--out", tmp_path / "out").returncode == 0
 
 
 @pytest.mark.parametrize(
@@ -206,7 +200,7 @@ def test_campaigns_that_do_not_compare_are_refused_in_one_line(
         store_of(new, config).close()
     else:
         campaign(new, driver="other", **changed)
-    done = ds("campaign", "compare", old, new, "--out", tmp_path / "out")
+    done = ds("compare", old, new, "--out", tmp_path / "out")
     assert done.returncode == 2 and f"differ in {key} (" in done.stderr and len(done.stderr.splitlines()) == 1
 
 
@@ -228,7 +222,7 @@ def test_bad_input_gets_one_line(
 ) -> None:
     old = campaign(tmp_path / "old")
     given = [argument.format(old=old) for argument in arguments]
-    done = ds("campaign", "compare", *given, "--out", tmp_path / "out")
+    done = ds("compare", *given, "--out", tmp_path / "out")
     assert done.returncode == 2 and problem in done.stderr, done.stderr
     assert len(done.stderr.splitlines()) == 1 and not done.stdout
 
@@ -274,7 +268,7 @@ def test_drives_end_as_soon_as_the_answer_is_sure(tmp_path: Path, engine: list[O
     refused = ds(*run, out)
     assert refused.returncode == 2 and "--stop-early needs --fail-on" in refused.stderr
     refused = ds("compare", old, "other", "--out", tmp_path / "c", "--stop-early")
-    assert refused.returncode == 2 and "random roads" in refused.stderr
+    assert refused.returncode == 2 and "is for two networks" in refused.stderr
     drives = sum(len(executor.roads) for executor in engine)
     compared = ds(
         "compare", "autopilot", "other", "--roads", 60, "--sims", "bullet", "--stop-early", "--out", out / "c"
@@ -518,7 +512,7 @@ def test_init_asks_three_questions_at_a_terminal(
 
 
 def test_a_name_that_is_neither_a_campaign_nor_a_network_is_refused_in_one_line(tmp_path: Path) -> None:
-    done = ds("campaign", "compare", tmp_path / "gone", "autopilot", "--sims", "bullet", "--out", tmp_path / "out")
+    done = ds("compare", tmp_path / "gone", "autopilot", "--sims", "bullet", "--out", tmp_path / "out")
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "gone" in done.stderr, done.stderr
 
 
@@ -526,7 +520,7 @@ def test_several_candidates_share_the_reference_and_come_in_one_sorted_table(
     tmp_path: Path, engine: list[OfDriver]
 ) -> None:
     out = tmp_path / "cmp"
-    two = ("campaign", "compare", "autopilot", "--driver", "dave2,chauffeur", "--roads", 3, "--sims", "bullet")
+    two = ("compare", "autopilot", "--driver", "dave2,chauffeur", "--roads", 3, "--sims", "bullet")
     done = ds(*two, "--out", out, "--sort", "-fails", "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
@@ -539,5 +533,5 @@ def test_several_candidates_share_the_reference_and_come_in_one_sorted_table(
     assert (out / "networks.csv").is_file() and (out / "chauffeur" / "comparison.html").is_file()
     refused = ds(*two, "--out", out, "--sort", "speed")
     assert refused.returncode == 2 and "expected one of network, fails on bullet, fails," in refused.stderr
-    assert ds("campaign", "compare", "autopilot", "a/dave2.yaml,dave2", "--out", out).returncode == 2
+    assert ds("compare", "autopilot", "a/dave2.yaml,dave2", "--out", out).returncode == 2
     assert ds(*two, "--out", out, "--junit", tmp_path / "j.xml").returncode == 2

@@ -9,12 +9,10 @@ import re
 import shlex
 import shutil
 import subprocess
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from tests.campaign.engines import MadeUpEngine
+from tests.campaign.engines import MadeUpEngine, use_engines
 from tests.command_line import ds
 
 from ds_bags.run_writer import write_bag
@@ -33,13 +31,7 @@ IN_TEXT = re.compile(r"(?:`|<code>)(?:\./)?ds ([a-z0-9]+)(?: ([a-z]+))?")
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder in which `ds` is started; engines drive nothing."""
-
-    @contextmanager
-    def running(*_: object, **__: object) -> Iterator[MadeUpEngine]:
-        yield MadeUpEngine(runs=10_000)
-
-    monkeypatch.setattr("ds_orchestrator.engines.start.running_engine", running)
-    monkeypatch.setattr("ds_studies.whole_campaign.running_engine", running)
+    use_engines(monkeypatch, lambda _: MadeUpEngine(runs=10_000))
     folder = tmp_path / "a user's folder"
     folder.mkdir()
     monkeypatch.chdir(folder)

@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
+
 import numpy as np
+import pytest
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import Autopilot
-from ds_orchestrator.campaign.engine import Watch
+from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.campaign.executor import Stopped
+from ds_orchestrator.engines.start import ENGINES
 from ds_sim.registry import make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
@@ -55,6 +60,12 @@ class EngineHere:
             session.end(Outcome.TIMEOUT, "sixty steps are enough for a test")
         made.close()
         return session.run
+
+
+def use_engines(monkeypatch: pytest.MonkeyPatch, start: Callable[[DriveSettings], Engine]) -> None:
+    """Let every engine that is started be one that a function makes."""
+    for name in tuple(ENGINES):
+        monkeypatch.setitem(ENGINES, name, lambda settings, _: nullcontext(start(settings)))
 
 
 class MadeUpEngine(EngineHere):

@@ -38,7 +38,7 @@ READING: dict[str, tuple[object, ...]] = {
     "maps": ("maps", "DIR"),
     "predict": ("predict", "DIR"),
     "make": ("suite", "make", "DIR", "--out", "OUT.json"),
-    "compare": ("campaign", "compare", "DIR", "DIR", "--out", "OUT"),
+    "compare": ("compare", "DIR", "DIR", "--out", "OUT"),
     "watch": ("watch", "DIR", "--port", "0"),
 }
 WRITING: dict[str, tuple[object, ...]] = {

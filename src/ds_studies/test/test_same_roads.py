@@ -20,6 +20,7 @@ from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.engines import drive_tests, fingerprint
 from ds_orchestrator.engines.drive_tests import Callbacks
+from ds_orchestrator.engines.start import ENGINES
 from ds_road import Road, generate
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
@@ -67,7 +68,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[MadeUpEngine], MadeUpEngin
     """Makes an engine the one that is started next."""
 
     def used(engine: MadeUpEngine) -> MadeUpEngine:
-        monkeypatch.setattr(drive_tests, "running_engine", lambda *_, **__: nullcontext(engine))
+        monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engine))
         return engine
 
     return used

@@ -21,6 +21,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
+from ds_orchestrator.engines.start import ENGINES
 from ds_report.sensitivity_picture import draw_sensitivity
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
@@ -227,7 +228,7 @@ class MadeUpEngine:
 def engines(monkeypatch: pytest.MonkeyPatch) -> list[MadeUpEngine]:
     """Engines to be used, one after the other."""
     engines: list[MadeUpEngine] = []
-    monkeypatch.setattr(analysis, "running_engine", lambda *_, **__: nullcontext(engines.pop(0)))
+    monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engines.pop(0)))
     monkeypatch.setattr(analysis, "preflight", lambda settings: None)
     monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: str(driver))
     return engines

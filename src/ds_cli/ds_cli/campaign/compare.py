@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,11 +35,13 @@ from ds_cli.options import (
     simulators_of,
     with_engine_without_ros,
 )
-from ds_cli.output import Result, end, of_networks, stopped_in
+from ds_cli.output import end, of_networks, stopped_in
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison, Origin
     from ds_analysis.comparison.paired_drives import Network
+    from ds_orchestrator.campaign.engine import DriveSettings
+    from ds_orchestrator.campaign.folder import CampaignData
     from ds_studies.comparison.compare import GivenTests
 
 ROADS, SEED = 40, 40
@@ -54,22 +56,140 @@ app = typer.Typer()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
-    """What is compared on what.
+class Driving:
+    """How a comparison drives what is missing.
 
     Attributes:
-        sets: tests.
-        reference: the network that is known.
-        candidate: the network that may replace it.
-        origin: how the tests were chosen.
-        source: where they come from, in words.
+        out: folder for the drives; a comparison that was stopped there goes on.
+        label: of the candidate, where several share the folder; else "".
+        with_engine: chooses engine and workers.
     """
 
-    sets: Sequence[GivenTests]
-    reference: Network
-    candidate: Network
-    origin: Origin
-    source: str
+    out: Path
+    label: str
+    with_engine: Callable[[DriveSettings], DriveSettings]
+
+    def compare(
+        self, sets: Sequence[GivenTests], networks: tuple[Network, Network], origin: Origin, source: str
+    ) -> Comparison:
+        """Compare reference and candidate on all tests."""
+        from ds_studies.comparison.compare import compare
+
+        found: Comparison = self._drive(
+            compare, [self._prepared(tests) for tests in sets], *networks, origin=origin, source=source
+        )
+        return found
+
+    def compare_until_sure(self, tests: GivenTests, networks: tuple[Network, Network], source: str) -> Comparison:
+        """Compare reference and candidate until the answer is sure."""
+        from ds_studies.comparison.compare import compare_until_sure
+
+        found: Comparison = self._drive(compare_until_sure, self._prepared(tests), *networks, source=source)
+        return found
+
+    def _prepared(self, tests: GivenTests) -> GivenTests:
+        return replace(tests, settings=self.with_engine(tests.settings))
+
+    def _drive(self, act: Callable[..., Comparison], *given: object, **options: object) -> Comparison:
+        from ds_base.folder_files import make_folder
+        from ds_cli.progress import ScreenListener
+        from ds_orchestrator.engines.drive_tests import Callbacks
+
+        make_folder(self.out)
+        make_folder(self.out / self.label)
+        with stopped_in(self.out):
+            callbacks = Callbacks(listen=ScreenListener)
+            return act(*given, out=self.out, label=self.label, callbacks=callbacks, **options)
+
+
+@dataclass(frozen=True)
+class Studies:
+    """Two studies of imported outcomes; nothing is driven."""
+
+    reference: Path
+    candidate: Path
+
+    def compare(self, driving: Driving) -> Comparison:
+        """Compare the two drivers."""
+        from ds_analysis.outcomes.pairs import compare_studies
+
+        return compare_studies(self.reference, self.candidate)
+
+
+@dataclass(frozen=True)
+class CampaignAndNetwork:
+    """A campaign, and a network that drives its tests."""
+
+    campaign: Path
+    network: str
+    again: bool
+    trust: Sequence[str]
+
+    def compare(self, driving: Driving) -> Comparison:
+        """Drive the campaign's tests with the network, and compare it with the campaign's."""
+        from ds_studies.comparison.compare import network_of_campaign, tests_of_campaign
+
+        data = _trusted(self.campaign, self.trust)
+        tests = tests_of_campaign(self.campaign, data)
+        networks = network_of_campaign(data), network_named(self.network, tests.settings.simulators)
+        source = f"The tests of the campaign {self.campaign}, {tests.pairs} drives of each network"
+        return driving.compare(
+            [replace(tests, reference={}) if self.again else tests], networks, _origin(data, "reference"), source
+        )
+
+
+@dataclass(frozen=True)
+class TwoCampaigns:
+    """Two campaigns of one configuration, each of whose networks drives the other's tests, too."""
+
+    reference: Path
+    candidate: Path
+    again: bool
+    trust: Sequence[str]
+
+    def compare(self, driving: Driving) -> Comparison:
+        """Compare the networks of the campaigns on the tests of both."""
+        from ds_studies.comparison.compare import network_of_campaign, tests_of_campaigns
+
+        first, second = (_trusted(folder, self.trust) for folder in (self.reference, self.candidate))
+        sets = tests_of_campaigns((self.reference, first), (self.candidate, second))
+        pairs = sum(tests.pairs for tests in sets)
+        if self.again:
+            sets = [replace(tests, reference={}) for tests in sets]
+        networks = network_of_campaign(first), network_of_campaign(second)
+        source = (
+            f"The tests of the campaigns {self.reference} (r-...) and {self.candidate} (c-...), {pairs} drives of each"
+        )
+        return driving.compare(sets, networks, _origin(first, "both"), f"{source} network")
+
+
+@dataclass(frozen=True)
+class TwoNetworks:
+    """Two networks on random roads."""
+
+    reference: str
+    candidate: str
+    simulators: Sequence[str]
+    roads: int
+    seed: int
+    stop_early: bool
+
+    def compare(self, driving: Driving) -> Comparison:
+        """Drive the roads with both networks."""
+        from ds_driver.data.collection import unseen_roads
+        from ds_studies.comparison.compare import random_tests
+
+        twin = TWIN if TWIN in self.simulators and len(self.simulators) > 1 else None
+        siblings = [name for name in self.simulators if name != twin]
+        tests = random_tests(unseen_roads(self.roads, self.seed), self.seed, siblings=siblings, twin=twin)
+        networks = network_named(self.reference, self.simulators), network_named(self.candidate, self.simulators)
+        source = f"{self.roads} random roads of seed {self.seed} on {', '.join(self.simulators)}"
+        if self.stop_early:
+            return driving.compare_until_sure(tests, networks, source)
+        return driving.compare([tests], networks, "random", source)
+
+
+Mode = Studies | CampaignAndNetwork | TwoCampaigns | TwoNetworks
 
 
 def is_campaign(text: str) -> bool:
@@ -77,60 +197,19 @@ def is_campaign(text: str) -> bool:
     return Path(text).is_dir()
 
 
-def plan_of_campaigns(first: Path, second: str, trust: list[str] | None) -> Plan:
-    """Compare a campaign's network with another campaign's, or with a network.
-
-    Raises:
-        ds_analysis.comparison.paired_drives.ComparisonError: the campaigns do not compare.
-        ds_orchestrator.store.sqlite_file.StoreError: a folder holds no campaign.
-    """
+def _trusted(folder: Path, trust: Sequence[str]) -> CampaignData:
+    """Read a campaign; the code that it names is shipped or trusted."""
     from ds_orchestrator.campaign.folder import open_store, read_campaign
-    from ds_studies.comparison.compare import network_of_campaign, tests_of_campaign, tests_of_campaigns
     from ds_studies.whole_campaign import check_trust
 
-    folders = [first, *([Path(second)] if is_campaign(second) else [])]
-    found = []
-    for folder in folders:
-        with closing(open_store(folder)) as store:
-            found.append(read_campaign(store))
-        check_trust(found[-1].config, trust or [])
-    is_random = found[0].config.search.method == "random"
-    reference = network_of_campaign(found[0])
-    if len(found) == 1:
-        tests = tests_of_campaign(first, found[0])
-        return Plan(
-            sets=[tests],
-            reference=reference,
-            candidate=network_named(second, tests.settings.simulators),
-            origin="random" if is_random else "reference",
-            source=f"The tests of the campaign {first}, {tests.pairs} drives of each network",
-        )
-    sets = tests_of_campaigns((first, found[0]), (Path(second), found[1]))
-    pairs = sum(tests.pairs for tests in sets)
-    return Plan(
-        sets=sets,
-        reference=reference,
-        candidate=network_of_campaign(found[1]),
-        origin="random" if is_random else "both",
-        source=f"The tests of the campaigns {first} (r-...) and {second} (c-...), {pairs} drives of each network",
-    )
+    with closing(open_store(folder)) as store:
+        data = read_campaign(store)
+    check_trust(data.config, trust)
+    return data
 
 
-def plan_of_networks(first: str, second: str, simulators: list[str], roads: int, seed: int) -> Plan:
-    """Compare two networks on random roads."""
-    from ds_driver.data.collection import unseen_roads
-    from ds_studies.comparison.compare import random_tests
-
-    twin = TWIN if TWIN in simulators and len(simulators) > 1 else None
-    siblings = [name for name in simulators if name != twin]
-    tests = random_tests(unseen_roads(roads, seed), seed, siblings=siblings, twin=twin)
-    return Plan(
-        sets=[tests],
-        reference=network_named(first, simulators),
-        candidate=network_named(second, simulators),
-        origin="random",
-        source=f"{roads} random roads of seed {seed} on {', '.join(simulators)}",
-    )
+def _origin(data: CampaignData, searched: Origin) -> Origin:
+    return "random" if data.config.search.method == "random" else searched
 
 
 def network_named(driver: str, simulators: Sequence[str]) -> Network:
@@ -192,12 +271,8 @@ def campaign_compare_command(
     """
     from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_analysis.comparison.tables import networks_table
-    from ds_analysis.outcomes.pairs import compare_studies
     from ds_analysis.outcomes.study import is_study
     from ds_base.folder_files import make_folder
-    from ds_cli.progress import ScreenListener
-    from ds_orchestrator.engines.drive_tests import Callbacks
-    from ds_studies.comparison.compare import compare, compare_until_sure
 
     if (second is None) == (driver is None):
         raise ComparisonError("expected one candidate, as in `ds compare A B` or `ds compare A --driver B`")
@@ -206,58 +281,35 @@ def campaign_compare_command(
     check_writable(junit, markdown)
     if len(candidates) > 1 and (junit or markdown):
         raise ComparisonError("--junit and --markdown are for one candidate: compare them one at a time")
+    options = {"--roads": roads is not None, "--seed": seed is not None, "--sims": sims, "--stop-early": stop_early}
+    of_networks_alone = [name for name, is_set in options.items() if is_set]
 
-    def written(found: Comparison, label: str) -> tuple[Comparison, Result]:
-        make_folder(page := out / label if label else out)
-        return found, write_comparison(found, page, unmet_by(criteria, found), junit=junit, markdown=markdown)
-
-    def compared(candidate: str, label: str) -> tuple[Comparison, Result]:
+    def mode_of(candidate: str) -> Mode:
         if is_study(Path(first)) and is_study(Path(candidate)):
-            return written(compare_studies(Path(first), Path(candidate)), label)
-        if not is_campaign(candidate):
-            candidate = driver_named(candidate, backend, "cpu")
-        if is_campaign(first):
-            for name, value in (("--roads", roads), ("--seed", seed), ("--sims", sims)):
-                if value is not None:
-                    raise ComparisonError(f"{name} is for two networks: {first} has its own tests")
-            plan = plan_of_campaigns(Path(first), candidate, trust)
-            if again:
-                plan = replace(plan, sets=[replace(tests, reference={}) for tests in plan.sets])
-        elif is_campaign(candidate):
+            return Studies(Path(first), Path(candidate))
+        if is_campaign(first) and of_networks_alone:
+            raise ComparisonError(f"{of_networks_alone[0]} is for two networks: {first} has its own tests")
+        if is_campaign(first) and is_campaign(candidate):
+            return TwoCampaigns(Path(first), Path(candidate), again, trust or [])
+        if is_campaign(candidate):
             raise ComparisonError(f"{first} is no campaign folder: give the campaign first, then the network")
-        else:
-            names = simulators_of(sims or SIMULATORS)
-            plan = plan_of_networks(first, candidate, names, roads or ROADS, SEED if seed is None else seed)
-        make_folder(out)
-        make_folder(out / label if label else out)
-        sets = [
-            replace(tests, settings=with_engine_without_ros(tests.settings, workers, engine, cluster))
-            for tests in plan.sets
-        ]
-        with stopped_in(out):
-            callbacks = Callbacks(listen=ScreenListener)
-            if stop_early:
-                if is_campaign(first):
-                    raise ComparisonError("--stop-early is for two networks, which drive random roads")
-                found = compare_until_sure(
-                    sets[0],
-                    plan.reference,
-                    plan.candidate,
-                    source=plan.source,
-                    out=out,
-                    label=label,
-                    callbacks=callbacks,
-                )
-            else:
-                found = compare(
-                    sets, plan.reference, plan.candidate, origin=plan.origin, source=plan.source, out=out, label=label,
-                    callbacks=callbacks,
-                )  # fmt: skip
-        return written(found, label)
+        network = driver_named(candidate, backend, "cpu")
+        if is_campaign(first):
+            return CampaignAndNetwork(Path(first), network, again, trust or [])
+        names = simulators_of(sims or SIMULATORS)
+        return TwoNetworks(first, network, names, roads or ROADS, SEED if seed is None else seed, stop_early)
 
-    if len(candidates) == 1:
-        end(compared(candidates[0], "")[1], as_json)
-        return
-    comparisons = [compared(name, label_of_driver(name)) for name in candidates]
-    table = networks_table([found for found, _ in comparisons])
-    end(of_networks(table, [one for _, one in comparisons], out, sort), as_json)
+    results, comparisons = [], []
+    for candidate in candidates:
+        label = label_of_driver(candidate) if len(candidates) > 1 else ""
+        driving = Driving(
+            out=out,
+            label=label,
+            with_engine=lambda settings: with_engine_without_ros(settings, workers, engine, cluster),
+        )
+        found = mode_of(candidate).compare(driving)
+        make_folder(out / label)
+        comparisons.append(found)
+        results.append(write_comparison(found, out / label, unmet_by(criteria, found), junit=junit, markdown=markdown))
+    single = len(candidates) == 1
+    end(results[0] if single else of_networks(networks_table(comparisons), results, out, sort), as_json)
