@@ -104,14 +104,10 @@ def _check(request: DriveOptions) -> None:
     import ds_road
     from ds_bags.layout import BagError
     from ds_orchestrator.engines.preflight import check_driver
-    from ds_sim.registry import make_simulator
+    from ds_sim.registry import spec_of
     from ds_sim.video import check_path
 
-    simulator = make_simulator(request.sim)
-    try:
-        simulator.spec.check(request.conditions)
-    finally:
-        simulator.close()
+    spec_of(request.sim).check(request.conditions)
     if not request.attach:
         check_driver(request.driver, [request.sim])
     road = request.road
