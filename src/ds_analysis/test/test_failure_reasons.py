@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_executions import made_execution
 
 from ds_analysis.common.statistics import Array
 from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of, where
@@ -41,18 +42,8 @@ def failed(
     assert outcome is not Outcome.OUT_OF_BOUNDS or len(out)
     columns = np.column_stack((path, np.zeros(len(path)), np.full(len(path), speed), lateral))[:end]
     largest = float(np.abs(columns[:, 4]).max())
-    return Execution(
-        test_id="bullet-0-0000",
-        simulator="bullet",
-        outcome=outcome,
-        message="",
-        fitness=2.0 - largest,
-        max_lateral_position=largest,
-        steps=end - 1,
-        simulated_seconds=(end - 1) * FRAME_TIME,
-        trajectory_sha256="",
-        drive=DriveArrays(columns, steering[: end - 1]),
-    )
+    drive = DriveArrays(columns, steering[: end - 1])
+    return made_execution("bullet-0-0000", "bullet", outcome, largest, steps=end - 1, drive=drive)
 
 
 def made_test(road: Road, **conditions: float) -> Test:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_executions import made_execution
 from scipy.stats import beta
 from statsmodels.stats.proportion import proportion_confint
 
@@ -22,7 +23,7 @@ from ds_orchestrator.maps.algebra import apply, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, feature_of
-from ds_orchestrator.store.model import NO_DRIVE, DriveArrays, Execution, Origin, Test
+from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_road import Road, generate
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.scenario import Scenario
@@ -42,11 +43,7 @@ def make_test(test_id: str, sibling: str, turns: int) -> Test:
 
 def make_execution(test_id: str, simulator: str, lateral: float, outcome: Outcome | None = None) -> Execution:
     verdict = outcome or (Outcome.OUT_OF_BOUNDS if lateral > 2.0 else Outcome.COMPLETED)
-    return Execution(
-        test_id=test_id, simulator=simulator, outcome=verdict, message="", fitness=2.0 - lateral,
-        max_lateral_position=lateral, steps=1, simulated_seconds=0.05, trajectory_sha256="",
-        drive=NO_DRIVE,
-    )  # fmt: skip
+    return made_execution(test_id, simulator, verdict, lateral)
 
 
 # Four tests per sibling: three in cell X, one in cell Y; the maximum lateral position of each on a, b, c and the twin.

@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_executions import made_execution
 from scipy.stats import permutation_test
 
 from ds_analysis.common.statistics import Bools
 from ds_analysis.paper.merge_case import CAR, merge_case, merge_case_table, merge_cases
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_road import generate
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
@@ -70,18 +71,7 @@ def campaign(tests: int, copies: int) -> CampaignData:
         for number, road in enumerate([*roads, *roads[:1] * copies])
     ]
     executions = [
-        Execution(
-            test_id=test.test_id,
-            simulator=name,
-            outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
-            message="",
-            fitness=0.0,
-            max_lateral_position=0.0,
-            steps=0,
-            simulated_seconds=0.0,
-            trajectory_sha256="",
-            drive=NO_DRIVE,
-        )
+        made_execution(test.test_id, name, Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED)
         for test in made
         for name, failed in (("a", True), ("b", test.number % 2 == 0), ("donkey", False))
     ]

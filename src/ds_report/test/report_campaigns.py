@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from made_executions import made_execution
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, evaluate
@@ -49,18 +50,10 @@ def make_execution(test: Test, simulator: str, offset: float) -> Execution:
     trajectory = np.column_stack((path, np.zeros(len(path)), np.full(len(path), 8.0), lateral))[:steps]
     rng = np.random.default_rng(list(f"{test.test_id} {simulator}".encode()))
     worst = float(np.abs(trajectory[:, 4]).max())
-    return Execution(
-        test_id=test.test_id,
-        simulator=simulator,
-        outcome=Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED,
-        message="",
-        fitness=2.0 - worst,
-        max_lateral_position=worst,
-        steps=steps - 1,
-        simulated_seconds=(steps - 1) / 20,
-        trajectory_sha256=trajectory_sha256(trajectory),
-        drive=DriveArrays(trajectory, rng.normal(0.0, 0.05, steps - 1)),
-    )
+    outcome = Outcome.OUT_OF_BOUNDS if worst > 2.0 else Outcome.COMPLETED
+    drive = DriveArrays(trajectory, rng.normal(0.0, 0.05, steps - 1))
+    made = made_execution(test.test_id, simulator, outcome, worst, steps=steps - 1, drive=drive)
+    return replace(made, trajectory_sha256=trajectory_sha256(trajectory))
 
 
 def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> list[tuple[Test, list[Execution]]]:

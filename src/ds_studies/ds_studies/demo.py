@@ -22,7 +22,6 @@ from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_report.sensitivity_page import SensitivityPage
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -32,7 +31,7 @@ from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
-from ds_studies.sensitivity.analysis import analyse_sensitivity
+from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity
 from ds_studies.sensitivity.ranges import ranges_of
 
 DRIVER = "dave2"
@@ -107,11 +106,10 @@ def fog_in_words(found: dict[str, Any]) -> str:
     return f"{who} completes in clear weather; leaves the lane at a visibility of {found['leaves_at']:g} m."
 
 
-def measure_sensitivity(folder: Path, workers: int, *, progress: Progress) -> Sensitivity:
-    """Find what breaks the network on the siblings and the twin; `sensitivity.html` in the folder shows it live."""
+def measure_sensitivity(folder: Path, workers: int, *, progress: Progress, watch: Watch) -> Sensitivity:
+    """Find what breaks the network on the siblings and the twin; `watch` is called after each measurement."""
     make_folder(folder)
     settings = DriveSettings(siblings=SIMULATORS, twin=TWIN, driver=DRIVER, engine="local", workers=workers)
-    page = SensitivityPage(folder / "sensitivity.html")
     return analyse_sensitivity(
         settings,
         factors_named(FACTORS),
@@ -120,7 +118,7 @@ def measure_sensitivity(folder: Path, workers: int, *, progress: Progress) -> Se
         seed=SEED,
         folder=folder / "drives",
         progress=progress,
-        watch=page.write,
+        watch=watch,
     )
 
 

@@ -32,6 +32,7 @@ def demo_command(
     from ds_base.installation import ds_command
     from ds_cli.campaign.run import campaign
     from ds_cli.options import with_engine
+    from ds_report.sensitivity_page import SensitivityPage
     from ds_studies import demo
 
     workers = workers or DEMO_WORKERS
@@ -40,9 +41,10 @@ def demo_command(
     fog = demo.drive_into_fog(out)
     say(f"   {demo.fog_in_words(fog)}\n   video: {out / 'fog.mp4'}")
     place = out / "sensitivity"
-    say(f"2 of 4: what else breaks it? Open {place / 'sensitivity.html'} in a browser: it fills while you watch")
+    page = SensitivityPage(place / "sensitivity.html")
+    say(f"2 of 4: what else breaks it? Open {page.path} in a browser: it fills while you watch")
     with stopped_in(place):
-        found = demo.measure_sensitivity(place, workers, progress=ScreenProgress())
+        found = demo.measure_sensitivity(place, workers, progress=ScreenProgress(), watch=page.write)
     ranges = demo.searched(found)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
     result = campaign(with_engine(demo.campaign_config(ranges), workers, engine), out)
