@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tubs import write_tub
 
 from ds_driver.data.recordings import Reading
 from ds_recording.errors import RecordingError
@@ -98,19 +99,14 @@ def pictures() -> list[NDArray[np.uint8]]:
     return [picture(pose) for pose in drive().poses]
 
 
-def write_tub(folder: Path, images: list[NDArray[np.uint8]], times: Array, steering: Array) -> Path:
+def tub_of(folder: Path, images: list[NDArray[np.uint8]], times: Array, steering: Array) -> Path:
     (folder / "images").mkdir(parents=True)
     rows = []
     for index, image in enumerate(images):
         cv2.imwrite(str(folder / "images" / f"{index}.jpg"), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 92])
-        rows.append(
-            {"_index": index, "_timestamp_ms": round(1e6 + 1000 * float(times[index])), "user/mode": "user",
-             "cam/image_array": f"{index}.jpg", "user/angle": float(steering[index]), "user/throttle": 0.3}
-        )  # fmt: skip
-    lines = ["[]", "[]", "{}", "{}", json.dumps({"paths": ["c.catalog"], "deleted_indexes": []})]
-    (folder / "manifest.json").write_text("\n".join(lines))
-    (folder / "c.catalog").write_text("\n".join(map(json.dumps, rows)))
-    return folder
+        about = {"_timestamp_ms": round(1e6 + 1000 * float(times[index])), "cam/image_array": f"{index}.jpg"}
+        rows.append(about | {"user/mode": "user", "user/angle": float(steering[index]), "user/throttle": 0.3})
+    return write_tub(folder, rows)
 
 
 Solved = tuple[Views, Located, Fit]
@@ -120,7 +116,7 @@ Solved = tuple[Views, Located, Fit]
 def solved(tmp_path_factory: pytest.TempPathFactory, pictures: list[NDArray[np.uint8]]) -> Solved:
     kept = np.array([i for i in range(FRAMES) if i % 17 != 5])  # frames are missing
     images = [cv2.GaussianBlur(pictures[i], (0, 0), 1.2) if i % 29 == 3 else pictures[i] for i in kept]
-    tub = write_tub(tmp_path_factory.mktemp("tub") / "tub", images, TIMES[kept], np.zeros(len(kept)))
+    tub = tub_of(tmp_path_factory.mktemp("tub") / "tub", images, TIMES[kept], np.zeros(len(kept)))
     views = read_views(tub, Reading(whole=True))
     return views, *located_of(views, CAMERA, WIDTH)
 
@@ -189,7 +185,7 @@ def test_a_damaged_result_is_refused_in_one_line(solved: Solved, tmp_path: Path,
 
 
 def refused(tmp_path: Path, images: list[NDArray[np.uint8]]) -> str:
-    tub = write_tub(tmp_path / "tub", images, TIMES, np.zeros(FRAMES))
+    tub = tub_of(tmp_path / "tub", images, TIMES, np.zeros(FRAMES))
     with pytest.raises(RecordingError) as error:
         located_of(read_views(tub, Reading(whole=True)), CAMERA, WIDTH)
     return str(error.value)

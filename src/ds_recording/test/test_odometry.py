@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
+from tubs import write_tub
 
 from ds_driver.data.recordings import Reading, Recording
 from ds_driver.networks.images import Crop
@@ -168,16 +169,13 @@ def recording_of(path: Path, kind: str) -> Recording:
 def test_a_strangers_tub_is_read_in_degrees_and_what_is_no_number_is_left_out(tmp_path: Path) -> None:
     measured = zip(SECONDS, speed(SECONDS - LATE), np.degrees(rate(SECONDS - LATE)), strict=True)
     rows: list[dict[str, Any]] = [
-        {"_index": i, "_timestamp_ms": round(1e6 + 1000 * t), "enc/speed": float(v), "imu/gyr_z": float(w),
+        {"_timestamp_ms": round(1e6 + 1000 * t), "enc/speed": float(v), "imu/gyr_z": float(w),
          "imu/gyr_y": None, "pos/speed": "fast"}
-        for i, (t, v, w) in enumerate(measured)
+        for t, v, w in measured
     ]  # fmt: skip
     for at, strange in enumerate(("x", None, [1.0], 1e999, {"a": 1}, True, 10**400)):
         rows[100 + at] |= {"enc/speed": strange, "imu/gyr_z": strange}
-    paths = {"paths": ["c.catalog"], "deleted_indexes": []}
-    (tmp_path / "manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", json.dumps(paths)]))
-    (tmp_path / "c.catalog").write_text("\n".join(map(json.dumps, rows)))
-    tub = recording_of(tmp_path, "tub")
+    tub = recording_of(write_tub(tmp_path, rows), "tub")
     sources = read_sources(tub, 1000.0)
     assert [s.name for s in sources] == ["enc/speed", "imu/gyr_z"]
     ways, turns = sorted(checked(*sources), key=lambda c: c.source.part)

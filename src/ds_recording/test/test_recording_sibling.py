@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from tubs import write_tub
 
 from ds_recording.errors import RecordingError
 from ds_recording.located import COLUMNS
@@ -67,16 +68,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = tmp_path_factory.mktemp("recording")
     (made / "tub/images").mkdir(parents=True)
     columns, rows = np.arange(float(WIDTH)), np.arange(float(HEIGHT))
-    records, located, track = [], [], []
+    records: list[dict[str, object]] = []
+    located, track = [], []
     for k, (x, y, yaw) in enumerate(way()):
         cv2.imwrite(str(made / f"tub/images/{k}.png"), seen(x, y, yaw, columns, rows)[..., ::-1])
-        records.append({"_index": k, "_timestamp_ms": 50 * k, "cam/image_array": f"{k}.png", "user/angle": 0.0,
-                        "user/throttle": 0.2, "user/mode": "user"})  # fmt: skip
+        about = {"cam/image_array": f"{k}.png", "user/mode": "user"}
+        records.append(about | {"user/angle": 0.0, "user/throttle": 0.2})
         located.append((k, 0.05 * k, x, y, yaw, STEP * k, LANE / 2, 0, 0.8, 0, 0, 0, 0, 0.2))
         track.append((x - LANE / 2 * math.sin(yaw), y + LANE / 2 * math.cos(yaw), LANE, LANE))
-    index = json.dumps({"paths": ["catalog_0.catalog"]})
-    (made / "tub/manifest.json").write_text("\n".join(["[]", "[]", "{}", "{}", index]))
-    (made / "tub/catalog_0.catalog").write_text("\n".join(map(json.dumps, records)))
+    write_tub(made / "tub", records)
     for name, head, lines in (("located", ",".join(COLUMNS), located), ("track", "# x_m,y_m", track)):
         (made / f"{name}.csv").write_text("\n".join([head, *(",".join(map(str, line)) for line in lines)]) + "\n")
     (made / "camera.yaml").write_text(

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.interpolate import CubicHermiteSpline
 
 from ds_base.palette import ASPHALT, GRASS, SERIES, rgb
 from ds_road import (
@@ -76,34 +75,11 @@ def test_features_do_not_depend_on_place_or_heading(seed: int, angle: float, dx:
     assert moved.turns_count == road.turns_count
 
 
-def test_curvature_of_a_circle_is_one_over_its_radius() -> None:
-    angle = np.linspace(0, 3, 30)
-    road = Road(np.stack((30 * np.cos(angle), 30 * np.sin(angle)), axis=1))
-    assert road.curvature == pytest.approx(1 / 30, rel=0.02)
-    assert road.turns_count == 1
-
-
 def test_a_straight_road_has_no_curvature_and_no_turn() -> None:
     road = Road([(125.0, 25.0 * i) for i in range(9)])
     assert (road.curvature, road.turns_count) == (0.0, 0)
     assert road.length == pytest.approx(150.0)
     np.testing.assert_allclose(road.right_lane_centre[:, 0], 127.0)
-
-
-def test_spline_equals_a_hermite_spline_with_catmull_rom_tangents() -> None:
-    """A centripetal Catmull-Rom segment is the cubic Hermite piece with its known tangents (SciPy as oracle)."""
-    points = np.array([(0.0, 0.0), (10.0, 2.0), (18.0, 11.0), (30.0, 9.0)])
-    t = np.concatenate(([0.0], np.cumsum(np.sqrt(np.hypot(*np.diff(points, axis=0).T)))))
-
-    def tangent(i: int) -> np.ndarray:
-        before = (points[i] - points[i - 1]) / (t[i] - t[i - 1])
-        after = (points[i + 1] - points[i]) / (t[i + 1] - t[i])
-        weight = (t[i] - t[i - 1]) / (t[i + 1] - t[i - 1])
-        result: np.ndarray = (1 - weight) * before + weight * after
-        return result
-
-    hermite = CubicHermiteSpline(t[1:3], points[1:3], [tangent(1), tangent(2)])
-    np.testing.assert_allclose(Road(points).points, hermite(np.linspace(t[1], t[2], 20)), atol=1e-9)
 
 
 @settings(max_examples=30, deadline=None)
@@ -205,18 +181,12 @@ BAD: dict[str, Any] = {
     "one point": [[125, 25]],
     "too many points": [[float(i), 0.0] for i in range(100_000)],
     "huge": [[0, 0], [1e300, 0], [2, 0], [3, 0]],
-    "huge integer": [[0, 0], [10**400, 0], [2, 0], [3, 0]],
     "equal neighbours": [[0, 0], [1, 1], [1, 1], [3, 3]],
     "three numbers": [[0, 0, 0], [1, 1, 1], [2, 2, 2], [3, 3, 3]],
     "text": [["a", "b"]] * 5,
-    "digits as text": [["1", "2"], ["3", "4"], ["5", "6"], ["7", "8"]],
-    "a number": 7,
     "nothing": None,
-    "an object": {"road": 1},
-    "empty": [],
     "no points": {"control_points": None},
     "both kinds": {"control_points": [[0, 0]] * 4, "road_points": [[0, 0]] * 4},
-    "one road point": {"road_points": [[1, 1]]},
     "a maxitwo_compatible road of road points": {"road_points": [[1, 1], [2, 2]], "maxitwo_compatible": True},
     "a maxitwo_compatible road too short": {
         "control_points": [[0, 0], [9, 9], [20, 20], [30, 30]],
@@ -229,12 +199,8 @@ BAD: dict[str, Any] = {
     "neighbours too near": [[0, 0], [10, 10], [10, 10 + 1e-14], [40, 40]],
     "thousands of digits": [[0, 10**5000], [1, 1], [2, 2], [3, 3]],
     "a long string": "x" * 100_000,
-    "strings of two": ["12", "34", "56", "78"],
-    "objects of two": [{"1": 0, "2": 0}] * 5,
     "booleans": [[True, False]] * 5,
-    "nothing inside": [None] * 5,
     "a long point": [[0.0] * 100_000] * 5,
-    "a new line": [["\n", 1]] * 5,
 }
 
 
@@ -319,16 +285,10 @@ def test_a_road_that_cannot_be_mutated_says_so() -> None:
         mutate(Road([(125, 25 * i) for i in range(15)]), np.random.default_rng(0))
 
 
-@pytest.mark.parametrize("angle", [0, -5, 361])
-def test_generation_refuses_angles_out_of_range(angle: int) -> None:
-    with pytest.raises(RoadError, match="1 to 360"):
-        generate(np.random.default_rng(0), max_angle=angle)
-
-
-@pytest.mark.parametrize("box", [99, 251, math.nan])
-def test_generation_refuses_boxes_out_of_range(box: float) -> None:
-    with pytest.raises(RoadError, match="100 to 250"):
-        generate(np.random.default_rng(0), box=box)
+@pytest.mark.parametrize("asked", [{"max_angle": a} for a in (0, -5, 361)] + [{"box": b} for b in (99, 251, math.nan)])
+def test_generation_refuses_what_is_out_of_range(asked: dict[str, Any]) -> None:
+    with pytest.raises(RoadError, match="1 to 360|100 to 250"):
+        generate(np.random.default_rng(0), **asked)
 
 
 def test_roads_fit_a_smaller_box() -> None:

@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ds_road import Road
+from ds_sim.conditions.model import Conditions
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
@@ -108,10 +109,12 @@ def test_damage_is_refused_in_one_line(data: st.DataObject) -> None:
     assert len(str(refused.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(("road", "seed"), [(OTHER_ROAD, 7), (ROAD, 8)])
-def test_the_answer_to_another_request_is_refused(road: Road, seed: int) -> None:
+@pytest.mark.parametrize(
+    "asked", [Scenario(OTHER_ROAD, seed=7), Scenario(ROAD, seed=8), Scenario(ROAD, Conditions(friction=0.5), seed=7)]
+)
+def test_the_answer_to_another_request_is_refused(asked: Scenario) -> None:
     with pytest.raises(RunCodecError, match="another road, seed or conditions"):
-        decode_run(encode_run(a_run()), Scenario(road, seed=seed))
+        decode_run(encode_run(a_run()), asked)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tubs import write_tub
 
 from ds_bags.messages import typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
@@ -37,18 +38,13 @@ MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
 """Standard deviation per channel: m, m, rad, m/s, rad/s."""
 
 
-def write_tub(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
-    folder.mkdir()
-    lines = ["[]", "[]", "{}", "{}", json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": [3]})]
-    (folder / "manifest.json").write_text("\n".join(lines))
+def tub_of(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
     rows = []
     for index, (angle, throttle) in enumerate(commands.tolist()):
-        row = {"_index": index, "_timestamp_ms": 1000 + 50 * index, "user/mode": mode}
-        row |= {f"{'user' if mode == 'user' else 'pilot'}/angle": angle, "user/throttle": throttle}
+        row = {f"{'user' if mode == 'user' else 'pilot'}/angle": angle, "user/throttle": throttle, "user/mode": mode}
         row |= {"pilot/throttle": throttle} if mode == "local" else {}
-        rows.append(json.dumps(row | {key: column[index] for key, column in extra.items()}))
-    (folder / "catalog_0.catalog").write_text("\n".join(rows))
-    return folder
+        rows.append(row | {key: column[index] for key, column in extra.items()})
+    return write_tub(folder, rows, deleted=[3])
 
 
 def test_lanes_equal_the_scalar_model() -> None:
@@ -136,22 +132,22 @@ def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path)
     commands = random_commands(np.random.default_rng(5), 2.0)
     x = np.arange(40.0)
     speed = np.full(40, 20.0 * 5.0**0.5)
-    log = read_log(write_tub(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": speed}))
+    log = read_log(tub_of(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": speed}))
     (drive,) = log.drives
     # The deleted row 3 is bridged: the command before it is held, measurements are interpolated.
     assert drive.commands.shape == (40, 2) and drive.measured[3, :2] == pytest.approx([3.0, 6.0])
     np.testing.assert_array_equal(drive.commands[3], commands[2])
     np.testing.assert_array_equal(np.delete(drive.commands, 3, axis=0), np.delete(commands, 3, axis=0))
     assert np.isnan(drive.measured[:, [2, 4]]).all()
-    piloted = read_log(write_tub(tmp_path / "p", commands, {"enc/speed": x}, mode="local"))
+    piloted = read_log(tub_of(tmp_path / "p", commands, {"enc/speed": x}, mode="local"))
     np.testing.assert_array_equal(piloted.drives[0].commands, drive.commands)
     with pytest.raises(LogError, match="no motion can be fitted"):
-        read_log(write_tub(tmp_path / "b", commands, {}))
+        read_log(tub_of(tmp_path / "b", commands, {}))
 
 
 def test_rows_without_numbers_are_left_out(tmp_path: Path) -> None:
     rolling = {"pos/pos_x": np.zeros(60), "pos/pos_z": 0.05 * np.arange(60.0), "pos/speed": np.ones(60)}
-    tub = write_tub(tmp_path / "t", np.tile((0.1, 0.4), (60, 1)), rolling)
+    tub = tub_of(tmp_path / "t", np.tile((0.1, 0.4), (60, 1)), rolling)
     lines = (tub / "catalog_0.catalog").read_text().splitlines()
     for row, wrong in ((20, '"user/angle": "left"'), (40, '"user/throttle": Infinity'), (50, '"pos/speed": NaN')):
         name = wrong.split(":")[0]
@@ -178,7 +174,7 @@ def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
     turn = np.linspace(0.0, 0.5 * np.pi, 60)
     x, z = np.cos(turn) - 1.0, np.sin(turn)
     commands = np.tile((-0.5, 0.4), (60, 1))
-    (drive,) = read_log(write_tub(tmp_path / "left", commands, {"pos/pos_x": x, "pos/pos_z": z})).drives
+    (drive,) = read_log(tub_of(tmp_path / "left", commands, {"pos/pos_x": x, "pos/pos_z": z})).drives
 
     def bend(path: np.ndarray) -> float:
         first, last = path[1] - path[0], path[-1] - path[-2]
@@ -192,7 +188,7 @@ def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
 def test_a_tub_with_inconsistent_units_is_refused(tmp_path: Path) -> None:
     x = np.arange(40.0) * 0.05
     speed = np.full(40, 8.0)
-    tub = write_tub(
+    tub = tub_of(
         tmp_path / "t", np.tile((0.0, 0.5), (40, 1)), {"pos/pos_x": x, "pos/pos_z": 0.0 * x, "pos/speed": speed}
     )
     with pytest.raises(LogError, match=r"0\.125 times as fast as its speed says: record both in metres"):
