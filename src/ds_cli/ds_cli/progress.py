@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 import time
 from collections.abc import Mapping, Sequence
 
@@ -12,8 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ds_cli.output import duration, say
+from ds_orchestrator.campaign.eta import TimedListener
 from ds_orchestrator.campaign.executor import Listener
-from ds_orchestrator.campaign.live_file import Eta
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 
@@ -21,16 +20,13 @@ EVERY = 5.0
 """Seconds between two lines about a drive where there is no terminal; chosen."""
 
 
-class ScreenListener(Listener):
+class ScreenListener(TimedListener):
     """Shows a campaign's stage, executions, failures and time left: a bar on a terminal, lines elsewhere."""
 
     def __init__(self) -> None:
+        super().__init__()
         self._console = Console(stderr=True)
-        self._lock = threading.Lock()
-        self._total = 0
         self._failures = 0
-        self._left = Eta()
-        self.done = 0
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -52,33 +48,27 @@ class ScreenListener(Listener):
 
     def stage(self, name: str) -> None:
         """Show the stage."""
-        with self._lock:
-            self._left.begin(time.monotonic())
+        super().stage(name)
         self._progress.update(self._task, description=name)
         if not self._console.is_terminal:
             say(f"stage: {name}")
 
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """Set the number of executions of each stage on each simulator."""
-        with self._lock:
-            self._left.expect(stages)
-            self._total = sum(sum(stage.values()) for stage in stages)
-        self._progress.update(self._task, total=self._total)
+        super().expect(stages)
+        self._progress.update(self._task, total=self.total)
 
     def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """Count an execution; one that was in the store took no time, so it does not count for the time left."""
         with self._lock:
-            self.done += 1
-            # A test is driven on its own sibling by the search, elsewhere by the stage after that.
-            now = time.monotonic()
-            self._left.finished(int(test.sibling != simulator), simulator, now, fresh=fresh)
+            super().finished(test, simulator, execution, fresh)
             self._failures += isinstance(execution, Execution) and execution.outcome.is_failure
-            seconds = self._left.seconds(now)
+            seconds = self.seconds_left()
             left = "" if seconds is None else f"about {duration(seconds)} left"
             self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
             if not self._console.is_terminal and fresh:
                 outcome = _outcome(execution)
-                line = f"{self.done}/{self._total} {test.test_id} on {simulator}: {outcome}"
+                line = f"{self.done}/{self.total} {test.test_id} on {simulator}: {outcome}"
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
 
 

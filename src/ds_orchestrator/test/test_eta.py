@@ -7,7 +7,7 @@ import heapq
 
 import pytest
 
-from ds_orchestrator.campaign.live_file import Eta
+from ds_orchestrator.campaign.eta import Eta
 
 TOOK = {"fast": 2.0, "slow": 5.0, "twin": 3.0}
 STAGES = [{"fast": 40, "slow": 40}, {"fast": 40, "slow": 40, "twin": 80}]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Estimate of the time that a campaign still takes, and the file that says what it does at this moment.
+"""The file that says what a campaign does at this moment.
 
 The campaign replaces the file once a second and removes it at its end. No result depends on it.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -19,82 +18,13 @@ from ds_base.atomic_files import write_whole
 from ds_base.folder_files import StoreError, read_file
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Engine, Watch
+from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 from ds_sim.session import RunRecord
 
-REMEMBERED = 30
-"""Executions on each simulator whose durations count; chosen: enough to average roads, few enough to follow a machine
-that becomes busy."""
-
-
-class Eta:
-    """Estimates how long a campaign still drives, from its latest executions and from those under way.
-
-    The simulators of a stage work in parallel, the stages one after the other. Times are seconds of a steady clock.
-    """
-
-    def __init__(self) -> None:
-        self._expected: Sequence[Mapping[str, int]] = []
-        self._done: dict[tuple[int, str], int] = {}
-        self._last: dict[str, float] = {}
-        self._took: dict[str, deque[float]] = {}
-
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
-        """Set how many executions each stage has on each simulator, finished ones included."""
-        self._expected = stages
-
-    def begin(self, now: float) -> None:
-        """Begin a stage."""
-        self._last = dict.fromkeys((name for stage in self._expected for name in stage), now)
-
-    def finished(self, stage: int, simulator: str, now: float, *, fresh: bool) -> None:
-        """Count a finished execution; one of an earlier session (not fresh) took no time."""
-        self._done[stage, simulator] = self._done.get((stage, simulator), 0) + 1
-        if fresh:
-            took = now - self._last.get(simulator, now)
-            self._took.setdefault(simulator, deque(maxlen=REMEMBERED)).append(took)
-        self._last[simulator] = now
-        if stage < len(self._expected) and not self._rest(stage):
-            self.begin(now)
-
-    def _rest(self, stage: int) -> dict[str, int]:
-        """Executions of a stage that are left, by simulator."""
-        rest = {name: count - self._done.get((stage, name), 0) for name, count in self._expected[stage].items()}
-        return {name: count for name, count in rest.items() if count > 0}
-
-    def seconds(self, now: float, drives: Sequence[tuple[str, float, float | None]] = ()) -> float | None:
-        """Estimate the seconds left; None until an execution has finished in this session, or is well under way.
-
-        Args:
-            now: present time.
-            drives: those under way: simulator, seconds so far, and driven part of the road, in [0, 1], or None.
-        """
-        took = {name: list(seconds) for name, seconds in self._took.items()}
-        at_once = Counter(name for name, _, _ in drives)
-        for name, seconds, part in drives:
-            if part is not None and part >= WELL_UNDER_WAY and len(took.get(name, ())) < at_once[name]:
-                took.setdefault(name, []).append(seconds / part / at_once[name])
-        if not took:
-            return None
-        means = {name: sum(seconds) / len(seconds) for name, seconds in took.items()}
-        # A simulator that has not driven yet is taken to be as fast as the others.
-        usual, left, is_present = sum(means.values()) / len(means), 0.0, True
-        for stage in range(len(self._expected)):
-            of_each, rest = [0.0], self._rest(stage)
-            for name, count in rest.items():
-                waited = now - self._last.get(name, now) if is_present else 0.0
-                mean = max(means.get(name, usual), waited)  # what is under way takes at least as long as it did so far
-                of_each.append(count * mean - waited)
-            left += max(of_each)
-            is_present = is_present and not rest
-        return left
-
-
-WELL_UNDER_WAY = 0.1
-"""Part of a road from which a drive says how long it takes; chosen: beyond the start, in which the car accelerates."""
 EVERY = 1.0
 """Seconds between two writings of the file; chosen: as often as a page asks."""
 FRESH = 10.0
@@ -163,7 +93,7 @@ def read_live(folder: Path, now: float) -> Live | None:
     return live if abs(now - live.updated) < FRESH else None
 
 
-class LiveFile(Listener):
+class LiveFile(TimedListener):
     """Listener that keeps the file up to date and forwards every call; a context manager that removes the file.
 
     A file that cannot be written, as on a full disk, does not disturb the campaign.
@@ -174,9 +104,9 @@ class LiveFile(Listener):
     """
 
     def __init__(self, folder: Path, listener: Listener) -> None:
+        super().__init__()
         self._path, self._listener = folder / LIVE, listener
-        self._lock, self._ended = threading.Lock(), threading.Event()
-        self._eta, self._live = Eta(), Live(updated=0.0)
+        self._ended, self._stage = threading.Event(), ""
         self._drives: dict[int, LiveDrive] = {}
         self._thread = threading.Thread(target=self._keep_writing, name="live file", daemon=True)
 
@@ -193,24 +123,24 @@ class LiveFile(Listener):
 
     def stage(self, name: str) -> None:
         """See `Listener.stage`."""
-        with self._lock:
-            self._live.stage = name
-            self._eta.begin(time.monotonic())
+        self._stage = name
+        super().stage(name)
         self._listener.stage(name)
 
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """See `Listener.expect`."""
-        with self._lock:
-            self._eta.expect(stages)
-            self._live.total = sum(sum(stage.values()) for stage in stages)
+        super().expect(stages)
         self._listener.expect(stages)
 
     def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
-        with self._lock:
-            self._live.done += 1
-            self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
+        super().finished(test, simulator, execution, fresh)
         self._listener.finished(test, simulator, execution, fresh)
+
+    def result(self, name: str) -> None:
+        """Set the stage while results are computed."""
+        with self._lock:
+            self._stage, self._eta = name, Eta()
 
     @contextmanager
     def driving(self, simulator: str, road_id: str, seed: int) -> Iterator[LiveDrive]:
@@ -233,9 +163,14 @@ class LiveFile(Listener):
         with self._lock:
             now, drives = time.time(), sorted(self._drives.values(), key=lambda drive: drive.began)[:MOST_DRIVES]
             under_way = [(drive.simulator, now - drive.began, drive.progress) for drive in drives]
-            left = self._eta.seconds(time.monotonic(), under_way) or None
-            found = {"updated": now, "drives": drives, "seconds_left": left}
-            text = self._live.model_copy(update=found).model_dump_json()
+            live = Live(
+                updated=now,
+                stage=self._stage,
+                done=self.done,
+                total=self.total,
+                seconds_left=self.seconds_left(under_way) or None,
+            )
+            text = live.model_copy(update={"drives": drives}).model_dump_json()  # names are not checked here
         with suppress(OSError):
             write_whole(self._path, text)
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,14 +12,13 @@ from queue import SimpleQueue
 from ds_interfaces.msg import CampaignState, TestOutcome
 
 from ds_base.progress import LOGGER
-from ds_orchestrator.campaign.executor import Listener
-from ds_orchestrator.campaign.live_file import Eta
+from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 from ds_studies.ros.campaign_messages import outcome_message
 
 
-class StateListener(Listener):
+class StateListener(TimedListener):
     """Counts a goal's drives, and keeps their outcomes until they are published.
 
     Args:
@@ -28,29 +26,30 @@ class StateListener(Listener):
     """
 
     def __init__(self, folder: str) -> None:
-        self._lock, self._eta, self._searching = threading.Lock(), Eta(), True
+        super().__init__()
+        self._searching = True
         self._state = CampaignState(state=CampaignState.RUNNING, folder=folder, seconds_left=-1.0)
         self.outcomes: SimpleQueue[TestOutcome] = SimpleQueue()
 
     def stage(self, name: str) -> None:
         """See `Listener.stage`."""
+        super().stage(name)
         with self._lock:
             self._state.stage = name
-            self._eta.begin(time.monotonic())
 
     def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
         """See `Listener.expect`."""
+        super().expect(stages)
         with self._lock:
-            self._eta.expect(stages)
-            self._state.expected = sum(sum(stage.values()) for stage in stages)
+            self._state.expected = self.total
 
     def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
+        super().finished(test, simulator, execution, fresh)
         with self._lock:
-            self._state.done += 1
+            self._state.done = self.done
             self._state.failures += isinstance(execution, Execution) and execution.outcome.is_failure
             self._state.errors += execution is None
-            self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
         self.outcomes.put(outcome_message(test.test_id, simulator, execution))
 
     @contextmanager
@@ -81,7 +80,7 @@ class StateListener(Listener):
     def state(self) -> CampaignState:
         """Present state."""
         with self._lock:
-            left = self._eta.seconds(time.monotonic())
+            left = self.seconds_left()
             self._state.seconds_left = -1.0 if left is None else left
             fields = self._state.get_fields_and_field_types()
             return CampaignState(**{name: getattr(self._state, name) for name in fields})
