@@ -25,7 +25,7 @@ from scipy import stats
 
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import GivenDrives, drive_tests
+from ds_orchestrator.engines.drive_tests import DriveResults, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import generate
 from ds_sim.registry import STANDARD
@@ -73,7 +73,7 @@ def paired_difference(only_reduced: int, only_single: int, pairs: int) -> tuple[
     return 100 * (only_reduced - only_single) / pairs, 100 * (p - q - margin), 100 * (p - q + margin)
 
 
-def compare(network: str, backend: str, single: GivenDrives, reduced: GivenDrives, console: Console) -> bool:
+def compare(network: str, backend: str, single: DriveResults, reduced: DriveResults, console: Console) -> bool:
     """Print single precision and a backend side by side; return whether the rule holds for this network."""
     keys = sorted(single.executions.keys() & reduced.executions.keys(), key=lambda key: key[0].rpartition("-")[2])
     if not keys:

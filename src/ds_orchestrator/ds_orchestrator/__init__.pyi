@@ -5,7 +5,7 @@ from .campaign.executor import CampaignError, Executor, Listener, Stopped
 from .campaign.folder import CampaignData, config_of, open_store, prepare_folder, read_campaign
 from .campaign.runner import Campaign
 from .campaign.status import Stage, stages_of
-from .engines.drive_tests import Callbacks, GivenDrives, drive_tests
+from .engines.drive_tests import Callbacks, DriveResults, drive_tests
 from .maps.algebra import OPERATORS, MergeOperator, merge, pool, union
 from .maps.campaign_maps import MapPlan, build_maps
 from .maps.feature_map import FeatureMap, MapCell, MapId, map_ids, maps_frame
@@ -44,7 +44,7 @@ __all__ = [
     "Executor",
     "FEATURES",
     "FeatureMap",
-    "GivenDrives",
+    "DriveResults",
     "Listener",
     "MapCell",
     "MapId",

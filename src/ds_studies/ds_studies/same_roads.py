@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, NoVerdict, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, Unfinished, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import Road
 from ds_sim.scenario import Scenario
@@ -44,10 +44,10 @@ def drive_same_roads(
         }
 
 
-def driven_road(found: GivenDrives, test: Test, simulator: str) -> DrivenRoad | None:
+def driven_road(found: DriveResults, test: Test, simulator: str) -> DrivenRoad | None:
     """What became of a test on a simulator; None if it was not driven, or excluded."""
     key = test.test_id, simulator
     if key in found.executions:
         return DrivenRoad.of_execution(test.road, found.executions[key])
-    error = found.errors.get(key, NoVerdict()).outcome
+    error = found.errors.get(key, Unfinished()).outcome
     return None if error is None else DrivenRoad(road=test.road, outcome=error)

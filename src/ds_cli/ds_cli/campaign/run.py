@@ -221,7 +221,7 @@ def _template_of(
     driver: str, sims: str, size: str, sensitivity: Path | None, file: Path, angles: Mapping[str, int] | None = None
 ) -> str:
     """A commented configuration for a file; the driver and the simulators exist."""
-    from ds_orchestrator.campaign.config import moved
+    from ds_orchestrator.campaign.config import rebase_paths
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.sensitivity.ranges import read_ranges
@@ -229,7 +229,7 @@ def _template_of(
     names = simulators_of(sims.removesuffix(",none"))
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
-    named = moved({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
+    named = rebase_paths({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
     return template(**named, size=size, ranges=read_ranges(sensitivity) if sensitivity else None, angles=angles)
 
 

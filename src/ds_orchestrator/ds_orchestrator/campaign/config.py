@@ -371,11 +371,11 @@ def read_config(path: Path) -> CampaignConfig:
         raise ConfigError(
             f"{path}: empty, expected a campaign's keys (such as {', '.join(CampaignConfig.model_fields)})"
         )
-    return parse_config(moved(raw, path.parent, Path()), str(path))
+    return parse_config(rebase_paths(raw, path.parent, Path()), str(path))
 
 
-def moved(raw: Any, start: Path, end: Path) -> Any:
-    """A configuration whose paths, relative to one folder, are made relative to another; anything else stays."""
+def rebase_paths(raw: Any, start: Path, end: Path) -> Any:
+    """Make the paths in a configuration, which are relative to one folder, relative to another."""
     from ds_driver.networks.driver_name import DriverName
 
     def simulator(name: Any) -> Any:

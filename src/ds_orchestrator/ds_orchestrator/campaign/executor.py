@@ -23,7 +23,7 @@ from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import NotApplicableError
-from ds_sim.gates.gate import Gate, gate_of, left_out, not_applicable
+from ds_sim.gates.gate import Gate, exclusion_of, gate_of, not_applicable
 from ds_sim.registry import label_of, spec_of
 from ds_sim.session import RunRecord
 
@@ -201,7 +201,7 @@ class Executor:
         if gate is not None and not gate.is_valid:
             return gate
         run = self._drive(test, simulator, self._settings.driver)
-        excluded = left_out(run)
+        excluded = exclusion_of(run)
         return self._keep(test, simulator, run) if excluded is None else self._keep_gate(test, simulator, excluded)
 
     def judge(self, test: Test, simulator: str) -> Gate | None:
@@ -223,14 +223,14 @@ class Executor:
         except NotApplicableError as error:
             return self._keep_gate(test, simulator, not_applicable(str(error)))
         run = self._drive(test, simulator, AUTOPILOT, probed=True)
-        return self._keep_gate(test, simulator, left_out(run) or gate_of(run))
+        return self._keep_gate(test, simulator, exclusion_of(run) or gate_of(run))
 
     def _drive(self, test: Test, simulator: str, driver: str, *, probed: bool = False) -> RunRecord:
         """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
         for attempt in range(self._settings.retries + 1):
             self._check_stop()
             run = self._engine.drive(DriveRequest(test.scenario, driver, simulator, probed=probed))
-            if run.outcome.is_verdict or left_out(run) is not None:
+            if run.outcome.is_verdict or exclusion_of(run) is not None:
                 return run
             self._check_stop()
             message = f"autopilot: {run.message}" if probed else run.message

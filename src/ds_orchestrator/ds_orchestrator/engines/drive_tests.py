@@ -42,7 +42,7 @@ class Callbacks:
     stop: StopSwitch = field(default_factory=StopSwitch)
 
 
-class NoVerdict(NamedTuple):
+class Unfinished(NamedTuple):
     """A drive without a verdict: how its last attempt ended, None if there was none, and its message."""
 
     outcome: Outcome | None = None
@@ -53,7 +53,7 @@ class NoVerdict(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GivenDrives:
+class DriveResults:
     """What became of given tests.
 
     Attributes:
@@ -64,7 +64,7 @@ class GivenDrives:
 
     executions: Mapping[Key, Execution] = field(default_factory=dict)
     gates: Mapping[Key, Gate] = field(default_factory=dict)
-    errors: Mapping[Key, NoVerdict] = field(default_factory=dict)
+    errors: Mapping[Key, Unfinished] = field(default_factory=dict)
 
     @property
     def excluded(self) -> set[Key]:
@@ -79,7 +79,7 @@ def drive_tests(
     callbacks: Callbacks | None = None,
     *,
     gates: Mapping[Key, Gate] | None = None,
-) -> GivenDrives:
+) -> DriveResults:
     """Drive given tests, or read from the folder what was driven before.
 
     Args:
@@ -152,21 +152,21 @@ def _drive(
         raise Stopped from None
 
 
-def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
+def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> DriveResults:
     """Read what became of given tests so far, as `drive_tests` does, and drive nothing."""
     if not (folder / DRIVES_FILE).exists():
-        return GivenDrives(errors={(test.test_id, name): NoVerdict() for name, of in work.items() for test in of})
+        return DriveResults(errors={(test.test_id, name): Unfinished() for name, of in work.items() for test in of})
     with closing(Store(folder / DRIVES_FILE, read_only=True)) as store:
         return _read(store, work)
 
 
-def _read(store: Store, work: Mapping[str, Sequence[Test]]) -> GivenDrives:
+def _read(store: Store, work: Mapping[str, Sequence[Test]]) -> DriveResults:
     wanted = {(test.test_id, name) for name, tests in work.items() for test in tests}
     executions = {(one.test_id, one.simulator): one for one in store.executions()}
-    last = {(test, name): NoVerdict(Outcome[outcome], message) for test, name, _, outcome, message in store.errors()}
-    found = GivenDrives(
+    last = {(test, name): Unfinished(Outcome[outcome], message) for test, name, _, outcome, message in store.errors()}
+    found = DriveResults(
         executions={key: one for key, one in executions.items() if key in wanted and one.outcome.is_verdict},
         gates={key: gate for key, gate in store.gates().items() if key in wanted},
     )
     missing = wanted - set(executions) - found.excluded
-    return replace(found, errors={key: last.get(key, NoVerdict()) for key in missing})
+    return replace(found, errors={key: last.get(key, Unfinished()) for key in missing})

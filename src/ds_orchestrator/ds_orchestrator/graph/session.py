@@ -167,17 +167,17 @@ def running_graph(
             specs = processes_of(driver, namespaces, command_timeout, composed=composed, draw=draw)
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
-        executor = GraphClient(
+        client = GraphClient(
             namespaces,
             domain=domain,
             command_timeout=command_timeout,
             supervisor=supervisor,
         )
-        stack.callback(executor.close)
+        stack.callback(client.close)
         stack.callback(signals_ignored.__enter__)
-        executor.wait_until_ready(wait)
-        executor.check_simulators()
-        yield executor
+        client.wait_until_ready(wait)
+        client.check_simulators()
+        yield client
 
 
 @contextmanager

@@ -64,7 +64,7 @@ def not_applicable(message: str) -> Gate:
     return Gate(state=GateState.NOT_APPLICABLE, message=message)
 
 
-def left_out(run: RunRecord) -> Gate | None:
+def exclusion_of(run: RunRecord) -> Gate | None:
     """Make the gate of a test by which its run shows that nobody can be judged there; None for any other run."""
     states = {Reason.NOT_APPLICABLE: GateState.NOT_APPLICABLE, Reason.OUT_OF_SIGHT: GateState.OUT_OF_SIGHT}
     state = states.get(run.reason)

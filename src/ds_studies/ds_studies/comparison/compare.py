@@ -17,7 +17,7 @@ from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
-from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, Key, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, Key, drive_tests
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
@@ -206,7 +206,7 @@ def compare(
     excluded = 0
     checked: set[Role] = set()
     for tests in sets:
-        sides: dict[Role, GivenDrives] = {}
+        sides: dict[Role, DriveResults] = {}
         roles: tuple[tuple[Role, Network, Drives], ...] = (
             ("reference", reference, tests.reference),
             ("candidate", candidate, tests.candidate),
@@ -275,12 +275,12 @@ def compare_until_sure(
 
 def _complete(
     tests: GivenTests, role: Role, network: Network, known: Drives, folder: Path, callbacks: Callbacks
-) -> GivenDrives:
+) -> DriveResults:
     """Known drives, and those that are driven now."""
     missing = {name: [test for test in of if (test.test_id, name) not in known] for name, of in tests.work.items()}
     missing = {name: of for name, of in missing.items() if of}
     if not missing:
-        return GivenDrives(executions=known)
+        return DriveResults(executions=known)
     if network.sha256 and (reason := _cannot_drive(network)):
         raise ComparisonError(
             f"{network.driver} has to drive {sum(map(len, missing.values()))} tests, but {reason}: restore it, or "
@@ -289,7 +289,7 @@ def _complete(
     settings = replace(tests.settings, driver=network.driver)
     LOG.info("%s %s: %d drives", role, network.driver, sum(map(len, missing.values())))
     found = drive_tests(settings, missing, folder, callbacks, gates=tests.gates)
-    return GivenDrives(
+    return DriveResults(
         executions={**known, **found.executions}, gates=found.gates, errors=found.errors
     )  # fmt: skip
 
@@ -332,7 +332,7 @@ def _cannot_drive(network: Network) -> str:
 
 
 def _paired(
-    tests: GivenTests, sides: Mapping[Role, GivenDrives]
+    tests: GivenTests, sides: Mapping[Role, DriveResults]
 ) -> tuple[list[PairedDrive], list[tuple[str, str, str]]]:
     """Pairs with a verdict of both, and pairs that lack one by an error."""
     pairs, left_out = [], []

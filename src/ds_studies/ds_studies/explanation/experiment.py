@@ -12,7 +12,7 @@ from ds_base.errors import RunError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.engines.drive_tests import Callbacks, GivenDrives, drive_tests
+from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
@@ -47,7 +47,7 @@ class Experiment:
             return name, replace(self.test, test_id=_PLAIN + self.test.test_id, scenario=plain)
         return name, self.test
 
-    def explained(self, found: GivenDrives) -> Explanation:
+    def explained(self, found: DriveResults) -> Explanation:
         """Share out the difference.
 
         Raises:
@@ -110,7 +110,7 @@ def experiments_on(data: CampaignData, groups: Groups, most: int) -> list[Experi
 
 def drive_experiments(
     experiments: Sequence[Experiment], settings: DriveSettings, folder: Path, callbacks: Callbacks
-) -> GivenDrives:
+) -> DriveResults:
     """Drive experiments, which may have drives in common; errors are those of `drive_tests`.
 
     Args:
@@ -120,7 +120,7 @@ def drive_experiments(
         callbacks: who hears of it.
     """
     if not experiments:
-        return GivenDrives()
+        return DriveResults()
     work: dict[str, list[Test]] = {}
     for experiment in experiments:
         for subset in subsets(tuple(experiment.parts)):

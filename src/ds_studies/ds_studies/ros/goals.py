@@ -13,7 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 from ds_base.config_errors import read_keys
-from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, moved, parse_config
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config, rebase_paths
 from ds_orchestrator.campaign.executor import StopSwitch
 from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
@@ -89,7 +89,7 @@ def _config_of(text: str, folder: Path, trusted: Collection[str]) -> CampaignCon
             raise ConfigError(f"the goal's config: not YAML: {error}") from None
         config = parse_config(raw, "the goal's config", received=True)
     else:
-        raw = moved(read_keys(Path(text), ConfigError), Path(text).parent, Path())
+        raw = rebase_paths(read_keys(Path(text), ConfigError), Path(text).parent, Path())
         config = parse_config(raw, text, received=True)
     check_trust(config, trusted)
     return config

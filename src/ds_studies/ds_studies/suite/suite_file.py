@@ -19,7 +19,7 @@ from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Net
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_base.config_errors import problems
 from ds_base.installation import ds_command
-from ds_orchestrator.campaign.config import ConditionsText, ConfigError, moved
+from ds_orchestrator.campaign.config import ConditionsText, ConfigError, rebase_paths
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
@@ -202,7 +202,7 @@ def read_suite(path: Path) -> Suite:
 
 def _moved(raw: Any, start: Path, end: Path) -> Any:
     """A suite's document whose paths, relative to one folder, are made relative to another."""
-    found = moved(raw, start, end)
+    found = rebase_paths(raw, start, end)
     for test in found["tests"] if isinstance(found.get("tests"), list) else ():
         if isinstance(test, dict) and isinstance(test.get("outcomes"), dict):
             outcomes = test["outcomes"].items()
