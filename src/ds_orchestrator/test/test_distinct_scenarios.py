@@ -27,11 +27,19 @@ def test_a_repeated_scenario_is_left_out_with_its_drives() -> None:
     )
     executions = tuple(
         Execution(
-            test_id=test.test_id, simulator="bullet", outcome=Outcome.COMPLETED, message="", fitness=1.0,
-            max_lateral_position=1.0, steps=1, simulated_seconds=0.05, trajectory_sha256="", drive=NO_DRIVE,
+            test_id=test.test_id,
+            simulator="bullet",
+            outcome=Outcome.COMPLETED,
+            message="",
+            fitness=1.0,
+            max_lateral_position=1.0,
+            steps=1,
+            simulated_seconds=0.05,
+            trajectory_sha256="",
+            drive=NO_DRIVE,
         )
         for test in tests
-    )  # fmt: skip
+    )
     data = CampaignData(config=CampaignConfig(), tests=tests, executions=executions, given_up=frozenset({"x"}))
     assert [test.number for test in data.distinct.tests] == [0, 1, 3]
     assert [one.test_id[-1] for one in data.distinct.verdicts] == ["0", "1", "3"]

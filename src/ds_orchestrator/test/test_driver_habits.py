@@ -32,11 +32,20 @@ def store_of(folder: Path, tests: int, factor: float, speed: float) -> Store:
         test = Test(f"bullet-0-{number:04d}", Scenario(road, seed=1), Origin("bullet", 0, number))
         store.add_test(test)
         for simulator in ("bullet", "donkey"):
-            store.add_execution(Execution(
-                test_id=test.test_id, simulator=simulator, outcome=Outcome.COMPLETED, message="", fitness=2.0,
-                max_lateral_position=0.0, steps=FRAMES, simulated_seconds=FRAMES / 20,
-                trajectory_sha256=trajectory_sha256(trajectory), drive=DriveArrays(trajectory, steering),
-            ))  # fmt: skip
+            store.add_execution(
+                Execution(
+                    test_id=test.test_id,
+                    simulator=simulator,
+                    outcome=Outcome.COMPLETED,
+                    message="",
+                    fitness=2.0,
+                    max_lateral_position=0.0,
+                    steps=FRAMES,
+                    simulated_seconds=FRAMES / 20,
+                    trajectory_sha256=trajectory_sha256(trajectory),
+                    drive=DriveArrays(trajectory, steering),
+                )
+            )
     return store
 
 

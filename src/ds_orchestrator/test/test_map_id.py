@@ -32,9 +32,18 @@ def test_names_and_titles(map_id: MapId, name: str, title: str) -> None:
 def test_every_map_of_a_campaign_has_an_identity_of_its_own() -> None:
     ids = map_ids(["a", "b"], "t", ["mean"])
     assert [map_id.name for map_id in ids] == [
-        "search_a", "search_b", "migration_a_to_b", "migration_a_to_t", "migration_b_to_a", "migration_b_to_t",
-        "union_a", "union_b", "merged", "merged_mean", "twin_t",
-    ]  # fmt: skip
+        "search_a",
+        "search_b",
+        "migration_a_to_b",
+        "migration_a_to_t",
+        "migration_b_to_a",
+        "migration_b_to_t",
+        "union_a",
+        "union_b",
+        "merged",
+        "merged_mean",
+        "twin_t",
+    ]
     assert len(set(ids)) == len(ids)
     assert [map_id.name for map_id in compared_ids(ids)] == ["union_a", "union_b", "merged", "twin_t"]
 
@@ -64,12 +73,26 @@ def test_maps_as_a_frame() -> None:
     }
     frame = maps_frame(maps)
     assert list(frame.columns) == [
-        "map", "kind", "simulator", "origin", "operator", "turns_count", "curvature", "tests", "failures",
-        "probability", "interval_low", "interval_high", "quality_loss", "excluded",
-    ]  # fmt: skip
+        "map",
+        "kind",
+        "simulator",
+        "origin",
+        "operator",
+        "turns_count",
+        "curvature",
+        "tests",
+        "failures",
+        "probability",
+        "interval_low",
+        "interval_high",
+        "quality_loss",
+        "excluded",
+    ]
     assert frame[["kind", "turns_count", "curvature"]].to_numpy().tolist() == [
-        ["migration", 2, 9], ["migration", 3, 12], ["merged", 2, 9],
-    ]  # fmt: skip
+        ["migration", 2, 9],
+        ["migration", 3, 12],
+        ["merged", 2, 9],
+    ]
     row = frame.iloc[1]
     assert (row.origin, row.simulator, row.failures, row.interval_high) == (TRICKY, "t", 1, 0.6)
     assert frame.failures.isna().tolist() == [True, False, True] and frame.interval_low.isna().tolist()[0]

@@ -289,11 +289,14 @@ def test_the_examples_in_the_docstrings_run() -> None:
     assert found.attempted > 3 and not found.failed
 
 
-SPACE = ConditionSpace((
-    SearchedCondition(name="line_contrast", low=0.05, high=1.0),
-    SearchedCondition(name="visibility", low=20.0, high=200.0, step=0.1),
-    SearchedCondition(name="camera_pitch", low=-0.1, high=0.05),
-), Conditions(payload=0.2))  # fmt: skip
+SPACE = ConditionSpace(
+    (
+        SearchedCondition(name="line_contrast", low=0.05, high=1.0),
+        SearchedCondition(name="visibility", low=20.0, high=200.0, step=0.1),
+        SearchedCondition(name="camera_pitch", low=-0.1, high=0.05),
+    ),
+    Conditions(payload=0.2),
+)
 
 
 def fogged(kind: type[Search], seed: int) -> tuple[Search, list[Scenario]]:

@@ -42,9 +42,15 @@ ROAD_SEED, MAX_ANGLE = 3, 200
 FOG = (160.0, 80.0, 40.0, 20.0)
 """Visibilities that are tried one after the other, m; chosen: from haze to the densest fog that conditions know."""
 FACTORS = (
-    "line_contrast", "line_cover", "illuminance", "veiling_luminance", "visibility", "lens_dirt", "steering_lag",
+    "line_contrast",
+    "line_cover",
+    "illuminance",
+    "veiling_luminance",
+    "visibility",
+    "lens_dirt",
+    "steering_lag",
     "command_delay",
-)  # fmt: skip
+)
 """What might break it; chosen: worn and covered lines, night, glare, fog, dirt, and a slow car."""
 ROADS, STEPS, SEED = 1, 4, 1
 """Of the sensitivity: short roads, levels of strength, seed."""

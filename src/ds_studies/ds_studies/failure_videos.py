@@ -59,9 +59,14 @@ def write_failure_videos(driver: str, failed: Sequence[FailedDrive], folder: Pat
         video = folder / f"{one.test}_{label_of(one.simulator)}.mp4"
         LOG.info("rendering %s", video)
         write_video(
-            video, f"{one.simulator}, {Path(driver).name}", one.road, resimulate(one.simulator, run), run.commands,
-            run.conditions, translation_of(driver, one.simulator),
-        )  # fmt: skip
+            video,
+            f"{one.simulator}, {Path(driver).name}",
+            one.road,
+            resimulate(one.simulator, run),
+            run.commands,
+            run.conditions,
+            translation_of(driver, one.simulator),
+        )
         videos.append(video)
     if len(failed) > MOST_VIDEOS:
         LOG.info("%d further failed drives have no video", len(failed) - MOST_VIDEOS)

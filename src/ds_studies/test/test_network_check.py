@@ -99,9 +99,9 @@ def made(tmp_path: Path, drives: list[Recording]) -> Made:
         )
         path = tmp_path / "n.yaml"
         outputs_described = described.pop("outputs", {})
-        path.write_text(yaml.safe_dump({
-            "file": "n.onnx", "input": {**INPUT, **described}, "outputs": outputs_described
-        }))  # fmt: skip
+        path.write_text(
+            yaml.safe_dump({"file": "n.onnx", "input": {**INPUT, **described}, "outputs": outputs_described})
+        )
         return path
 
     return make

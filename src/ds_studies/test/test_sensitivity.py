@@ -245,9 +245,13 @@ def test_an_analysis_goes_on_where_it_stopped(
         engine = MadeUpEngine()
         engines.append(engine)
         found = analysis.analyse_sensitivity(
-            DriveSettings(siblings=("bullet", "softbody", "panda"), driver=driver, retries=0), factors, roads=3, seed=1,
-            folder=tmp_path / driver, gates=tmp_path / "gates",
-        )  # fmt: skip
+            DriveSettings(siblings=("bullet", "softbody", "panda"), driver=driver, retries=0),
+            factors,
+            roads=3,
+            seed=1,
+            folder=tmp_path / driver,
+            gates=tmp_path / "gates",
+        )
         return found, engine
 
     found, _ = once()

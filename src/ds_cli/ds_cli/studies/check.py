@@ -71,9 +71,13 @@ def check_command(
             table.add_column(column, justify="left" if column == "simulator" else "right")
         for one in found.answers:
             table.add_row(
-                one.simulator, f"{one.correlation:.2f}", f"{one.slope:.2g}", f"{one.lowest:.2g} to {one.highest:.2g}",
-                f"{one.at_full_lock:.0%}", f"{one.milliseconds:.1f}",
-            )  # fmt: skip
+                one.simulator,
+                f"{one.correlation:.2f}",
+                f"{one.slope:.2g}",
+                f"{one.lowest:.2g} to {one.highest:.2g}",
+                f"{one.at_full_lock:.0%}",
+                f"{one.milliseconds:.1f}",
+            )
         Console().print(table)
         print(found.verdict)
         for finding in found.findings:

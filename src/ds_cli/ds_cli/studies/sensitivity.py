@@ -107,9 +107,17 @@ def sensitivity_command(
             say(f"live in a browser: {page.path}")
         with stopped_in(folder):
             found = analyse_sensitivity(
-                settings, factors, roads=roads, levels=levels, segments=segments, seed=seed, folder=folder, gates=gates,
-                progress=ScreenProgress(), watch=page.write if page else lambda found: None,
-            )  # fmt: skip
+                settings,
+                factors,
+                roads=roads,
+                levels=levels,
+                segments=segments,
+                seed=seed,
+                folder=folder,
+                gates=gates,
+                progress=ScreenProgress(),
+                watch=page.write if page else lambda found: None,
+            )
         document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
         if out is not None:
             write_json(out / "sensitivity.json", document)

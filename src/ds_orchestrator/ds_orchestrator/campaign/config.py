@@ -300,10 +300,19 @@ class CampaignConfig(_Strict):
             attach: use running nodes.
         """
         return DriveSettings(
-            siblings=tuple(self.siblings), twin=self.twin, driver=self.driver, conditions=self.conditions,
-            gates=self.gates, retries=self.retries, command_timeout=self.command_timeout, record=self.record,
-            engine=self.engine, workers=self.workers, cluster=cluster or ClusterOptions(), attach=attach,
-        )  # fmt: skip
+            siblings=tuple(self.siblings),
+            twin=self.twin,
+            driver=self.driver,
+            conditions=self.conditions,
+            gates=self.gates,
+            retries=self.retries,
+            command_timeout=self.command_timeout,
+            record=self.record,
+            engine=self.engine,
+            workers=self.workers,
+            cluster=cluster or ClusterOptions(),
+            attach=attach,
+        )
 
     @property
     def further_axes(self) -> list[tuple[str, ...]]:

@@ -55,12 +55,20 @@ def template(
     largest = given.get("max_angle", search.max_angle)
     smallest = given.get("min_angle", min(search.min_angle, largest))
     text = _TEXT.format(
-        driver=_scalar(driver), siblings=f"[{', '.join(map(_scalar, siblings))}]", twin=_scalar(twin or "none"),
-        population=search.population, min_angle=smallest, max_angle=largest,
-        conditions=_conditions(ranges or {}), iterations=search.iterations, runs=search.runs,
-        simulators=", ".join(SIMULATORS), searches=" or ".join(SEARCHES), features=", ".join(list(FEATURES)[:6]),
+        driver=_scalar(driver),
+        siblings=f"[{', '.join(map(_scalar, siblings))}]",
+        twin=_scalar(twin or "none"),
+        population=search.population,
+        min_angle=smallest,
+        max_angle=largest,
+        conditions=_conditions(ranges or {}),
+        iterations=search.iterations,
+        runs=search.runs,
+        simulators=", ".join(SIMULATORS),
+        searches=" or ".join(SEARCHES),
+        features=", ".join(list(FEATURES)[:6]),
         operators=", ".join(OPERATORS),
-    )  # fmt: skip
+    )
     config = parse_config(yaml.safe_load(text), "the template")
     drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
     head = f"# {tests} tests, each on {len(config.simulators)} simulators: {drives} drives.\n"

@@ -205,10 +205,14 @@ def running_graphs(settings: DriveSettings, *, logs: Path) -> Iterator[GraphEngi
         graphs = [
             stack.enter_context(
                 running_graph(
-                    settings.namespaces, settings.driver, command_timeout=timeout, attach=settings.attach, draw="seen",
+                    settings.namespaces,
+                    settings.driver,
+                    command_timeout=timeout,
+                    attach=settings.attach,
+                    draw="seen",
                     logs=logs if count == 1 else logs / f"worker_{number}",
                 )
             )
             for number in range(1, count + 1)
-        ]  # fmt: skip
+        ]
         yield GraphEngine(graphs, settings.simulators, start_probing)

@@ -263,9 +263,16 @@ def compare_until_sure(
     for last in [*range(BATCH, roads, BATCH), roads]:
         some = replace(tests, work={name: of[:last] for name, of in tests.work.items()})
         found = compare(
-            [some], reference, candidate, origin="random", source=source, out=out, callbacks=callbacks, label=label,
+            [some],
+            reference,
+            candidate,
+            origin="random",
+            source=source,
+            out=out,
+            callbacks=callbacks,
+            label=label,
             sequential=True,
-        )  # fmt: skip
+        )
         if is_sure(found) or last == roads:
             break
     left = 2 * len(tests.work) * (roads - last)
@@ -289,9 +296,7 @@ def _complete(
     settings = replace(tests.settings, driver=network.driver)
     LOG.info("%s %s: %d drives", role, network.driver, sum(map(len, missing.values())))
     found = drive_tests(settings, missing, folder, callbacks, gates=tests.gates)
-    return DriveResults(
-        executions={**known, **found.executions}, gates=found.gates, errors=found.errors
-    )  # fmt: skip
+    return DriveResults(executions={**known, **found.executions}, gates=found.gates, errors=found.errors)
 
 
 def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out: Path, callbacks: Callbacks) -> None:

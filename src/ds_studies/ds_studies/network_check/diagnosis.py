@@ -21,9 +21,21 @@ from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreeme
 from ds_studies.network_check.recording import Recording, speeds_of_throttle
 
 Kind = Literal[
-    "degrees", "radians", "scale", "offset", "sign", "colour", "crop", "pixels", "output", "bins", "crawls", "constant",
-    "saturated", "unrelated",
-]  # fmt: skip
+    "degrees",
+    "radians",
+    "scale",
+    "offset",
+    "sign",
+    "colour",
+    "crop",
+    "pixels",
+    "output",
+    "bins",
+    "crawls",
+    "constant",
+    "saturated",
+    "unrelated",
+]
 FAINTEST = 0.58
 """Slope against the autopilot below which the scale is wrong; chosen: the geometric middle of the weakest shipped
 network's, 0.73, and of one that answers in radians up to 25 degrees, 0.46 at most."""
@@ -165,15 +177,26 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
     rows = []
     for one in recordings:
         here, part = steering[one.simulator], agreement(steering[one.simulator], [one])
-        rows.append(Answers(
-            simulator=one.simulator, correlation=part.correlation, slope=part.slope, lowest=float(here.min()),
-            highest=float(here.max()), at_full_lock=float(np.mean(np.abs(here) >= 1.0)),
-            milliseconds=milliseconds[one.simulator],
-        ))  # fmt: skip
+        rows.append(
+            Answers(
+                simulator=one.simulator,
+                correlation=part.correlation,
+                slope=part.slope,
+                lowest=float(here.min()),
+                highest=float(here.max()),
+                at_full_lock=float(np.mean(np.abs(here) >= 1.0)),
+                milliseconds=milliseconds[one.simulator],
+            )
+        )
     return NetworkCheck(
-        driver=driver, images=len(answers), correlation=whole.correlation, answers=rows, findings=findings,
-        steering=steering, fixed=fixed if findings else None,
-    )  # fmt: skip
+        driver=driver,
+        images=len(answers),
+        correlation=whole.correlation,
+        answers=rows,
+        findings=findings,
+        steering=steering,
+        fixed=fixed if findings else None,
+    )
 
 
 def ask_open_loop(

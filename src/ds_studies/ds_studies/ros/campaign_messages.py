@@ -82,8 +82,9 @@ def grids_of(data: CampaignData) -> Grids | None:
     A map of three features becomes one of the first two, whose cells are the means over the third, weighted by tests.
     """
     config = data.config
-    maps = build_maps(config.siblings, config.twin, data.tests, data.executions, config.map_plan(data.given_up),
-                      gates=data.gates)  # fmt: skip
+    maps = build_maps(
+        config.siblings, config.twin, data.tests, data.executions, config.map_plan(data.given_up), gates=data.gates
+    )
     chosen = {label_of(one.name).replace(".", "_").replace("-", "_"): maps[one] for one in compared_ids(maps)}
     cells = [cell[:2] for one in chosen.values() for cell in one.cells]
     if not cells:

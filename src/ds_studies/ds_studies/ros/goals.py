@@ -103,9 +103,12 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
     names, attach = list(dict.fromkeys(request.simulators)), request.engine == "attach"
     # What a campaign of these may be, a list of tests may be: one check of names and numbers.
     raw = {
-        "siblings": names, "twin": None, "driver": request.driver,
-        "engine": "graph" if attach else request.engine or "local", "workers": request.workers or 1,
-    }  # fmt: skip
+        "siblings": names,
+        "twin": None,
+        "driver": request.driver,
+        "engine": "graph" if attach else request.engine or "local",
+        "workers": request.workers or 1,
+    }
     config = parse_config(raw, "the goal", received=True)
     check_trust(config, trusted)
     settings = config.drive_settings(attach=attach)

@@ -139,9 +139,13 @@ def analyse_sensitivity(
         candidates = candidate_roads(roads, seed, segments=segments)
         chosen = _choose(drives, settings, candidates, roads, pool)
         known = Sensitivity(
-            driver=settings.driver, simulators=settings.simulators, factors=factors, needed=roads, roads=chosen,
+            driver=settings.driver,
+            simulators=settings.simulators,
+            factors=factors,
+            needed=roads,
+            roads=chosen,
             thresholds={},
-        )  # fmt: skip
+        )
 
         def so_far(thresholds: Mapping[tuple[int, str], Threshold]) -> None:
             watch(replace(known, thresholds=dict(thresholds)))
