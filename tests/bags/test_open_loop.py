@@ -22,6 +22,7 @@ from ds_analysis.paper.open_loop import evaluate_recording
 from ds_analysis.paper.steering_error_stats import EDGES, density, distances, pooled_errors, summarise
 from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.layout import BagError
+from ds_bags.reader import BagReader
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
@@ -152,6 +153,35 @@ def test_a_foreign_bag_with_steering_from_any_field(foreign: Path) -> None:
         open_recording(foreign, Reading(camera="/other"))
 
 
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_a_file_without_metadata_is_a_bag_of_its_own(tmp_path: Path, plugin: StoragePlugin) -> None:
+    """So is the only one of a folder; and one that was indexed again names no storage."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "car", version=9, storage_plugin=plugin) as writer:
+        topic = writer.add_connection("/speed", "std_msgs/msg/Float64", typestore=store)
+        number = store.types["std_msgs/msg/Float64"]
+        for index in range(5):
+            writer.write(topic, index * 10**9, store.serialize_cdr(number(data=float(index)), topic.msgtype))
+    metadata = tmp_path / "car" / "metadata.yaml"
+    text = metadata.read_text()
+    named = "mcap" if plugin is StoragePlugin.MCAP else "sqlite3"
+    assert f"storage_identifier: {named}" in text
+    metadata.write_text(text.replace(f"storage_identifier: {named}", "storage_identifier: ''"))
+
+    def numbers(path: Path) -> list[float]:
+        with BagReader(path) as bag:
+            return [message.data for _, _, message in bag.decoded(bag.connections)]
+
+    assert numbers(tmp_path / "car") == [0.0, 1.0, 2.0, 3.0, 4.0]
+    metadata.unlink()
+    (file,) = (tmp_path / "car").iterdir()
+    for path in (tmp_path / "car", file):
+        assert numbers(path) == [0.0, 1.0, 2.0, 3.0, 4.0]
+    file.write_bytes(file.read_bytes()[:100])
+    with pytest.raises(BagError, match=f"{file.name}.* cannot be read"):
+        numbers(tmp_path / "car")
+
+
 def test_a_bag_without_images_says_what_to_do(bags: Path) -> None:
     with pytest.raises(BagError, match="--level compressed or raw"):
         open_recording(bags / "telemetry", Reading())
@@ -172,6 +202,42 @@ def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code
     padded = np.hstack((rows, np.zeros((30, 7), np.uint8))).reshape(-1)
     back = rgb_of(padded, encoding=encoding, height=30, width=40, step=rows.shape[1] + 7)
     assert np.abs(back.astype(int) - picture).max() <= (3 if "yuv" in encoding else 0)
+
+
+BAYER = {"rggb": "RGGB", "bggr": "BGGR", "gbrg": "GBRG", "grbg": "GRBG"}
+
+
+@pytest.mark.parametrize("pattern", BAYER)
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_colour_behind_a_bayer_pattern_is_that_colour(pattern: str, bits: int) -> None:
+    colour = {"R": 200, "G": 110, "B": 40}
+    tile = np.array([colour[letter] for letter in pattern.upper()]).reshape(2, 2)
+    mosaic = np.tile(tile, (15, 20)).astype(np.uint16)
+    raw = mosaic.astype(np.uint8) if bits == 8 else mosaic << 8
+    for order, big in (("<u2", False), (">u2", True)):
+        data = np.frombuffer(raw.tobytes() if bits == 8 else raw.astype(order).tobytes(), np.uint8)
+        back = rgb_of(data, encoding=f"bayer_{pattern}{bits}", height=30, width=40, step=0, big_endian=big)
+        assert (back[2:-2, 2:-2] == (200, 110, 40)).all()
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("nv12", (0, 1)), ("nv21", (1, 0))])
+def test_planes_of_brightness_and_colour_are_read(encoding: str, order: tuple[int, int]) -> None:
+    """Rows of the camera's driver are padded to 48 bytes."""
+    bt601 = np.array([[0.257, 0.504, 0.098], [-0.148, -0.291, 0.439], [0.439, -0.368, -0.071]])
+    y, u, v = np.round(bt601 @ (200, 110, 40) + (16, 128, 128)).astype(np.uint8)
+    planes = np.zeros((45, 48), np.uint8)
+    planes[:30, :40] = y
+    planes[30:, :40] = np.tile(np.array([u, v])[list(order)], 20)
+    back = rgb_of(planes.reshape(-1), encoding=encoding, height=30, width=40, step=48)
+    assert back.shape == (30, 40, 3) and np.abs(back.astype(int) - (200, 110, 40)).max() <= 4
+    with pytest.raises(ImageError, match="nv12 needs an even width and height"):
+        rgb_of(planes.reshape(-1), encoding="nv12", height=29, width=40, step=48)
+
+
+def test_of_sixteen_bits_the_upper_eight_count() -> None:
+    grey = (np.arange(1200, dtype=np.uint16) * 50).reshape(30, 40)
+    back = rgb_of(np.frombuffer(grey.tobytes(), np.uint8), encoding="16UC1", height=30, width=40, step=80)
+    assert np.array_equal(back[..., 1], grey >> 8)
 
 
 def test_grey_and_invalid_images() -> None:

@@ -165,10 +165,19 @@ def regular_file(path: Path) -> Path:
 def parse_metadata(text: str) -> Any:
     """Parse the text of a `metadata.yaml`; kept, as `rosbags` parses it once more.
 
+    A storage that is not named, as by `ros2 bag reindex` of Humble, is the one of the files' names.
+
     Raises:
         BoundedYamlError: it is not YAML, or beyond `MAX_METADATA`.
     """
-    return load_yaml(text, limits=MAX_METADATA)
+    metadata = load_yaml(text, limits=MAX_METADATA)
+    information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
+    if isinstance(information, dict) and information.get("storage_identifier") == "":
+        files = information.get("relative_file_paths")
+        suffixes = {PurePath(str(file)).suffix for file in files} if isinstance(files, list) else set()
+        if len(suffixes) == 1:
+            information["storage_identifier"] = {".mcap": "mcap", ".db3": "sqlite3"}.get(suffixes.pop(), "")
+    return metadata
 
 
 def bag_information(folder: Path) -> dict[str, Any]:

@@ -44,6 +44,9 @@ MAX_SEED = 2**63 - 1
 """Largest seed that a bag may have: the limit of a campaign's configuration and store."""
 
 
+_STORAGE = (".mcap", ".db3")
+
+
 class BagReader:
     """Reads an open bag within the limits of `ds_bags.layout`. Use it as a context manager.
 
@@ -60,7 +63,7 @@ class BagReader:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path.parent if path.suffix in (".mcap", ".db3") and path.is_file() else path
+        self.path = _place_of(path)
         _check_finished(self.path)
         self.facts: dict[str, str] = {}
         self.files = [self.path]
@@ -183,6 +186,15 @@ class BagReader:
 
     def __exit__(self, *_: object) -> None:
         self._reader.close()
+
+
+def _place_of(path: Path) -> Path:
+    """The folder of a bag; of one without metadata.yaml, the only file in it."""
+    folder = path.parent if path.suffix in _STORAGE and path.is_file() else path
+    if (folder / "metadata.yaml").exists() or not folder.is_dir():
+        return folder
+    files = [path] if folder != path else [file for file in sorted(path.iterdir()) if file.suffix in _STORAGE]
+    return files[0] if len(files) == 1 else folder
 
 
 def _check_finished(path: Path) -> None:

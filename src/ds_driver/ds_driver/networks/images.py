@@ -16,7 +16,7 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 Pixels = NDArray[np.uint8]
 MAX_PIXELS = 2**26
 """Largest number of pixels of an image; chosen: 8192 x 8192, more than any vehicle camera has."""
-_TO_RGB = {
+_TO_RGB: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),
     "8UC3": (3, cv2.COLOR_BGR2RGB),
     "bgr8": (3, cv2.COLOR_BGR2RGB),
@@ -28,8 +28,24 @@ _TO_RGB = {
     "uyvy": (2, cv2.COLOR_YUV2RGB_UYVY),
     "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
     "yuyv": (2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuy2": (2, cv2.COLOR_YUV2RGB_YUY2),
+    # OpenCV names the second and third pixel of the second row, ROS the first two of the first.
+    "bayer_rggb8": (1, cv2.COLOR_BayerBG2RGB),
+    "bayer_bggr8": (1, cv2.COLOR_BayerRG2RGB),
+    "bayer_gbrg8": (1, cv2.COLOR_BayerGR2RGB),
+    "bayer_grbg8": (1, cv2.COLOR_BayerGB2RGB),
+    "nv12": (1, cv2.COLOR_YUV2RGB_NV12),
+    "nv21": (1, cv2.COLOR_YUV2RGB_NV21),
 }
 """sensor_msgs/image_encodings -> bytes per pixel and OpenCV conversion; `yuv422` means UYVY."""
+_SIXTEEN_BITS = {
+    "mono16": "mono8",
+    "16UC1": "mono8",
+    "rgb16": "rgb8",
+    "bgr16": "bgr8",
+    **{f"bayer_{pattern}16": f"bayer_{pattern}8" for pattern in ("rggb", "bggr", "gbrg", "grbg")},
+}
+"""Encodings of 16 bits -> those of their upper 8 bits."""
 
 
 class ImageError(InputError):
@@ -85,7 +101,7 @@ def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return image
 
 
-def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -> Pixels:
+def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int, big_endian: bool = False) -> Pixels:
     """Convert the data of a `sensor_msgs/Image` to (height, width, 3) uint8 RGB.
 
     Args:
@@ -94,14 +110,23 @@ def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int) -
         height: number of rows.
         width: number of columns.
         step: bytes from one row to the next; 0 for rows without padding.
+        big_endian: order of the bytes of 16 bits, of which the upper 8 are used.
 
     Raises:
         ImageError: the encoding is unknown, or the size does not match the data or the encoding.
     """
+    if encoding in _SIXTEEN_BITS:
+        data = data[0 if big_endian else 1 :: 2]
+        return rgb_of(data, encoding=_SIXTEEN_BITS[encoding], height=height, width=width, step=step // 2)
     if encoding not in _TO_RGB:
-        raise ImageError(f"image of encoding {encoding!r}, expected one of {', '.join(_TO_RGB)}")
+        raise ImageError(f"image of encoding {encoding!r}, expected one of {', '.join((*_TO_RGB, *_SIXTEEN_BITS))}")
     channels, conversion = _TO_RGB[encoding]
     step = step or width * channels
+    pattern = encoding.startswith(("nv", "bayer"))
+    if pattern and (width % 2 or height % 2):
+        raise ImageError(f"image of {width} x {height} px: {encoding} needs an even width and height")
+    if encoding.startswith("nv"):
+        height += height // 2  # rows of colour below those of brightness
     if height < 1 or width < 1 or step < width * channels or data.size < height * step:
         raise ImageError(f"image of {width} x {height} px, {step} bytes a row and {data.size} bytes: does not fit")
     rows = np.ascontiguousarray(data[: height * step].reshape(height, step)[:, : width * channels])
@@ -120,7 +145,14 @@ def rgb_of_message(message: Any) -> Pixels:
     data = np.frombuffer(message.data, np.uint8)
     if hasattr(message, "format"):
         return rgb_of_file(data.tobytes())
-    return rgb_of(data, encoding=message.encoding, height=message.height, width=message.width, step=message.step)
+    return rgb_of(
+        data,
+        encoding=message.encoding,
+        height=message.height,
+        width=message.width,
+        step=message.step,
+        big_endian=bool(message.is_bigendian),
+    )
 
 
 def rgb_of_file(data: bytes) -> Pixels:
