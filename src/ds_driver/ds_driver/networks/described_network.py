@@ -95,8 +95,8 @@ class DescribedNetworkPilot(Pilot):
         with self._bounded():
             return self._runner.compute(*inputs)
 
-    def seen(self, frame: Frame) -> NDArray[np.uint8]:
-        """Return what the network sees of a frame, (rows, columns, channels) uint8, before pixels are scaled."""
+    def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
+        """Return what the network sees of a frame, before pixels are scaled; see `Pilot.seen`."""
         spec = self.description.input
         image = checked(frame.image)
         crop = frame.crop if spec.crop == "simulator" else Crop()
@@ -107,12 +107,12 @@ class DescribedNetworkPilot(Pilot):
             image = np.asarray(cv2.resize(image, spec.size[::-1], interpolation=_RESIZING[spec.resize]), np.uint8)
         if spec.colour != "rgb":
             image = np.asarray(cv2.cvtColor(image, _COLOURS[spec.colour]), np.uint8)
-        return image.reshape(*spec.size, -1)
+        return image.reshape(*spec.size, -1), spec.colour
 
     def pixels(self, frame: Frame) -> NDArray[Any]:
         """Convert the image of a frame to that of the network, scaled, in its layout."""
         spec = self.description.input
-        pixels: NDArray[Any] = self.seen(frame)
+        pixels: NDArray[Any] = self.seen(frame)[0]
         if spec.type == "float32":
             subtract, divide = (np.asarray(number, np.float32) for number in (spec.subtract, spec.divide))
             pixels = (pixels.astype(np.float32) - subtract) / divide

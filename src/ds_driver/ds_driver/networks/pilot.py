@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ds_base.errors import InputError
 from ds_driver.control.bicycle import Geometry
-from ds_driver.networks.images import Crop
+from ds_driver.networks.images import Crop, prepare
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import Observation, SimulatorSpec
 
@@ -119,6 +119,13 @@ class Pilot(ABC):
             DriverError: the network gives no valid answer.
             ds_driver.networks.images.ImageError: the image has another size or type.
         """
+
+    def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
+        """Return what it sees of a frame, for pictures: (rows, columns, channels) uint8, and what the channels are.
+
+        Without an override, the image as the paper's networks see it.
+        """
+        return prepare(frame.image, frame.crop), "yuv"
 
     def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
         """Return first row and end of the rows that it looks at; None if it may look at all.

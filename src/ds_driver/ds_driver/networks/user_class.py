@@ -8,6 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ds_driver.networks.backends import last_line
 from ds_driver.networks.images import checked
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
@@ -61,6 +64,10 @@ class UserClassPilot(Pilot):
             raise DriverError(
                 f"{self._target}.drive returned {answer!r:.60}: expected the steering, or steering and throttle"
             ) from None
+
+    def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
+        """Return the whole image; see `Pilot.seen`."""
+        return frame.image, "rgb"
 
 
 def source_of(target: str) -> Path:

@@ -208,6 +208,10 @@ class TranslatingPilot(Pilot):
             return super().predict_batch(frames)
         return self._pilot.predict_batch(seen)
 
+    def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
+        """Return what the network sees of the translated frame; see `Pilot.seen`."""
+        return self._pilot.seen(self.translation.seen([frame])[0])
+
     def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
         """See `ds_driver.networks.pilot.Pilot`."""
         if simulator == NOT_SIMULATED:

@@ -11,11 +11,8 @@ from numpy.typing import NDArray
 
 from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_base.palette import SERIES
-from ds_driver.networks.described_network import DescribedNetworkPilot
-from ds_driver.networks.images import prepare
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
-from ds_driver.networks.user_class import UserClassPilot
 from ds_sim.simulator import FRAME_TIME
 from ds_studies.network_check.diagnosis import NetworkCheck
 from ds_studies.network_check.recording import Recording
@@ -31,14 +28,7 @@ _ROW = 190
 
 def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
     """Return what a network sees of a frame, its channels drawn as red, green and blue, and what they are."""
-    if pilot.translation is not None:
-        frame = pilot.translation.seen([frame])[0]
-    if isinstance(pilot, DescribedNetworkPilot):
-        seen, colour = pilot.seen(frame), pilot.description.input.colour
-    elif isinstance(pilot, UserClassPilot):
-        seen, colour = frame.image, "rgb"
-    else:
-        seen, colour = prepare(frame.image, frame.crop), "yuv"
+    seen, colour = pilot.seen(frame)
     rows, columns, channels = seen.shape
     return np.repeat(seen, 3, axis=2) if channels == 1 else seen, f"{rows} x {columns}, {colour}"
 
