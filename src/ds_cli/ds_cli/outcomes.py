@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_cli.options import JsonFlag
-from ds_cli.output import Result, answer
+from ds_cli.output import Result, answer, say
 
 app = typer.Typer()
 outcomes_app = typer.Typer(no_args_is_help=True)
@@ -39,8 +39,12 @@ def outcomes_import_command(
     from ds_analysis.outcomes.columns import Columns, read_columns
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_base.folder_files import make_folder
+    from ds_base.left_out import LeftOut
 
-    study = import_outcomes(tables, Columns() if columns is None else read_columns(columns))
+    left_out = LeftOut("columns")
+    study = import_outcomes(tables, Columns() if columns is None else read_columns(columns), left_out)
+    if left_out.items:
+        say(left_out.line())
     study.table()
     make_folder(out)
     path = write_study(out, study)
@@ -48,6 +52,7 @@ def outcomes_import_command(
     document = {
         "study": str(path),
         "features": list(study.features),
+        "left_out": [name for name, _ in left_out.items],
         "twin": study.twin,
         "car": study.car,
         "simulators": {

@@ -78,6 +78,10 @@ class Outcome(IntEnum):
     SIM_ERROR = 6
     CANCELLED = 7
 
+    def __str__(self) -> str:
+        """The name, where an outcome is printed."""
+        return self.name
+
     @property
     def words(self) -> str:
         """For a reader: `out of bounds`."""

@@ -29,6 +29,7 @@ from ds_analysis.outcomes.columns import (
 )
 from ds_analysis.outcomes.sbft import read_competition
 from ds_base.atomic_files import whole_file
+from ds_base.left_out import LeftOut
 from ds_orchestrator.search.features import column_axis
 
 FILE = "outcomes.parquet"
@@ -134,10 +135,11 @@ class Study:
         )
 
 
-def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
+def import_outcomes(tables: Sequence[Path], columns: Columns, left_out: LeftOut | None = None) -> Study:
     """Read tables, CSV or Parquet: the first has the outcomes, each other one further columns for every test.
 
-    Folders are read as SBFT's test files, one for each simulator.
+    Folders are read as SBFT's test files, one for each simulator. A column that differs between the drives of a test is
+    no feature: `left_out` takes it where nobody named it as one.
 
     Raises:
         OutcomeTableError: one line says what is wrong, in which row.
@@ -164,12 +166,22 @@ def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
     rows = pd.concat(parts, ignore_index=True)
     if columns.features is None:
         numeric = [name for name in frame.columns if pd.api.types.is_numeric_dtype(frame[name])]
-        names = [name for name in numeric if name not in used | outcomes and frame[name].nunique() > 1]
+        candidates = [name for name in numeric if name not in used | outcomes and frame[name].nunique() > 1]
+        names = []
+        left_out = left_out or LeftOut("columns")
+        for name in candidates:
+            left_out.total += 1
+            if varies := _varies(frame, tests, name, source):
+                left_out.add(name, OutcomeTableError(f"{source}: {name} {varies}"))
+            else:
+                names.append(name)
     else:
         names = columns.features
     if not names:
         raise OutcomeTableError(f"{source} has no feature: name columns with numbers that are known before a drive")
     for name in names:
+        if varies := _varies(frame, tests, name, source):
+            raise OutcomeTableError(f"{source}: {name} {varies}: it is no feature, leave it out of features")
         values = dict(zip(texts_of(frame, tests, source), numbers_of(frame, name, source), strict=True))
         rows[name] = rows["test_id"].map(values)
     twice = rows.duplicated(["test_id", "repeat", "simulator"])
@@ -201,6 +213,15 @@ def import_outcomes(tables: Sequence[Path], columns: Columns) -> Study:
     if not study.simulators or columns.car == columns.twin is not None:
         raise OutcomeTableError(f"{source}: the car is {columns.car!r}: expected a simulator beside it, and no twin")
     return study
+
+
+def _varies(frame: pd.DataFrame, tests: list[str], name: str, source: str) -> str:
+    """Why a column is known only after a drive; empty if it may be a feature."""
+    numbers = pd.Series(pd.to_numeric(column_of(frame, name, source), errors="coerce"))
+    of_test = numbers.groupby(texts_of(frame, tests, source))
+    spread = of_test.max() - of_test.min()
+    differing = spread[spread > 1e-9 * of_test.max().abs()]
+    return f"differs between drives of {len(differing)} tests, as {differing.index[0]}" if len(differing) else ""
 
 
 def _read(path: Path) -> pd.DataFrame:

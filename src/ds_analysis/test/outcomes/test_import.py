@@ -19,6 +19,7 @@ from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.real.proposal import propose
 from ds_analysis.real.records import read_drives
+from ds_base.left_out import LeftOut
 from ds_report.study_page import write_study_page
 
 RNG = np.random.default_rng(9)
@@ -198,3 +199,18 @@ def test_received_files_that_are_no_tables_get_one_line(tmp_path: Path, content:
 
 def _read(path: Path) -> Study:
     return import_outcomes([path], Columns())
+
+
+def test_a_number_that_differs_between_drives_of_a_test_is_no_feature(tmp_path: Path) -> None:
+    rows = [f"t{n},{sim},{run},{int(n > 20)},{0.01 * n},{5 + n % 7},{30 + run + 0.1 * n}" for n in range(30)
+            for sim in "ab" for run in (1, 2)]  # fmt: skip
+    path = tmp_path / "t.csv"
+    path.write_text("test_id,simulator,run,failed,curve,speed,duration_s\n" + "\n".join(rows))
+    left_out = LeftOut("columns")
+    study = import_outcomes([path], Columns(repeat="run"), left_out)
+    assert study.features == ("curve", "speed")
+    assert left_out.line().startswith(
+        "1 of 3 columns left out: duration_s (t.csv: duration_s differs between drives of 30"
+    )
+    with pytest.raises(OutcomeTableError, match="differs between drives of 30 tests, as t0: it is no feature"):
+        import_outcomes([path], Columns(repeat="run", features=["curve", "duration_s"]))
