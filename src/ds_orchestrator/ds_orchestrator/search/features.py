@@ -277,7 +277,7 @@ def feature_of(name: str) -> Feature:
         'minimum radius, feet'
     """
     base, plain = base_of(name), name.partition(":")[0]
-    known = {*FEATURES, *installed("features")}
+    known = [*FEATURES, *installed("features")]
     if base not in known and plain in known:
         raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {plain}:20")
     width = int(name[len(base) + 1 :] or 1)
