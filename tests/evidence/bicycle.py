@@ -118,6 +118,7 @@ class SingleTrack:
             ]
 
         end = float(times[-1])
-        found = solve_ivp(slopes, (0.0, end), np.zeros(6), method="LSODA", t_eval=times, rtol=1e-8, atol=1e-10,
-                          max_step=0.01)  # fmt: skip
+        found = solve_ivp(
+            slopes, (0.0, end), np.zeros(6), method="LSODA", t_eval=times, rtol=1e-8, atol=1e-10, max_step=0.01
+        )
         return np.asarray(found.y[1])

@@ -19,9 +19,9 @@ def compare(record_property: Callable[[str, object], None]) -> Compare:
         vehicle: str,
         quantity: str,
         oracle: str,
-        *,
         measured: float,
         expected: float,
+        *,
         rel: float = 0.0,
         off: float = 0.0,
     ) -> None:

@@ -220,8 +220,9 @@ def panda() -> Subject:
 
     def axle(distance: float, carried: float, compliance: float) -> Axle:
         # Slip angles of the model follow at once.
-        return Axle(distance=distance, stiffness=abs(tyre.p_ky1) * carried * GRAVITY, relaxation=0.01,
-                    compliance=compliance)  # fmt: skip
+        return Axle(
+            distance=distance, stiffness=abs(tyre.p_ky1) * carried * GRAVITY, relaxation=0.01, compliance=compliance
+        )
 
     def model(front_compliance: float, rear_compliance: float) -> SingleTrack:
         return SingleTrack(

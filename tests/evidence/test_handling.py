@@ -49,11 +49,11 @@ def test_the_response_to_a_steering_step_is_that_of_the_single_track_model(case:
     # they soften with growing slip and those of the oracle do not.
     band = 0.04 if subject.model.slips else 0.005
     worst = int(np.abs(measured - oracle).argmax())
-    compare(name, at + "yaw rate where it is furthest off, rad/s", by,
-            measured=measured[worst], expected=oracle[worst], off=band * oracle[-1])  # fmt: skip
-    compare(name, at + "rise to 90 %, s", by, measured=rise_time(measured), expected=rise_time(oracle), off=0.01)
-    compare(name, at + "peak over end", by, measured=measured.max() / measured[-1],
-            expected=oracle.max() / oracle[-1], off=0.02)  # fmt: skip
+    compare(
+        name, at + "yaw rate where it is furthest off, rad/s", by, measured[worst], oracle[worst], off=band * oracle[-1]
+    )
+    compare(name, at + "rise to 90 %, s", by, rise_time(measured), rise_time(oracle), off=0.01)
+    compare(name, at + "peak over end", by, measured.max() / measured[-1], oracle.max() / oracle[-1], off=0.02)
 
 
 def rise_time(rates: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
@@ -77,8 +77,8 @@ def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(
     angle = math.tan(steering * subject.lock)
     radius = (model.wheelbase + model.understeer_gradient * (last.speed / subject.scale) ** 2) / angle
     assert last.yaw_rate < 0.0
-    compare(subject.name, f"radius at {3.6 * speed:.0f} km/h, road m", "(L + K v^2) / angle",
-            measured=-last.speed / last.yaw_rate, expected=radius * subject.scale, rel=0.02)  # fmt: skip
+    what, driven = f"radius at {3.6 * speed:.0f} km/h, road m", -last.speed / last.yaw_rate
+    compare(subject.name, what, "(L + K v^2) / angle", driven, radius * subject.scale, rel=0.02)
 
 
 def test_the_understeer_gradient_follows_from_the_axles(subject: Subject, compare: Compare) -> None:
@@ -94,9 +94,9 @@ def test_the_understeer_gradient_follows_from_the_axles(subject: Subject, compar
     car.close()
     (slow, slow_lateral), (fast, fast_lateral) = points
     per_g = math.degrees((slow - fast) / (fast_lateral - slow_lateral)) * GRAVITY
-    compare(subject.name, "understeer, degrees per g", "both axles' slip and bushes, by hand", measured=per_g,
-            expected=math.degrees(subject.model.understeer_gradient) * GRAVITY,
-            **({"rel": 0.05} if subject.model.slips and not subject.absolute else {"off": 0.05}))  # fmt: skip
+    by_hand = math.degrees(subject.model.understeer_gradient) * GRAVITY
+    within = {"rel": 0.05} if subject.model.slips and not subject.absolute else {"off": 0.05}
+    compare(subject.name, "understeer, degrees per g", "both axles' slip and bushes, by hand", per_g, by_hand, **within)
 
 
 def test_coasting_to_a_stop_takes_the_distance_that_follows_from_the_forces(subject: Subject, compare: Compare) -> None:
@@ -120,8 +120,8 @@ def test_coasting_to_a_stop_takes_the_distance_that_follows_from_the_forces(subj
     # Until the motor has followed the pedal it continues to drive: adds the speed times the delay.
     distance += speed * subject.coasting_delay
     assert abs(states[-1].speed) < 1e-3
-    compare(subject.name, "stopping distance from 25 km/h, road m", "m dv/dt = -c - k v, by hand",
-            measured=states[-1].x - first.x, expected=distance * subject.scale, rel=0.02)  # fmt: skip
+    what, by = "stopping distance from 25 km/h, road m", "m dv/dt = -c - k v, by hand"
+    compare(subject.name, what, by, states[-1].x - first.x, distance * subject.scale, rel=0.02)
 
 
 def test_the_nose_dips_in_proportion_to_the_deceleration(subject: Subject, compare: Compare) -> None:
@@ -137,8 +137,8 @@ def test_the_nose_dips_in_proportion_to_the_deceleration(subject: Subject, compa
     steady = slice(12, 24)
     assert slowing[steady].min() * subject.scale > 1.0
     expected = subject.pitch_per_deceleration * slowing[steady].mean()
-    compare(subject.name, "pitch while slowing, degrees", "moment over springs, by hand",
-            measured=math.degrees(pitch[steady].mean()), expected=math.degrees(expected), rel=0.05)  # fmt: skip
+    what, by = "pitch while slowing, degrees", "moment over springs, by hand"
+    compare(subject.name, what, by, math.degrees(pitch[steady].mean()), math.degrees(expected), rel=0.05)
 
 
 def test_driving_does_not_depend_on_the_heading(subject: Subject) -> None:

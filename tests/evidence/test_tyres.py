@@ -32,6 +32,8 @@ RAMP = 300
 """Steps over which the steering is turned to its end; slow enough that the car does not overshoot."""
 SLIPS = [(along, across) for along in (-0.3, -0.05, 0.0, 0.02, 0.1, 1.0) for across in (-0.4, -0.06, 0.0, 0.02, 0.15)]
 
+LARGEST, SLIDES = "largest lateral acceleration, g", "front axle slides, by hand"
+
 
 def brush(along: float, across: float, load: float, rated: float) -> tuple[float, float]:
     """Brush model (Pacejka ch. 3): force mu N (1 - (1 - s)^3) along the slip, s = elastic force / (3 mu N), up to 1."""
@@ -48,9 +50,14 @@ def softbody_tyre(along: float, across: float, load: float, rated: float) -> tup
     """Forces (N) on the soft car's wheel after 2 s at constant slip, relative to the speed of the tread."""
     tread, dt = 10.0, 0.001
     wheel = Wheel(
-        node=0, fore=1, aft=2, static_load=rated, cornering_stiffness=S.front_cornering_stiffness, toe_per_shift=0.0,
+        node=0,
+        fore=1,
+        aft=2,
+        static_load=rated,
+        cornering_stiffness=S.front_cornering_stiffness,
+        toe_per_shift=0.0,
         spin_inertia=1.0,
-    )  # fmt: skip
+    )
     # Positions and velocities of the wheel and its two bushes: sliding to the right causes a force to the left.
     nodes = np.array([[0.0, 0.0, tread * (1.0 - along), -tread * across], [0.2, 0.0, 0.0, 0.0], [-0.2, 0.0, 0.0, 0.0]])
     carry(wheel, S, load)
@@ -76,8 +83,8 @@ def test_the_soft_cars_tyre_is_a_brush_model_within_its_friction_circle(load: fl
     alone, driven = (softbody_tyre(along, 0.06, load, 3700.0)[1] for along in (0.0, 0.1))
     by_hand = brush(0.1, 0.06, load, 3700.0)[1] / brush(0.0, 0.06, load, 3700.0)[1]
     assert by_hand < 0.6
-    compare("softbody", f"remaining side force at 10 % drive slip, {load:.0f} N", "brush, Pacejka ch. 3",
-            measured=driven / alone, expected=by_hand, rel=0.01)  # fmt: skip
+    what = f"remaining side force at 10 % drive slip, {load:.0f} N"
+    compare("softbody", what, "brush, Pacejka ch. 3", driven / alone, by_hand, rel=0.01)
 
 
 @pytest.mark.parametrize("load", [1.0, 3.43, 6.0])
@@ -102,9 +109,9 @@ def test_the_twins_tyre_stays_within_its_friction_circle(load: float, compare: C
             magic = math.sin(D.shape * math.atan(D.front_stiffness * load / (D.shape * grip) * slip))
             remaining = math.sqrt(1.0 - min(abs(share), 1.0) ** 2)
             assert across == pytest.approx(-magic * remaining * grip, rel=1e-3, abs=1e-6)
-    compare("donkey", f"remaining side force with 0.9 of the grip as drive force, {load:g} N", "friction circle",
-            measured=tyre(0.9 * grip + rolling, 0.1)[1] / tyre(rolling, 0.1)[1],
-            expected=math.sqrt(1.0 - 0.9**2), rel=0.01)  # fmt: skip
+    what = f"remaining side force with 0.9 of the grip as drive force, {load:g} N"
+    remaining = tyre(0.9 * grip + rolling, 0.1)[1] / tyre(rolling, 0.1)[1]
+    compare("donkey", what, "friction circle", remaining, math.sqrt(1.0 - 0.9**2), rel=0.01)
 
 
 def sliding(vehicle: Vehicle, speed: float, largest: float) -> tuple[float, float]:
@@ -158,21 +165,23 @@ def grip_limit(
 def test_the_soft_car_slides_at_the_limit_of_friction(compare: Compare) -> None:
     parallel = replace(S, ackermann=0.0)
     lateral, angle = sliding(SoftbodyVehicle(parallel), 15.0, 0.6)
-    limit = grip_limit(S.friction, angle, angle, sensitivity=S.load_sensitivity, share=2.0 * S.roll_front_share,
-                       lever=S.centre_of_mass_height / S.track, length=S.wheelbase / S.track)  # fmt: skip
-    compare("softbody", "largest lateral acceleration, g", "front axle slides, by hand",
-            measured=lateral / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
+    lever, length, share = S.centre_of_mass_height / S.track, S.wheelbase / S.track, 2.0 * S.roll_front_share
+    limit = grip_limit(
+        S.friction, angle, angle, sensitivity=S.load_sensitivity, share=share, lever=lever, length=length
+    )
+    compare("softbody", LARGEST, SLIDES, lateral / GRAVITY, limit, rel=0.05)
 
 
 def test_the_twin_slides_at_the_limit_of_friction(compare: Compare) -> None:
     """The nominal car is too slow to slide; with stiff tyres and a strong motor it does at small angles."""
-    car = D.changed(full_duty=0.9, stall_force=100.0, drive_front_share=0.0, front_stiffness=15.0,
-                    rear_stiffness=17.0, ackermann=0.0)  # fmt: skip
+    stiff = {"front_stiffness": 15.0, "rear_stiffness": 17.0}
+    car = D.changed(full_duty=0.9, stall_force=100.0, drive_front_share=0.0, ackermann=0.0, **stiff)
     lateral, angle = sliding(DonkeyVehicle(car), 3.5 * SCALE, 1.0)
-    limit = grip_limit(D.friction, angle, angle, sensitivity=D.load_sensitivity, share=2.0 * D.roll_front_share,
-                       lever=D.centre_of_mass_height / D.track, length=D.wheelbase / D.track)  # fmt: skip
-    compare("donkey", "largest lateral acceleration, g (made faster)", "front axle slides, by hand",
-            measured=lateral / SCALE / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
+    lever, length, share = D.centre_of_mass_height / D.track, D.wheelbase / D.track, 2.0 * D.roll_front_share
+    limit = grip_limit(
+        D.friction, angle, angle, sensitivity=D.load_sensitivity, share=share, lever=lever, length=length
+    )
+    compare("donkey", f"{LARGEST} (made faster)", SLIDES, lateral / SCALE / GRAVITY, limit, rel=0.05)
 
 
 def test_the_rigid_car_slides_near_the_coulomb_limit(compare: Compare) -> None:
@@ -182,10 +191,9 @@ def test_the_rigid_car_slides_near_the_coulomb_limit(compare: Compare) -> None:
     bars = {True: B.front_anti_roll, False: B.rear_anti_roll}
     front, rear = (B.spring_stiffness(front=at) + 2.0 * bars[at] for at in (True, False))
     height = (B.sprung_mass * B.centre_of_mass_height + 4.0 * B.unsprung_mass * B.wheel_radius) / B.mass
-    limit = grip_limit(B.friction, outer, inner, sensitivity=0.0, share=front / (front + rear) / B.front_share,
-                       lever=height / B.track, length=B.wheelbase / B.track)  # fmt: skip
-    compare("bullet", "largest lateral acceleration, g", "front axle slides, by hand", measured=lateral / GRAVITY,
-            expected=limit, rel=0.08)  # fmt: skip
+    share, length = front / (front + rear) / B.front_share, B.wheelbase / B.track
+    limit = grip_limit(B.friction, outer, inner, sensitivity=0.0, share=share, lever=height / B.track, length=length)
+    compare("bullet", LARGEST, SLIDES, lateral / GRAVITY, limit, rel=0.08)
     assert lateral < B.friction * GRAVITY
 
 
@@ -197,7 +205,7 @@ def test_the_multi_body_car_slides_at_the_limit_of_friction(compare: Compare) ->
     on_front = (p.m_s * p.b / car.wheelbase + p.m_uf) / p.m
     # The front tyres carry less of the weight than the share of the force that the model's yaw balance asks of them.
     friction = p.tire.p_dy1 * on_front * car.wheelbase / p.b
-    limit = grip_limit(friction, angle, angle, sensitivity=0.0, share=1.0, lever=p.h_cg / p.T_f,
-                       length=car.wheelbase / p.T_f)  # fmt: skip
-    compare("panda", "largest lateral acceleration, g (without limiter)", "front axle slides, by hand",
-            measured=lateral / GRAVITY, expected=limit, rel=0.05)  # fmt: skip
+    limit = grip_limit(
+        friction, angle, angle, sensitivity=0.0, share=1.0, lever=p.h_cg / p.T_f, length=car.wheelbase / p.T_f
+    )
+    compare("panda", f"{LARGEST} (without limiter)", SLIDES, lateral / GRAVITY, limit, rel=0.05)

@@ -81,23 +81,8 @@ def test_the_interval_has_width_where_no_test_changes_and_shrinks_with_more_test
 def test_p_values_are_adjusted_as_their_authors_do() -> None:
     """Holm 1979: (n - rank) p, never falling; Benjamini and Hochberg 1995, table 1: four of fifteen stay below 5 %."""
     assert adjusted([0.01, 0.04, 0.03], "holm") == pytest.approx([0.03, 0.06, 0.06])
-    thrombolysis = [
-        0.0001,
-        0.0004,
-        0.0019,
-        0.0095,
-        0.0201,
-        0.0278,
-        0.0298,
-        0.0344,
-        0.0459,
-        0.3240,
-        0.4262,
-        0.5719,
-        0.6528,
-        0.7590,
-        1.0,
-    ]
+    values = "0.0001 0.0004 0.0019 0.0095 0.0201 0.0278 0.0298 0.0344 0.0459 0.3240 0.4262 0.5719 0.6528 0.7590 1.0"
+    thrombolysis = [float(value) for value in values.split()]
     assert sum(p < 0.05 for p in adjusted(thrombolysis, "fdr_bh")) == 4
     assert adjusted([], "holm") == []
 

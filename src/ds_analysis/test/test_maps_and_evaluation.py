@@ -88,10 +88,11 @@ def test_maps_of_the_hand_worked_campaign() -> None:
 
 def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
     lost = [
-        make_execution(e.test_id, e.simulator, 0.5, Outcome.DRIVER_SILENT) if e.simulator == "b" and e.test_id[1] == "3"
+        make_execution(e.test_id, e.simulator, 0.5, Outcome.DRIVER_SILENT)
+        if e.simulator == "b" and e.test_id[1] == "3"
         else e
         for e in EXECUTIONS
-    ]  # fmt: skip
+    ]
     maps = build_maps(SIBLINGS, None, TESTS, lost)
     assert CELLS[Y] not in maps[MapId.union("b")].cells and CELLS[Y] not in maps[MapId.merged()].cells
     assert CELLS[Y] in maps[MapId.union("a")].cells
@@ -152,10 +153,12 @@ cells = st.dictionaries(
         lambda tests, share, quality: MapCell(
             tests=tests, failures=round(share * tests), probability=round(share * tests) / tests, quality_loss=quality
         ),
-        st.integers(1, 9), st.floats(0, 1), st.floats(0, 1),
+        st.integers(1, 9),
+        st.floats(0, 1),
+        st.floats(0, 1),
     ),
     max_size=8,
-)  # fmt: skip
+)
 feature_maps = cells.map(lambda c: FeatureMap(id=M, cells={(*cell,): value for cell, value in c.items()}))
 
 

@@ -77,10 +77,11 @@ def test_a_wide_table_with_rules_and_features_in_a_second_file(tmp_path: Path) -
     columns = {
         "test": ["a", "b"],
         "simulators": {
-            "lo": {"failed": {"column": "lo", "is_not": "ok"}}, "hi": {"failed": [{"column": "hi", "above": 0}]},
+            "lo": {"failed": {"column": "lo", "is_not": "ok"}},
+            "hi": {"failed": [{"column": "hi", "above": 0}]},
         },
         "features": ["length", "a"],
-    }  # fmt: skip
+    }
     study = imported(tmp_path, wide, columns, tmp_path / "f.csv")
     found = {(row.test_id, row.simulator): row.failed for row in study.rows.itertuples()}
     assert found == {
