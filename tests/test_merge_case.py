@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from benchmarks.replication.case_errors import DESIGNS, Design, rates_of
+from benchmarks.replication.stored import restore
 from tests.command_line import ds
 
 from ds_analysis.paper.campaign_contents import maps_of
@@ -37,7 +38,7 @@ def test_a_case_is_rarely_wrong(design: Design) -> None:
 def test_evaluation_and_report_say_which_operator_suits(tmp_path: Path) -> None:
     folder, table = tmp_path / "three", pq.read_table(TABLE)
     pq.write_table(table.filter(pc.less(table["number"], NUMBERS)), tmp_path / "small.parquet")
-    assert ds("campaign", "import", tmp_path / "small.parquet", "--out", folder).returncode == 0
+    restore(tmp_path / "small.parquet", folder)
     found = json.loads(ds("evaluate", folder, "--json").stdout)["merge_case"]
     failed: dict[str, dict[str, bool]] = {simulator: {} for simulator in ("bullet", "softbody", "donkey")}
     for row in table.filter(pc.less(table["number"], NUMBERS)).to_pylist():
@@ -59,7 +60,7 @@ def test_without_a_twin_the_drives_of_the_car_decide(tmp_path: Path) -> None:
     kept = table.filter(pc.and_(pc.less(table["number"], NUMBERS), pc.not_equal(table["simulator"], "donkey")))
     kept = kept.replace_schema_metadata(notes | {b"config": json.dumps(config).encode()})
     pq.write_table(kept, tmp_path / "small.parquet")
-    assert ds("campaign", "import", tmp_path / "small.parquet", "--out", folder).returncode == 0
+    restore(tmp_path / "small.parquet", folder)
     assert "has no twin" in ds("evaluate", folder).stderr
     on_car = [
         RealDrive(
