@@ -15,7 +15,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.common.statistics import Array
+from ds_analysis.common.statistics import Array, r_or_nan
 from ds_sim.simulator import Outcome
 
 APART = 0.5
@@ -109,7 +109,7 @@ def _pair(outcomes: OutcomeTable, first: str, second: str) -> PairComparison:
     )
     apart = np.abs(ones - others)
     known = len(apart) > 0
-    varied = known and ones.std() > 0 and others.std() > 0
+    correlation = r_or_nan(ones, others) if known else math.nan
     return PairComparison(
         first=first,
         second=second,
@@ -125,7 +125,7 @@ def _pair(outcomes: OutcomeTable, first: str, second: str) -> PairComparison:
         apart_95=float(np.percentile(apart, 95)) if known else None,
         most_apart=float(apart.max()) if known else None,
         share_apart=float((apart > APART).mean()) if known else None,
-        correlation=float(np.corrcoef(ones, others)[0, 1]) if varied else None,
+        correlation=None if math.isnan(correlation) else correlation,
     )
 
 

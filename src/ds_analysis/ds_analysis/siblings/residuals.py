@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from scipy.stats import rankdata
 
 from ds_analysis.common.cross_validation import FOLDS, REPEATS, SEED, best_feature, folds_of
 from ds_analysis.common.driven_road import GRID
@@ -144,14 +145,8 @@ def _isotonic(x: Array, y: Array, at: Array) -> Array:
     """Fit a monotone function, rising or falling as Spearman's rank correlation has it, and predict others by it."""
     from sklearn.isotonic import IsotonicRegression
 
-    rising = bool(np.corrcoef(_ranks(x), _ranks(y))[0, 1] >= 0.0) if np.ptp(x) and np.ptp(y) else True
+    rising = not r_or_nan(np.asarray(rankdata(x)), np.asarray(rankdata(y))) < 0.0
     return np.asarray(IsotonicRegression(increasing=rising, out_of_bounds="clip").fit(x, y).predict(at))
-
-
-def _ranks(values: Array) -> Array:
-    from scipy.stats import rankdata
-
-    return np.asarray(rankdata(values), np.float64)
 
 
 def _correlation(one: Array, other: Array, families: Indices) -> tuple[float | None, Interval | None]:
