@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ds_base.words import duration
 from ds_cli.options import (
     AttachFlag,
     Backend,
@@ -28,7 +29,7 @@ from ds_cli.options import (
     complete_value,
     driver_named,
 )
-from ds_cli.output import Interrupted, Result, duration, end, say, warning
+from ds_cli.output import Interrupted, Result, end, say, warning
 from ds_sim.conditions.model import Conditions, ConditionsError
 from ds_sim.scenario import OfScenario, Scenario
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ds_base.progress import LOGGER
+from ds_base.words import duration
 
 if TYPE_CHECKING:
     from ds_base.table import Table
@@ -73,13 +74,6 @@ def say(line: str) -> None:
 def warning(driver: str, habit: Habit) -> str:
     """One line about a driver's commands, with the command that tells more."""
     return f"warning: {driver}: {habit.text} See ds check {driver}"
-
-
-def duration(seconds: float) -> str:
-    """A duration in the unit that suits it."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 KEPT = 0.05

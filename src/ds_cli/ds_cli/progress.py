@@ -10,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ds_cli.output import duration, say
+from ds_base.words import duration
+from ds_cli.output import say
 from ds_orchestrator.campaign.eta import TimedListener
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.store.model import Execution, Test

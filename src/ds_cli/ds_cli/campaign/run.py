@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ds_base.words import duration
 from ds_cli.campaign.compare_results import (
     FailOnFailure,
     Junit,
@@ -41,7 +42,7 @@ from ds_cli.options import (
     usual_workers,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, duration, end, of_networks, say, warning
+from ds_cli.output import Interrupted, Result, end, of_networks, say, warning
 from ds_sim import registry
 
 if TYPE_CHECKING:
