@@ -233,7 +233,12 @@ def test_time_left_counts_what_this_call_did(capsys: pytest.CaptureFixture[str])
         progress.advance(line="x")
     said = capsys.readouterr().err.splitlines()
     assert said[:4] == [f"{done}/8 x" for done in range(1, 5)]
-    assert said[4:] == ["5/8 x; about 90 s left", "6/8 x; about 60 s left", "7/8 x; about 30 s left", "8/8 x"]
+    assert said[4:] == [
+        "5/8 x; about 1 min 30 s left",
+        "6/8 x; about 1 min 00 s left",
+        "7/8 x; about 30 s left",
+        "8/8 x",
+    ]
 
 
 def test_road_check_answers_for_every_road_whatever_it_is(tmp_path: Path) -> None:
