@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
 
 
 def listed(parts: Sequence[str]) -> str:
@@ -24,3 +25,9 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def did_you_mean(typed: str, known: Iterable[str]) -> str:
+    """End of a message about a name that is none: `, did you mean 'dave2'?`, or nothing if no known one is near."""
+    near = get_close_matches(typed.lower(), list(known), 1)
+    return f", did you mean {near[0]!r}?" if near else ""

@@ -9,7 +9,6 @@ import sqlite3
 import sys
 import traceback
 from collections.abc import Sequence
-from difflib import get_close_matches
 from importlib import import_module
 from tempfile import NamedTemporaryFile
 from typing import Any
@@ -20,6 +19,7 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from ds_base.errors import DsError, RunError
+from ds_base.words import did_you_mean
 from ds_cli.output import Interrupted, show_lines
 from ds_cli.verbs import COMPLETION_VARIABLE, PACKAGE, VERBS, overview
 from ds_orchestrator.graph import signals
@@ -51,8 +51,7 @@ class LazyGroup(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the verb that was typed, or name the nearest one."""
         if args[0] not in VERBS:
-            near = get_close_matches(args[0], VERBS, 1)
-            ctx.fail(f"unknown verb {args[0]!r}" + (f", did you mean {near[0]!r}?" if near else ""))
+            ctx.fail(f"unknown verb {args[0]!r}{did_you_mean(args[0], VERBS)}")
         return super().resolve_command(ctx, args)
 
     def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:

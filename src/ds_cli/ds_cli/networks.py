@@ -69,6 +69,8 @@ def collect_command(
         drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
         raise Interrupted(f"{drives} in {out} are kept; the same command continues" if files else "") from None
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
+    counts = json.loads((out / "manifest.json").read_text())["images"]
+    print(f"{sum(counts.values())} images of {', '.join(simulators)} are in {out}")
 
 
 @app.command("import")

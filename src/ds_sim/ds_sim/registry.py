@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from ds_base.errors import InputError
 from ds_base.extension import installed, plugin_of
 from ds_base.palette import SERIES
+from ds_base.words import did_you_mean
 
 if TYPE_CHECKING:
     from ds_sim.simulator import Simulator, SimulatorSpec  # NumPy would delay every help text
@@ -233,7 +234,8 @@ def simulator_class(base: str) -> type[Simulator]:
 
 def unknown_simulator(name: str) -> str:
     """Say in one line that there is no such simulator, which there are, and how one of this checkout is installed."""
-    names = f"unknown simulator {name!r}: expected one of {', '.join(simulators())}, or module:Class"
+    near = did_you_mean(name, simulators())
+    names = f"unknown simulator {name!r}{near}: expected one of {', '.join(simulators())}, or module:Class"
     folder = plugin_of(name, "simulators")
     return f"{names}; {folder} of this checkout has it: type make {name}" if folder else names
 

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ds_base.errors import DsError
 from ds_base.folder_files import make_folder
 from ds_base.progress import logger_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
@@ -18,8 +20,8 @@ from ds_sim.video import write_video
 
 LOG = logger_of(__name__)
 
-MOST_VIDEOS = 10
-"""Videos that are written; chosen: half a minute of computing, 30 MB."""
+MOST_VIDEOS, LONGEST = 10, 120.0
+"""Videos that are written, and seconds after which no further one is begun; chosen: a verdict waits for them."""
 
 
 @dataclass(frozen=True)
@@ -42,32 +44,43 @@ def write_failure_videos(driver: str, failed: Sequence[FailedDrive], folder: Pat
 
     Args:
         driver: name of the driver.
-        failed: the drives; the first `MOST_VIDEOS` are shown.
+        failed: the drives; at most the first `MOST_VIDEOS` are shown, those that can be drawn.
         folder: receives `TEST_SIMULATOR.mp4`, created if missing.
 
     Returns:
         Paths of the videos.
     """
     make_folder(folder)
-    videos = []
+    videos: list[Path] = []
+    began = time.monotonic()
     for one in failed[:MOST_VIDEOS]:
-        simulator = make_simulator(one.simulator)
-        try:
-            run = drive_road(simulator, make_driver(driver, simulator.spec), one.road, one.seed, one.conditions)
-        finally:
-            simulator.close()
+        if time.monotonic() - began > LONGEST:
+            break
         video = folder / f"{one.test}_{label_of(one.simulator)}.mp4"
         LOG.info("rendering %s", video)
-        write_video(
-            video,
-            f"{one.simulator}, {Path(driver).name}",
-            one.road,
-            resimulate(one.simulator, run),
-            run.commands,
-            run.conditions,
-            translation_of(driver, one.simulator),
-        )
-        videos.append(video)
-    if len(failed) > MOST_VIDEOS:
-        LOG.info("%d further failed drives have no video", len(failed) - MOST_VIDEOS)
+        try:
+            _write_video(driver, one, video)
+        except (DsError, OSError) as error:
+            LOG.warning("%s cannot be drawn: %s", video, error)
+        else:
+            videos.append(video)
+    if len(videos) < len(failed):
+        LOG.info("%d further failed drives have no video", len(failed) - len(videos))
     return videos
+
+
+def _write_video(driver: str, drive: FailedDrive, video: Path) -> None:
+    simulator = make_simulator(drive.simulator)
+    try:
+        run = drive_road(simulator, make_driver(driver, simulator.spec), drive.road, drive.seed, drive.conditions)
+    finally:
+        simulator.close()
+    write_video(
+        video,
+        f"{drive.simulator}, {Path(driver).name}",
+        drive.road,
+        resimulate(drive.simulator, run),
+        run.commands,
+        run.conditions,
+        translation_of(driver, drive.simulator),
+    )

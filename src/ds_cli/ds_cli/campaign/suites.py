@@ -166,8 +166,9 @@ def suite_run_command(
     if update is not None and not found.left_out:
         write_suite(with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {driver}")
+    result = write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown)
     if videos is not None:
         lost = [one for one in found.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
         write_failure_videos(driver, failed, videos)
-    end(write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown), as_json)
+    end(result, as_json)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from ds_base.extension import installed
 from ds_base.installation import ds_command
-from ds_driver.control.autopilot import throttle
+from ds_base.words import did_you_mean
+from ds_driver.control.autopilot import AUTOPILOT, throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.calibration import calibration_frames
@@ -251,9 +252,10 @@ def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pil
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")
         return UserClassPilot(name.python_class)
     if not name.has_weights:
-        names = ", ".join({**NETWORKS, **shipped_networks(), **installed("drivers")})
+        names = [AUTOPILOT, *dict.fromkeys([*NETWORKS, *shipped_networks(), *installed("drivers")])]
         raise UnknownNetworkError(
-            f"unknown driver {network!r}: expected one of {names}, a .safetensors or .yaml file, or module:Class"
+            f"unknown driver {network!r}{did_you_mean(network, names)}: expected one of {', '.join(names)}, "
+            "a .safetensors or .yaml file, or module:Class"
         )
     return BuiltInPilot(network, name.backend, name.device, translation)
 
