@@ -113,6 +113,13 @@ def loaded(road: Road, spec: Any) -> PandaScene:
     return scene
 
 
+def standing(lane: NDArray[np.float64], index: int, roll: float = 0.0) -> VehicleState:
+    """A vehicle that stands on a point of a lane, along it."""
+    (x, y), ahead = lane[index].tolist(), lane[index + 1] - lane[index]
+    yaw = math.atan2(ahead[1], ahead[0])
+    return VehicleState(x=x, y=y, yaw=yaw, roll=roll, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+
+
 def views() -> NDArray[np.uint8]:
     """Twelve images: a straight road, and bends of three random ones; the last of each row has a roll of 0.08 rad."""
     spec, rows = spec_of("panda").camera, []
@@ -120,13 +127,7 @@ def views() -> NDArray[np.uint8]:
         scene, lane = loaded(road, spec), road.right_lane_centre
         images = []
         for share, roll in ((0.03, 0.0), (0.3, 0.0), (0.55, 0.0), (0.75, 0.08)):
-            index = int(share * len(lane))
-            ahead = lane[index + 1] - lane[index]
-            state = VehicleState(
-                x=lane[index, 0], y=lane[index, 1], yaw=math.atan2(ahead[1], ahead[0]), roll=roll,
-                speed=0.0, yaw_rate=0.0, steering_angle=0.0,
-            )  # fmt: skip
-            images.append(scene.image(state))
+            images.append(scene.image(standing(lane, int(share * len(lane)), roll)))
         rows.append(np.hstack(images))
     return np.vstack(rows)
 

@@ -108,11 +108,10 @@ def main() -> None:
         if seen.setdefault(driver, found["digest"]) != found["digest"]:
             sys.exit(f"error: {case} gives other trajectories than another engine with the same driver")
         idle = 1.0 - found["processor"] / (cores * (found["wall"] + found["start"]))
-        table.add_row(
-            engine, driver, str(found["drives"]), str(found["frames"]),
-            f"{found['frames'] / found['processor']:.0f}", f"{found['frames'] / found['wall']:.0f}",
-            f"{found['processor'] / found['drives']:.2f}", f"{max(idle, 0.0):.0%}", f"{found['start']:.1f}",
-        )  # fmt: skip
+        frames, processor = found["frames"], found["processor"]
+        paces = f"{frames / processor:.0f}", f"{frames / found['wall']:.0f}", f"{processor / found['drives']:.2f}"
+        rest = f"{max(idle, 0.0):.0%}", f"{found['start']:.1f}"
+        table.add_row(engine, driver, str(found["drives"]), str(frames), *paces, *rest)
     Console(width=120).print(table)
 
 

@@ -262,8 +262,9 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
         )
         said = ("worse",) if worse else ("worse", "better")
         found += [
-            any(row.verdict in said for row in result.simulators), min(c.p_adjusted for c in result.cells) < ALPHA
-        ]  # fmt: skip
+            any(row.verdict in said for row in result.simulators),
+            min(c.p_adjusted for c in result.cells) < ALPHA,
+        ]
     kind = "clear effect" if worse else "noise in families"
     rows: list[list[Value]] = [
         ["a network is worse or better", kind, size, None, number, found[0] / number, None, None]

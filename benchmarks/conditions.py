@@ -12,12 +12,12 @@ Costs are processor time, for loading a road and for drawing a frame.
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from pathlib import Path
 
 import cv2
 import numpy as np
+from benchmarks.camera import standing
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.image_translation import ImageTranslation, open_set
@@ -48,7 +48,7 @@ STRENGTHS = (
     ("camera_height=0.7", "camera_height=1.3", "camera_height=1.8"),
     ("camera_pitch=-3deg", "camera_pitch=3deg", "camera_pitch=6deg"),
     ("camera_yaw=-6deg", "camera_yaw=3deg", "camera_yaw=8deg"),
-)  # fmt: skip
+)
 ROAD = Road([(125.0, 0.0), (125.0, 25.0), (125.0, 50.0), (130.0, 75.0), (145.0, 95.0), (170.0, 105.0), (195.0, 110.0)])
 """A straight with a bend to the right."""
 SEED = 7
@@ -59,12 +59,7 @@ def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint
     simulator.load(ROAD, seed=SEED, conditions=conditions)
     lane = ROAD.lane_centre
     index = int(np.searchsorted(np.cumsum(np.hypot(*np.diff(lane, axis=0).T)), 8.0))
-    ahead = lane[index + 1] - lane[index]
-    state = VehicleState(
-        x=float(lane[index, 0]), y=float(lane[index, 1]), yaw=math.atan2(ahead[1], ahead[0]), speed=0.0, yaw_rate=0.0,
-        steering_angle=0.0,
-    )  # fmt: skip
-    return simulator.scene.still(state, np.random.default_rng(SEED))
+    return simulator.scene.still(standing(lane, index), np.random.default_rng(SEED))
 
 
 def sheet(name: str, stage: ImageTranslation | None = None) -> NDArray[np.uint8]:

@@ -273,12 +273,11 @@ def main() -> None:
         (*key, *(said[*key, answer] for answer in ("helped", "misled", "open")))
         for key in dict.fromkeys(one[:3] for one in said)
     ]
+    written = {"predictors": (names, rows), "predictor_calls": (of_calls, calls), "sibling_help": (of_help, helped)}
     tables = [
         Table(name=name, title=name, columns=[Column(one) for one in columns], rows=of)
-        for name, columns, of in (
-            ("predictors", names, rows), ("predictor_calls", of_calls, calls), ("sibling_help", of_help, helped),
-        )
-    ]  # fmt: skip
+        for name, (columns, of) in written.items()
+    ]
     write_tables(tables, arguments.out)
 
 

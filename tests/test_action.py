@@ -39,10 +39,9 @@ def run_step(folder: Path, **inputs: str) -> subprocess.CompletedProcess[str]:
     env = {"github.action_path": str(ROOT), **{f"inputs.{name}": value for name, value in values.items()}}
     filled = {key: env[text.strip("${} ")] for key, text in step("Test")["env"].items()}
     outer = {"DS": str(ROOT / "ds"), "RUNNER_TEMP": str(folder), "GITHUB_STEP_SUMMARY": str(folder / "page.md")}
-    return subprocess.run(
-        ["bash", "-eo", "pipefail", "-c", step("Test")["run"]], cwd=folder, env=os.environ | outer | filled,
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+    command = ["bash", "-eo", "pipefail", "-c", step("Test")["run"]]
+    variables = os.environ | outer | filled
+    return subprocess.run(command, cwd=folder, env=variables, capture_output=True, text=True, timeout=300)
 
 
 def test_a_failing_network_fails_the_step_which_keeps_a_video_and_a_summary(tmp_path: Path) -> None:
@@ -56,12 +55,10 @@ def test_a_failing_network_fails_the_step_which_keeps_a_video_and_a_summary(tmp_
     (video,) = (results / "videos").glob("*.mp4")
     assert cv2.VideoCapture(str(video)).get(cv2.CAP_PROP_FRAME_COUNT) > 20
     assert (tmp_path / "page.md").read_text() == (results / "summary.md").read_text() != ""
-    relaxed = run_step(tmp_path, network="straight_on:Driver", tests="campaign.yaml", options="--max-failures 100%",
-                       results="again", **{"fail-on": "failure"})  # fmt: skip
-    assert (
-        relaxed.returncode == 3
-        and (tmp_path / "again" / "junit.xml").read_bytes() == (results / "junit.xml").read_bytes()
-    )
+    inputs = {"network": "straight_on:Driver", "tests": "campaign.yaml", "options": "--max-failures 100%"}
+    relaxed = run_step(tmp_path, **inputs, results="again", **{"fail-on": "failure"})
+    assert relaxed.returncode == 3
+    assert (tmp_path / "again" / "junit.xml").read_bytes() == (results / "junit.xml").read_bytes()
 
 
 def test_every_input_is_used_and_the_wheel_is_optional(tmp_path: Path) -> None:

@@ -88,8 +88,7 @@ def test_a_command_begins_as_the_one_that_printed_it(monkeypatch: pytest.MonkeyP
     assert ds_command("report", Path("my out")) == "ds report 'my out'"
     monkeypatch.setenv("DS_COMMAND", "./ds")
     assert ds_command("report", "out") == "./ds report out"
-    done = subprocess.run(
-        ["./ds", "campaign", "init", tmp_path / "c.yaml", "--driver", "autopilot"],
-        cwd=REPOSITORY, capture_output=True, text=True, timeout=120, env={**os.environ, "DS_COMMAND": "other"},
-    )  # fmt: skip
+    command = ["./ds", "campaign", "init", str(tmp_path / "c.yaml"), "--driver", "autopilot"]
+    env = {"DS_COMMAND": "other"}
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=120, env=os.environ | env)
     assert f"next: ./ds campaign run {tmp_path}/c.yaml" in done.stderr, done.stderr

@@ -93,9 +93,10 @@ def compared(found: Located, folder: Path, width: float) -> list[float]:
     pair = [
         follow_steering(times, found.column("steering"), speeds[middle] / width, rates[middle])
         for speeds, rates in (
-            (found.column("speed_mps"), found.column("yaw_rate_radps")), (rows["speed_mps"], rows["yaw_rate_radps"])
+            (found.column("speed_mps"), found.column("yaw_rate_radps")),
+            (rows["speed_mps"], rows["yaw_rate_radps"]),
         )
-    ]  # fmt: skip
+    ]
     gain = pair[0].gain / pair[1].gain - 1.0 if pair[0] and pair[1] else np.nan
     covered = np.abs(offset) <= 2.0 * found.column("std_lateral_m") / width
     return [

@@ -14,8 +14,8 @@ from ds_recording.hints import HintFinder
 
 Array = NDArray[np.float64]
 CAMERA = FloorCamera(
-    width_px=160, height_px=120, focal_px=(90.0,) * 2, centre_x_px=79.5, centre_y_px=59.5, height_m=0.8, pitch_rad=0.3,
-)  # fmt: skip
+    width_px=160, height_px=120, focal_px=(90.0,) * 2, centre_x_px=79.5, centre_y_px=59.5, height_m=0.8, pitch_rad=0.3
+)
 """In lane widths."""
 RNG = np.random.default_rng(3)
 WALL = cv2.GaussianBlur(RNG.normal(0.0, 1.0, (256, 2048)).astype(np.float32), (0, 0), 4.0) * 600.0 + 120.0

@@ -149,8 +149,9 @@ def test_of_two_sources_the_better_one_is_used_and_readings_of_one_device_count_
     found = checked(noisy, encoder(), gyroscope(rate(STAMPS)), gyroscope(-rate(STAMPS), "imu/gyr_y"))
     assert [(c.source.name, bool(c.reason)) for c in found if c.source.part == TURN] == [("imu/gyr_z", False)]
     assert [(c.source.name, c.reason) for c in found if c.source.part == AHEAD] == [
-        ("enc/speed", ""), ("other", "enc/speed is closer to the images"),
-    ]  # fmt: skip
+        ("enc/speed", ""),
+        ("other", "enc/speed is closer to the images"),
+    ]
 
 
 def test_hints_are_fused_by_inverse_variance() -> None:
