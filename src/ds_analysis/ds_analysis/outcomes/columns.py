@@ -217,9 +217,10 @@ def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> Bools:
 
 
 def row_of(frame: pd.DataFrame, row: int, source: str) -> str:
-    """Name a row of a table, and show its first values."""
+    """Name a row of a table, by its line if the file has lines, and show its first values."""
     shown = ", ".join(f"{name}={frame.iloc[row][name]}" for name in list(frame.columns)[:_SHOWN])
-    return f"{source}, row {row + 1} ({shown:.150})"
+    place = f"line {frame.index[row]}" if frame.index.name == "line" else f"row {row + 1}"
+    return f"{source}, {place} ({shown:.150})"
 
 
 def _word(value: Any) -> str:

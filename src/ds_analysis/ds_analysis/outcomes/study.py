@@ -155,10 +155,10 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, left_out: LeftOut 
         texts_of(frame, tests, source)
         if len(set(texts_of(more, tests, path.name))) != len(more):
             raise OutcomeTableError(f"{path}: several rows have the same {', '.join(tests)}, expected one each test")
-        frame = frame.merge(more, on=tests, how="left", suffixes=("", f" of {path.stem}"))
+        lines = frame.index
+        frame = frame.merge(more, on=tests, how="left", suffixes=("", f" of {path.stem}")).set_axis(lines)
     columns = columns.filled(list(frame.columns))
     frame = frame[np.all([np.ones(len(frame), bool), *(one.holds(frame, source) for one in columns.where)], axis=0)]
-    frame = frame.reset_index(drop=True)
     if not len(frame):
         raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
     used = {*tests, *listed(columns.simulator)}
@@ -231,8 +231,11 @@ def _read(path: Path) -> pd.DataFrame:
         if path.suffix.lower() in (".parquet", ".pq"):
             if pq.read_metadata(path).num_rows > MOST_ROWS:
                 raise OutcomeTableError(f"{path}: more than {MOST_ROWS} rows: import a part of it")
-            return pq.read_table(path).to_pandas()
-        return pd.read_csv(path, nrows=MOST_ROWS)
+            frame = pq.read_table(path).to_pandas(ignore_metadata=True)
+            return frame
+        frame = pd.read_csv(path, nrows=MOST_ROWS, skip_blank_lines=False)
+        frame.index = pd.RangeIndex(2, 2 + len(frame), name="line")  # the first has the names
+        return frame.dropna(how="all")
     except OSError as error:
         raise OutcomeTableError(f"{path}: cannot be read ({error.strerror or error}): check the path") from None
     except (ValueError, pa.ArrowException) as error:
@@ -294,7 +297,7 @@ def _driven(frame: pd.DataFrame, verdict: Verdict, source: str) -> pd.DataFrame:
     if name is None:
         return frame
     column_of(frame, name, source)
-    return frame[frame[name].notna()].reset_index(drop=True)
+    return frame[frame[name].notna()]
 
 
 def _margins(

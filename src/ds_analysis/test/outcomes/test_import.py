@@ -165,9 +165,12 @@ def changed(**values: Any) -> dict[str, Any]:
     [
         (changed(test="id"), r"has no column 'id', but route, sim, rep, xte.*: say in --columns which is what"),
         (changed(margin={"column": "xte", "limit": {"lofi": 1.0}}), "margin.limit names no limit for hifi"),
-        (changed(margin=None, failed="sim"), r"row 1 \(route=0, sim=lofi, .*: sim is 'lofi', expected true or false"),
+        (
+            changed(margin=None, failed="sim"),
+            r"line 2 \(route=0, sim=lofi, .*: sim is 'lofi', expected true or false",
+        ),
         (changed(repeat=None), "test 0 comes twice on lofi: name the column of the repetition"),
-        (changed(features=["sim"]), r"row 1 .*: sim is not a finite number"),
+        (changed(features=["sim"]), r"line 2 .*: sim is not a finite number"),
         (changed(twin="bus"), "has no simulator 'bus': expected car, hifi, lofi"),
         (changed(car="bus"), "has no simulator 'bus': expected car, hifi, lofi"),
         (changed(car="car"), "the car is 'car': expected a simulator beside it, and no twin"),
