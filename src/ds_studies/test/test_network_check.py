@@ -234,12 +234,6 @@ def form_of_file(file: Path) -> list[Any]:
     return forms
 
 
-def test_weights_alone_get_a_sentence_about_onnx(tmp_path: Path, drives: list[Recording]) -> None:
-    (tmp_path / "n.pth").write_bytes(b"PK")
-    with pytest.raises(DriverError, match=r"holds weights alone: .*torch\.onnx\.export.*ds check n\.onnx"):
-        check_network(str(tmp_path / "n.pth"), drives, 1)
-
-
 class Counting(Pilot):
     """A network with memory that is of no use unless it sees every frame, and knows when a run begins."""
 

@@ -127,7 +127,8 @@ def onnx_runner(content: bytes, where: str) -> Runner:
         session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # its exceptions share no narrower base class
         raise BackendError(
-            f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
+            f"{where} cannot be loaded by ONNX Runtime ({last_line(error)}): export it again, with its weights inside, "
+            "an older opset if it is too new, and no operators of its own"
         ) from None
     inputs = session.get_inputs()
     kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
@@ -196,7 +197,10 @@ def openvino_runner(
             model = _read(core, content, kind, Path(folder))
             compiled = core.compile_model(model, "CPU", settings)
     except Exception as error:  # its exceptions share no narrower base class
-        raise BackendError(f"{where} cannot be loaded by OpenVINO ({last_line(error)}): is the file whole?") from None
+        way = "convert the model that it was made from to ONNX" if kind == "tflite" else "take another backend"
+        raise BackendError(
+            f"{where} cannot be run by OpenVINO ({last_line(error)}): {way}, or copy the file again if it is cut off"
+        ) from None
     request = compiled.create_infer_request()
 
     def compile_for(size: int) -> Any:

@@ -13,9 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_driver.control.bicycle import Geometry, pursuit_curvature
+from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop
 from ds_driver.networks.memory import MOST_FRAMES, GivenInput
-from ds_driver.networks.network_file import KINDS, refuse_weights_alone
+from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.pilot import DriverError
 from ds_sim.camera.spec import IMAGE_HEIGHT
 
@@ -287,7 +288,8 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
         DriverError: the file is missing, or of an unknown format.
     """
     file = path.parent / description.file
-    refuse_weights_alone(file)
+    if file.suffix.lower() not in KINDS and "\0" not in description.file and len(description.file) <= 4096:
+        refuse_foreign(file)
     if file.suffix.lower() not in KINDS or "\0" in description.file or len(description.file) > 4096:
         raise DriverError(
             f"{path}: file {description.file!r:.100}: expected {', '.join(KINDS)}; {GUIDE} says how to convert"

@@ -22,8 +22,9 @@ from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.driver_name import NO_GENERATORS, DriverName
+from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop, prepare
-from ds_driver.networks.network_file import KINDS, refuse_weights_alone
+from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import for_backend
@@ -244,9 +245,10 @@ def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pil
     network = name.network
     if name.description is not None:
         return DescribedNetworkPilot(name.description, name.backend, name.device)
+    if name.file_type in KINDS or not (name.has_weights or name.python_class):
+        refuse_foreign(Path(network))
     if name.file_type in KINDS:
         raise DriverError(f"{network} has no description of its input: `{ds_command('check', network)}` writes one")
-    refuse_weights_alone(Path(network))
     if name.python_class:
         if name.suffix:
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")

@@ -10,15 +10,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
-from ds_base.installation import ds_command
 from ds_driver.networks.backends import BackendError, Runner, check_onnx, onnx_runner, openvino_runner
+from ds_driver.networks.foreign_file import LARGEST_FILE, foreign
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.quantisation import Samples, for_backend
 
 NETWORK_MEMORY = 4 * 2**30
 """Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""
-WEIGHTS_ALONE = (".pth", ".ckpt")
-"""File suffixes of PyTorch's weights without their network; nothing here unpickles them."""
 _lock = threading.Lock()
 _inside = 0
 _before = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
@@ -30,14 +28,13 @@ KINDS = {
     ".tflite": "tflite",
 }
 """File suffix -> format."""
+_FORMATS = {"torchscript": "TorchScript", "tflite": "TensorFlow Lite"}
 _BACKENDS_OF = {
     "onnx": ("onnx", "openvino", "openvino-bf16", "openvino-int8"),
     "torchscript": ("torch", "openvino", "openvino-bf16"),
     "tflite": ("openvino", "openvino-bf16"),
 }
 """Format -> backends that can run it; the first one is `auto`."""
-LARGEST_FILE = 2**29
-"""Bytes of a network file; chosen: five times the largest shipped network."""
 
 
 @contextmanager
@@ -65,20 +62,6 @@ def limited_memory() -> Iterator[None]:
                 resource.setrlimit(resource.RLIMIT_AS, _before)
 
 
-def refuse_weights_alone(file: Path) -> None:
-    """Refuse a file of PyTorch's weights, which only its own program can load.
-
-    Raises:
-        DriverError: it is one; the sentence says how to export the network.
-    """
-    if file.suffix.lower() in WEIGHTS_ALONE:
-        raise DriverError(
-            f"{file} holds weights alone: in the program that defines the network, load them and export it with "
-            f'torch.onnx.export(network.eval(), (torch.zeros(1, 3, ROWS, COLUMNS),), "{file.stem}.onnx", '
-            f"dynamo=False), then `{ds_command('check', f'{file.stem}.onnx')}`"
-        )
-
-
 def runner_of(file: Path, backend: str = "auto", device: str = "cpu", samples: Samples = lambda: []) -> Runner:
     """Load a network file, whatever its description says; see `DescribedNetworkPilot`."""
     kind = KINDS[file.suffix.lower()]
@@ -91,6 +74,12 @@ def runner_of(file: Path, backend: str = "auto", device: str = "cpu", samples: S
         content = read_bounded(file, LARGEST_FILE)
     except (BoundedYamlError, OSError) as error:
         raise DriverError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if problem := foreign(content, file):
+        raise DriverError(problem)
+    really = "tflite" if content[4:8] == b"TFL3" else "torchscript" if content.startswith(b"PK") else kind
+    if really != kind:
+        suffix = next(suffix for suffix, one in KINDS.items() if one == really)
+        raise DriverError(f"{file} is a {_FORMATS[really]} file: rename it to {file.with_suffix(suffix).name}")
     if kind == "onnx":
         check_onnx(content, file.name)
     if chosen.startswith("openvino"):

@@ -217,6 +217,7 @@ def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runn
             network = torch.jit.load(BytesIO(content), map_location=device).eval()
         except Exception as error:  # damaged archives make the reader raise arbitrary errors
             raise BackendError(
-                f"{where} is not TorchScript ({last_line(error)}): save it with torch.jit.trace(network, image).save"
+                f"{where} cannot be read as TorchScript ({last_line(error)}): save it again with "
+                "torch.jit.trace(network, image).save"
             ) from None
     return torch_runner(network, device)
