@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from contextlib import closing
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -53,8 +54,13 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     shown_cells = (*feature_map.cells, *feature_map.excluded)
     columns = _axis(cell[0] for cell in shown_cells)
     rows = _axis(cell[1] for cell in shown_cells)[::-1]
-    head = max(len(up.title), *(len(up.label(row)) for row in rows), 1) if rows else len(up.title)
-    at_once = max(1, (width - head - 4) // 8)
+    boxes = {
+        cell: _box(feature_map.cells.get(cell), shown, feature_map.excluded.get(cell, 0))
+        for cell in itertools.product(columns, rows)
+    }
+    head = max(len(up.title) + 2, *(len(up.label(row)) for row in rows), 1)
+    widest = max([6, *map(len, boxes.values()), *(len(across.label(column)) for column in columns)])
+    at_once = max(1, (width - head - 2) // (widest + 3))  # padding of a column, and the line before it
     made = []
     for start in range(0, max(len(columns), 1), at_once):
         part = columns[start : start + at_once]
@@ -70,11 +76,7 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
         for column in part:
             table.add_column(across.label(column), justify="center", min_width=6, no_wrap=True)
         for row in rows:
-            boxes = (
-                _box(feature_map.cells.get((column, row)), shown, feature_map.excluded.get((column, row), 0))
-                for column in part
-            )
-            table.add_row(up.label(row), *boxes)
+            table.add_row(up.label(row), *(boxes[column, row] for column in part))
         made.append(table)
     return made
 

@@ -29,6 +29,9 @@ def outcomes_import_command(
     ],
     out: Annotated[Path, typer.Option(help="Folder of the study, created if missing.")],
     columns: Annotated[Path | None, typer.Option(help="YAML file that says which column is what.")] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Refuse a row that cannot be read, and a feature with empty cells.")
+    ] = False,
     as_json: JsonFlag = False,
 ) -> None:
     """Make a study of the same tests' outcomes on any simulators, to predict, propose drives and compare.
@@ -37,14 +40,16 @@ def outcomes_import_command(
     table of ten lines.
     """
     from ds_analysis.outcomes.columns import Columns, read_columns
+    from ds_analysis.outcomes.known_before import ImportNotes
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_base.folder_files import make_folder
     from ds_base.left_out import LeftOut
 
-    left_out = LeftOut("columns")
-    study = import_outcomes(tables, Columns() if columns is None else read_columns(columns), left_out)
-    if left_out.items:
-        say(left_out.line())
+    notes = ImportNotes(rows=LeftOut("rows", strict))
+    study = import_outcomes(tables, Columns() if columns is None else read_columns(columns), notes)
+    for line in (notes.rows.line(), notes.columns.line(), *notes.features):
+        if line:
+            say(line)
     study.table()
     make_folder(out)
     path = write_study(out, study)
@@ -52,7 +57,9 @@ def outcomes_import_command(
     document = {
         "study": str(path),
         "features": list(study.features),
-        "left_out": [name for name, _ in left_out.items],
+        "left_out": [name for name, _ in notes.columns.items],
+        "rows_left_out": [{"row": name, "reason": reason} for name, reason in notes.rows.items],
+        "made_features": notes.features,
         "twin": study.twin,
         "car": study.car,
         "simulators": {

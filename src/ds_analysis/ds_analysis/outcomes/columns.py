@@ -21,6 +21,9 @@ WORDS = {
     False: {"false", "0", "0.0", "no", "pass", "passed", "completed", "success", "safe"},
 }
 """Whether a test failed -> how a table says so, in lower case."""
+MOST_EMPTY = 0.1
+"""Share of rows without a verdict up to which the others may all say the same; chosen: a column that is filled in only
+where something happened is emptier."""
 _SHOWN = 6
 
 
@@ -33,8 +36,8 @@ class Rule(_Strict):
 
     Attributes:
         column: its name.
-        is_: rows with this value.
-        is_not: rows with another value.
+        is_: rows with this value; "" for an empty cell.
+        is_not: rows with another value, likewise.
         above: rows with a larger number.
         below: rows with a smaller number.
     """
@@ -51,19 +54,22 @@ class Rule(_Strict):
             raise ValueError("expected one of is, is_not, above and below")
         return self
 
-    def holds(self, frame: pd.DataFrame, source: str) -> Bools:
-        """(rows,) where it holds."""
+    def holds(self, frame: pd.DataFrame, source: str) -> tuple[Bools, Bools]:
+        """(rows,) where it holds, and where nobody can tell, as the cell is empty or no number."""
         column = column_of(frame, self.column, source)
+        empty = is_empty(frame[self.column])
         if self.above is not None or self.below is not None:
             numbers = numbers_of(frame, self.column, source)
             found = numbers > self.above if self.above is not None else numbers < self.below
-            return np.asarray(found, np.bool_)
+            return np.asarray(found, np.bool_), np.isnan(numbers)
         wanted = self.is_ if self.is_ is not None else self.is_not
-        same = np.array([_word(one) == _word(wanted) for one in column])
-        if not same.any():
+        if wanted == "":
+            return empty if self.is_ is not None else ~empty, np.zeros(len(frame), np.bool_)
+        same = np.array([_word(one) == _word(wanted) for one in column], np.bool_)
+        if len(same) and not same.any():
             known = ", ".join(sorted({str(one) for one in column})[:_SHOWN])
             raise OutcomeTableError(f"{source}: {self.column} is never {wanted!r:.60}, but {known:.150}")
-        return same if self.is_ is not None else ~same
+        return same if self.is_ is not None else ~same, empty
 
 
 class Margin(_Strict):
@@ -101,7 +107,7 @@ class Columns(_Strict):
         margin: instead of, or beside, `failed`.
         repeat: column with the number of the repetition.
         family: column of what tests have in common that are not independent, such as the road that they change.
-        features: columns with numbers that are known before a test is driven; all other numeric columns if left out.
+        features: columns that are known before a test is driven, of numbers or of few words; all others if left out.
         where: rows to read.
         map: axes of the map, feature -> width of a bin; the first two features in ten bins each if left out.
         twin: simulator that the others are to predict.
@@ -172,10 +178,18 @@ def column_of(frame: pd.DataFrame, name: str, source: str) -> list[Any]:
     return frame[name].tolist()
 
 
+def is_empty(column: pd.Series[Any]) -> Bools:
+    """(rows,) where a column has no value, or only blanks."""
+    return np.asarray(column.isna() | (column.astype(str).str.strip() == ""), np.bool_)
+
+
 def texts_of(frame: pd.DataFrame, names: str | list[str], source: str) -> list[str]:
-    """Return a column as text, or several, joined by hyphens."""
-    parts = [[str(one) for one in column_of(frame, name, source)] for name in listed(names)]
-    return ["-".join(one) for one in zip(*parts, strict=True)]
+    """Return a column as text, or several, joined by hyphens; "" where one of them is empty."""
+    for name in listed(names):
+        column_of(frame, name, source)
+    empty = np.any([is_empty(frame[name]) for name in listed(names)], axis=0)
+    parts = [[_text(one) for one in frame[name].tolist()] for name in listed(names)]
+    return ["" if no else "-".join(one) for no, one in zip(empty, zip(*parts, strict=True), strict=True)]
 
 
 def listed(names: str | list[str]) -> list[str]:
@@ -184,46 +198,62 @@ def listed(names: str | list[str]) -> list[str]:
 
 
 def numbers_of(frame: pd.DataFrame, name: str, source: str) -> np.ndarray:
-    """Return a column of finite numbers.
-
-    Raises:
-        OutcomeTableError: a row has none; the line shows it.
-    """
+    """Return a column of finite numbers; NaN where there is none."""
     column_of(frame, name, source)
-    numbers = pd.to_numeric(frame[name], errors="coerce").to_numpy(np.float64)
-    wrong = np.flatnonzero(~np.isfinite(numbers))
-    if len(wrong):
-        raise OutcomeTableError(f"{row_of(frame, int(wrong[0]), source)}: {name} is not a finite number")
-    return numbers
+    numbers = pd.to_numeric(frame[name], errors="coerce").to_numpy(np.float64, na_value=np.nan)
+    return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
-def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> Bools:
-    """(rows,) whether each test failed.
+def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> tuple[Bools, dict[int, str]]:
+    """(rows,) whether each test failed, and row -> why it does not say so.
 
     Raises:
-        OutcomeTableError: a row does not say so; the line shows it.
+        OutcomeTableError: the others all say the same, so that leaving these rows out would decide the outcome.
     """
+    words: list[str] = []
     if isinstance(failed, str):
         words = [_word(one) for one in column_of(frame, failed, source)]
-        for row, word in enumerate(words):
-            if word not in WORDS[True] | WORDS[False]:
-                expected = "true or false, 1 or 0, failed or completed"
-                raise OutcomeTableError(
-                    f"{row_of(frame, row, source)}: {failed} is {word!r:.60}, expected {expected}, or rules: {GUIDE}"
-                )
-        return np.array([word in WORDS[True] for word in words])
-    rules = failed if isinstance(failed, list) else [failed]
-    return np.any([rule.holds(frame, source) for rule in rules], axis=0)
+        empty, known = is_empty(frame[failed]), WORDS[True] | WORDS[False]
+        expected = f"expected true or false, 1 or 0, failed or completed, or rules: {GUIDE}"
+        reasons = {
+            row: f"{failed} is empty" if empty[row] else f"{failed} is {word!r:.60}, {expected}"
+            for row, word in enumerate(words)
+            if empty[row] or word not in known
+        }
+        found = np.array([word in WORDS[True] for word in words], np.bool_)
+    else:
+        rules = failed if isinstance(failed, list) else [failed]
+        held, unknown = map(np.array, zip(*(rule.holds(frame, source) for rule in rules), strict=True))
+        found = (held & ~unknown).any(axis=0)
+        untold = ~found & unknown.any(axis=0)
+        empty = np.ones(len(frame), np.bool_)
+        reasons = {
+            int(row): f"{rules[int(np.argmax(unknown[:, row]))].column} is empty or no number"
+            for row in np.flatnonzero(untold)
+        }
+    kept = np.delete(found, list(reasons))
+    strange = not all(empty[row] for row in reasons)
+    if reasons and (strange or len(reasons) > MOST_EMPTY * len(frame)) and (kept.all() or not kept.any()):
+        row = next(iter(reasons))
+        raise OutcomeTableError(f"{row_of(frame, row, source)}: {reasons[row]}; without such rows no verdict differs")
+    return found, reasons
 
 
 def row_of(frame: pd.DataFrame, row: int, source: str) -> str:
     """Name a row of a table, by its line if the file has lines, and show its first values."""
     shown = ", ".join(f"{name}={frame.iloc[row][name]}" for name in list(frame.columns)[:_SHOWN])
-    place = f"line {frame.index[row]}" if frame.index.name == "line" else f"row {row + 1}"
-    return f"{source}, {place} ({shown:.150})"
+    return f"{source}, {place_of(frame, row)} ({shown:.150})"
+
+
+def place_of(frame: pd.DataFrame, row: int) -> str:
+    """Name a row by its line if the file has lines."""
+    return f"line {frame.index[row]}" if frame.index.name == "line" else f"row {row + 1}"
+
+
+def _text(value: Any) -> str:
+    """Text of a cell; a whole number without a decimal point, as pandas adds one where another cell is empty."""
+    return str(int(value) if isinstance(value, float) and value.is_integer() else value)
 
 
 def _word(value: Any) -> str:
-    if isinstance(value, float) and value.is_integer():
-        value = int(value)
-    return str(value).strip().lower()
+    return _text(value).strip().lower()

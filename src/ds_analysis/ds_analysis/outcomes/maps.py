@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -13,14 +12,14 @@ from ds_analysis.outcomes.study import Study, axes_of
 from ds_base.intervals import jeffreys_interval
 from ds_orchestrator.maps.algebra import OPERATORS, merge
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
-from ds_orchestrator.search.features import Cell, column_axis
+from ds_orchestrator.search.features import Cell
 
 
 def maps_of_study(study: Study, features: list[str] | None = None) -> dict[MapId, FeatureMap]:
     """Build every map of a study.
 
-    A cell's quality loss is the mean of the margins as shares of their limits, at most 1, or its failure rate where
-    only verdicts are known.
+    A test that was repeated counts once, as in `Study.table`. A cell's quality loss is the mean of the margins as
+    shares of their limits, at most 1, or of the failures where only verdicts are known.
 
     Args:
         study: outcomes.
@@ -34,25 +33,26 @@ def maps_of_study(study: Study, features: list[str] | None = None) -> dict[MapId
         if unknown:
             raise OutcomeTableError(f"no feature {unknown[0]!r:.60}, expected one of {', '.join(study.features)}")
         study = replace(study, axes=axes_of(study.rows, features))
-    axes = tuple(column_axis(name, width) for name, width in study.axes.items())
-    rows = study.rows.assign(
-        loss=np.minimum(study.rows["margin"] / study.rows["limit"], 1.0).fillna(study.rows["failed"].astype(float)),
-        **{f"bin {k}": np.floor(study.rows[name] / width) for k, (name, width) in enumerate(study.axes.items())},
-    )
+    table = study.table()
+    shares = np.minimum(table.lateral / table.limits, 1.0)
 
     def on(map_id: MapId) -> FeatureMap:
-        cells: dict[Cell, MapCell] = {}
-        own: Any = rows[rows["simulator"] == map_id.simulator].groupby([f"bin {k}" for k in range(len(axes))])
-        for cell, group in own:
-            tests, failures = len(group), int(group["failed"].sum())
-            cells[tuple(map(int, cell))] = MapCell(
+        of_cell: dict[Cell, list[int]] = {}
+        for row in np.flatnonzero(table.known(map_id.simulator)).tolist():
+            of_cell.setdefault(table.cells[row] or (), []).append(row)
+        failed, share = table.failed(map_id.simulator), shares[:, table.column(map_id.simulator)]
+        losses = np.where(np.isnan(share), failed, share)
+        cells = {}
+        for cell, rows in sorted(of_cell.items()):
+            tests, failures = len(rows), int(failed[rows].sum())
+            cells[cell] = MapCell(
                 tests=tests,
                 failures=failures,
                 probability=failures / tests,
-                quality_loss=float(group["loss"].mean()),
+                quality_loss=float(losses[rows].mean()),
                 interval=jeffreys_interval(failures, tests),
             )
-        return FeatureMap(id=map_id, cells=cells, features=axes)
+        return FeatureMap(id=map_id, cells=cells, features=table.axes)
 
     siblings = [name for name in study.simulators if name != study.twin]
     maps = {map_id: on(map_id) for map_id in map(MapId.union, siblings)}

@@ -18,31 +18,43 @@ import numpy as np
 import pandas as pd
 
 from ds_analysis.common.outcome_table import OutcomeTableError
+from ds_base.left_out import LeftOut
 
 LARGEST_FILE, MOST_FILES = 2**26, 100_000
 STEP = 2.0
 """Distance of the points between which a road's features are taken, m; chosen: a curve of BeamNG's maps is longer."""
 
 
-def read_competition(folders: Sequence[Path]) -> pd.DataFrame:
+def read_competition(folders: Sequence[Path], left_out: LeftOut | None = None) -> pd.DataFrame:
     """Read folders as one table: test_id, simulator, repeat, failed, and the road's features.
 
+    Args:
+        folders: one for each simulator.
+        left_out: takes files that cannot be read; None refuses.
+
     Raises:
-        OutcomeTableError: a folder has no test file, or a file is not one.
+        OutcomeTableError: a folder has no test file, or a file is not one and none may be left out.
     """
     rows: list[dict[str, Any]] = []
+    left_out = left_out or LeftOut("rows", strict=True)
     for folder in folders:
         paths = sorted(folder.rglob("*.json"))[: MOST_FILES + 1]
         if not 0 < len(paths) <= MOST_FILES:
             raise OutcomeTableError(f"{folder} has {len(paths)} JSON files, expected 1 to {MOST_FILES} of tests")
         seen: dict[str, int] = {}
         for path in paths:
-            row = _row(path)
+            try:
+                row = _row(path)
+            except OutcomeTableError as error:
+                left_out.total += 1
+                left_out.add(str(path), error)
+                continue
             if row is not None:
                 seen[row["test_id"]] = seen.get(row["test_id"], -1) + 1
                 rows.append({**row, "simulator": folder.resolve().name, "repeat": seen[row["test_id"]]})
     if not rows:
-        raise OutcomeTableError(f"{folders[0]}: no file has a test_outcome PASS or FAIL of a valid road")
+        reason = f": {left_out.items[0][1]}" if left_out.items else ""
+        raise OutcomeTableError(f"{folders[0]}: no file has a test_outcome PASS or FAIL of a valid road{reason}")
     return pd.DataFrame(rows)
 
 

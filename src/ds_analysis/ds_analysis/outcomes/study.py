@@ -21,16 +21,19 @@ from ds_analysis.outcomes.columns import (
     Rule,
     Verdict,
     column_of,
+    is_empty,
     listed,
     numbers_of,
+    place_of,
     row_of,
     texts_of,
     verdicts_of,
 )
+from ds_analysis.outcomes.known_before import ImportNotes, features_of
 from ds_analysis.outcomes.sbft import read_competition
 from ds_base.atomic_files import whole_file
-from ds_base.left_out import LeftOut
 from ds_orchestrator.search.features import column_axis
+from ds_sim.conditions.model import FIELDS
 
 FILE = "outcomes.parquet"
 KEY = b"digital siblings study 1"
@@ -41,6 +44,8 @@ BINS, MOST_BINS = 10, 200
 """Bins of an axis whose width nobody gave, and of any axis."""
 LONG = ("test_id", "repeat", "simulator", "failed", "margin", "limit", "family")
 """Columns of the file, then the features."""
+CONDITIONS = {f"condition_{name}": name for name in FIELDS}
+"""Column of a condition in SI units -> its name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +60,8 @@ class Study:
         twin: simulator that the others are to predict; None if there is none.
         car: real car whose rows are drives, not a simulator's; None if there is none.
         car_drawn: whether its tests were drawn at random from all.
+        conditions: further columns of the rows, `condition_NAME` in SI units, of conditions that a campaign changed;
+            empty where the simulator chooses. The features have the same as shares of their ranges.
     """
 
     rows: pd.DataFrame
@@ -63,6 +70,7 @@ class Study:
     twin: str | None = None
     car: str | None = None
     car_drawn: bool = False
+    conditions: tuple[str, ...] = ()
 
     @property
     def simulators(self) -> list[str]:
@@ -135,55 +143,48 @@ class Study:
         )
 
 
-def import_outcomes(tables: Sequence[Path], columns: Columns, left_out: LeftOut | None = None) -> Study:
+def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes | None = None) -> Study:
     """Read tables, CSV or Parquet: the first has the outcomes, each other one further columns for every test.
 
-    Folders are read as SBFT's test files, one for each simulator. A column that differs between the drives of a test is
-    no feature: `left_out` takes it where nobody named it as one.
+    Folders are read as SBFT's test files, one for each simulator. A row without a test, simulator, verdict or needed
+    margin is left out, and a column that is no feature, too: see `ImportNotes`, by default the first refuses.
 
     Raises:
         OutcomeTableError: one line says what is wrong, in which row.
     """
+    notes = notes or ImportNotes()
     source = tables[0].name
     folders = [path for path in tables if path.is_dir()]
     if folders:
         columns = columns.model_copy(update={"repeat": columns.repeat or "repeat"})
-    frame = read_competition(folders) if folders else _read(tables[0])
+    frame = read_competition(folders, notes.rows) if folders else _read(tables[0])
     tests = listed(columns.test)
-    for path in [path for path in tables[1:] if path not in folders]:
-        more = _read(path)
-        texts_of(frame, tests, source)
-        if len(set(texts_of(more, tests, path.name))) != len(more):
-            raise OutcomeTableError(f"{path}: several rows have the same {', '.join(tests)}, expected one each test")
-        lines = frame.index
-        frame = frame.merge(more, on=tests, how="left", suffixes=("", f" of {path.stem}")).set_axis(lines)
+    for path in (path for path in tables[1:] if path not in folders):
+        frame = _joined(frame, path, tests, source)
     columns = columns.filled(list(frame.columns))
-    frame = frame[np.all([np.ones(len(frame), bool), *(one.holds(frame, source) for one in columns.where)], axis=0)]
-    if not len(frame):
-        raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
+    frame = _where(frame, columns, notes, source)
     used = {*tests, *listed(columns.simulator)}
-    parts, outcomes = _outcomes(frame, columns, source, used)
+    parts, outcomes = _outcomes(frame, columns, source, notes)
     rows = pd.concat(parts, ignore_index=True)
-    if columns.features is None:
-        numeric = [name for name in frame.columns if pd.api.types.is_numeric_dtype(frame[name])]
-        candidates = [name for name in numeric if name not in used | outcomes and frame[name].nunique() > 1]
-        names = []
-        left_out = left_out or LeftOut("columns")
-        for name in candidates:
-            left_out.total += 1
-            if varies := _varies(frame, tests, name, source):
-                left_out.add(name, OutcomeTableError(f"{source}: {name} {varies}"))
-            else:
-                names.append(name)
-    else:
-        names = columns.features
+    test_of = pd.Series(texts_of(frame, tests, source))
+    kept = test_of.isin(rows["test_id"]).to_numpy()
+    owners = [] if columns.simulators is None else list(columns.simulators)
+    ours = list(frame.columns[: len(LONG)]) == list(LONG)
+    conditions = [name for name in CONDITIONS if ours and name in frame]
+    features = features_of(
+        frame[kept].drop(columns=conditions),
+        test_of[kept].tolist(),
+        columns.features,
+        used | outcomes,
+        notes,
+        source,
+        owners=None if ours else owners,
+    )
+    names = list(features.columns)
     if not names:
         raise OutcomeTableError(f"{source} has no feature: name columns with numbers that are known before a drive")
-    for name in names:
-        if varies := _varies(frame, tests, name, source):
-            raise OutcomeTableError(f"{source}: {name} {varies}: it is no feature, leave it out of features")
-        values = dict(zip(texts_of(frame, tests, source), numbers_of(frame, name, source), strict=True))
-        rows[name] = rows["test_id"].map(values)
+    of_test = frame[conditions].set_axis(test_of).groupby(level=0).first()
+    rows = rows.join(features, on="test_id").join(of_test, on="test_id")
     twice = rows.duplicated(["test_id", "repeat", "simulator"])
     if twice.any():
         one = rows[twice].iloc[0]
@@ -191,7 +192,7 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, left_out: LeftOut 
         raise OutcomeTableError(f"{source}: test {one.test_id} comes twice on {one.simulator}{hint}")
     if len(names) < 2:
         raise OutcomeTableError(f"{source} has one feature, {names[0]}: expected two or more, which span the maps")
-    axes = columns.map or axes_of(rows, names[:2])
+    axes = columns.map or axes_of(rows, _spanning(rows, names))
     for name in axes:
         if name not in names:
             raise OutcomeTableError(f"{source}: the map's axis {name!r} is no feature: expected {', '.join(names)}")
@@ -199,29 +200,63 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, left_out: LeftOut 
         if not float(np.ptp(rows[name])) <= MOST_BINS * width:
             raise OutcomeTableError(f"{source}: bins of {width:g} cut {name} into more than {MOST_BINS}: widen them")
     known = sorted(set(rows["simulator"]))
-    for name in (columns.twin, columns.car):
-        if name is not None and name not in known:
-            raise OutcomeTableError(f"{source} has no simulator {name!r}: expected {', '.join(known)}")
+    for role in (columns.twin, columns.car):
+        if role is not None and role not in known:
+            raise OutcomeTableError(f"{source} has no simulator {role!r}: expected {', '.join(known)}")
     study = Study(
-        rows=rows[[*LONG, *names]],
+        rows=rows[[*LONG, *names, *conditions]],
         features=tuple(names),
         axes=axes,
         twin=columns.twin,
         car=columns.car,
         car_drawn=columns.car_drawn,
+        conditions=tuple(conditions),
     )
     if not study.simulators or columns.car == columns.twin is not None:
         raise OutcomeTableError(f"{source}: the car is {columns.car!r}: expected a simulator beside it, and no twin")
     return study
 
 
-def _varies(frame: pd.DataFrame, tests: list[str], name: str, source: str) -> str:
-    """Why a column is known only after a drive; empty if it may be a feature."""
-    numbers = pd.Series(pd.to_numeric(column_of(frame, name, source), errors="coerce"))
-    of_test = numbers.groupby(texts_of(frame, tests, source))
-    spread = of_test.max() - of_test.min()
-    differing = spread[spread > 1e-9 * of_test.max().abs()]
-    return f"differs between drives of {len(differing)} tests, as {differing.index[0]}" if len(differing) else ""
+def _joined(frame: pd.DataFrame, path: Path, tests: list[str], source: str) -> pd.DataFrame:
+    """Add the columns of a table with a row for each test."""
+    more = _read(path)
+    keys = texts_of(more, tests, path.name)
+    more = more.set_axis(pd.Index(keys, name="test of the row"))[[key != "" for key in keys]]
+    if more.index.has_duplicates:
+        raise OutcomeTableError(f"{path}: several rows have the same {', '.join(tests)}, expected one each test")
+    of_row = more.drop(columns=tests).reindex(texts_of(frame, tests, source)).set_axis(frame.index)
+    return pd.concat([frame, of_row.rename(columns={n: f"{n} of {path.stem}" for n in of_row if n in frame})], axis=1)
+
+
+def _where(frame: pd.DataFrame, columns: Columns, notes: ImportNotes, source: str) -> pd.DataFrame:
+    """Rows that are to be read; those of which a rule cannot tell are left out."""
+    wanted = np.ones(len(frame), np.bool_)
+    untold: dict[int, str] = {}
+    for rule in columns.where:
+        holds, unknown = rule.holds(frame, source)
+        if rule.above is not None or rule.below is not None:
+            untold |= dict.fromkeys(np.flatnonzero(unknown).tolist(), f"{rule.column} is no finite number")
+            holds = holds | unknown
+        wanted &= holds
+    leave = {row: reason for row, reason in untold.items() if wanted[row]}
+    notes.rows.total += len(leave)
+    for row, reason in leave.items():
+        _leave_out(frame, row, reason, notes, source)
+        wanted[row] = False
+    if not wanted.any():
+        raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
+    return frame[wanted]
+
+
+def _leave_out(frame: pd.DataFrame, row: int, reason: str, notes: ImportNotes, source: str, of: str = "") -> None:
+    if notes.rows.strict:
+        raise OutcomeTableError(f"{row_of(frame, row, source)}: {reason}")
+    notes.rows.add(f"{place_of(frame, row)}{of}", reason)
+
+
+def _spanning(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
+    """First two features, of numbers rather than of 0 and 1 where there are such."""
+    return sorted(names, key=lambda name: bool(rows[name].isin((0.0, 1.0)).all()))[:2]
 
 
 def _read(path: Path) -> pd.DataFrame:
@@ -246,7 +281,7 @@ def _read(path: Path) -> pd.DataFrame:
 
 
 def _outcomes(
-    frame: pd.DataFrame, columns: Columns, source: str, used: set[str]
+    frame: pd.DataFrame, columns: Columns, source: str, notes: ImportNotes
 ) -> tuple[list[pd.DataFrame], set[str]]:
     """Return the rows of each simulator, and the columns that say what became of a test."""
     if columns.simulators is not None:
@@ -261,31 +296,41 @@ def _outcomes(
         family = tests if columns.family is None else texts_of(frame, columns.family, source)
         repeat = np.zeros(len(frame)) if columns.repeat is None else numbers_of(frame, columns.repeat, source)
         failed = verdict.failed
+        unread: dict[int, str] = {}
         margin, limit = np.full(len(frame), np.nan), np.full(len(frame), np.nan)
         if verdict.margin is not None:
-            margin, limit = _margins(frame, verdict.margin, simulators, source, needed=failed is None)
+            margin, limit, unread = _margins(frame, verdict.margin, simulators, source, needed=failed is None)
             outcomes |= {verdict.margin.column, str(verdict.margin.limit)}
         elif failed is None:
             raise OutcomeTableError(f"{source}: name the column that says whether a test failed, as failed or margin")
         if failed is None:
             is_failure = margin > limit
         else:
-            is_failure = verdicts_of(frame, failed, source)
+            is_failure, untold = verdicts_of(frame, failed, source)
+            unread |= untold
             rules = [failed] if isinstance(failed, Rule) else failed
             outcomes |= {rules} if isinstance(rules, str) else {rule.column for rule in rules}
-        found.append(
-            pd.DataFrame(
-                {
-                    "test_id": tests,
-                    "repeat": repeat.astype(np.int64),
-                    "simulator": simulators,
-                    "failed": is_failure,
-                    "margin": margin,
-                    "limit": limit,
-                    "family": family,
-                }
-            )
+        unread |= dict.fromkeys(np.flatnonzero(np.isnan(repeat)).tolist(), f"{columns.repeat} is no finite number")
+        for texts, named in ((simulators, columns.simulator), (tests, columns.test)):
+            unread |= {row: f"{', '.join(listed(named))} is empty" for row, text in enumerate(texts) if not text}
+        notes.rows.total += len(frame)
+        for row in sorted(unread):
+            of = f" on {simulators[row]}" if columns.simulators is not None else ""
+            _leave_out(frame, row, unread[row], notes, source, of)
+        if len(frame) and len(unread) == len(frame):
+            raise OutcomeTableError(f"{row_of(frame, 0, source)}: {unread[0]}, and no other row can be read")
+        rows = pd.DataFrame(
+            {
+                "test_id": tests,
+                "repeat": np.nan_to_num(repeat).astype(np.int64),
+                "simulator": simulators,
+                "failed": is_failure,
+                "margin": margin,
+                "limit": limit,
+                "family": [one or test for one, test in zip(family, tests, strict=True)],
+            }
         )
+        found.append(rows.drop(index=list(unread)))
     return found, outcomes
 
 
@@ -297,31 +342,32 @@ def _driven(frame: pd.DataFrame, verdict: Verdict, source: str) -> pd.DataFrame:
     if name is None:
         return frame
     column_of(frame, name, source)
-    return frame[frame[name].notna()]
+    return frame[~is_empty(frame[name])]
 
 
 def _margins(
     frame: pd.DataFrame, margin: Margin, simulators: Sequence[str], source: str, *, needed: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return margins and limits; NaN where a row has none, unless they are needed for the verdict."""
-    missing = np.asarray(frame[margin.column].isna()) if margin.column in frame.columns and not needed else None
-    found = np.full(len(frame), np.nan)
-    given = np.ones(len(frame), np.bool_) if missing is None else ~missing
-    found[given] = numbers_of(frame[given], margin.column, source)
+) -> tuple[np.ndarray, np.ndarray, dict[int, str]]:
+    """Return margins, limits, and row -> why it has none; NaN where they are empty and not needed for the verdict."""
+    margins = numbers_of(frame, margin.column, source)
     if isinstance(margin.limit, str):
         if margin.limit not in frame.columns:
             expected = "expected a number, one for each simulator, or a column"
             raise OutcomeTableError(f"{source}: margin.limit is {margin.limit!r:.60}, {expected}")
-        limits = np.full(len(frame), np.nan)
-        limits[given] = numbers_of(frame[given], margin.limit, source)
+        limits = numbers_of(frame, margin.limit, source)
     else:
-        limits = np.array([_limit(margin.limit, name) for name in simulators])
-    wrong = np.flatnonzero((found < 0.0) | (limits <= 0.0))
+        limits = np.array([_limit(margin.limit, name) if name else np.nan for name in simulators])
+    wrong = np.flatnonzero((margins < 0.0) | (limits <= 0.0))
     if len(wrong):
         raise OutcomeTableError(
             f"{row_of(frame, int(wrong[0]), source)}: {margin.column} is negative, or its limit not above 0"
         )
-    return found, np.where(given, limits, np.nan)
+    empty = np.zeros(len(frame), np.bool_) if needed else is_empty(frame[margin.column])
+    missing = np.isnan(margins) | np.isnan(limits)
+    unread = dict.fromkeys(
+        np.flatnonzero(missing & ~empty).tolist(), f"{margin.column} or its limit is not a finite number"
+    )
+    return np.where(missing, np.nan, margins), np.where(missing, np.nan, limits), unread
 
 
 def _limit(limit: float | dict[str, float], simulator: str) -> float:
@@ -350,6 +396,7 @@ def write_rows(path: Path, study: Study) -> None:
 def write_study(folder: Path, study: Study) -> Path:
     """Write a study's file."""
     about = {name: getattr(study, name) for name in ("features", "axes", "twin", "car", "car_drawn")}
+    about |= {"conditions": study.conditions} if study.conditions else {}
     table = pa.Table.from_pandas(study.rows, preserve_index=False)
     table = table.replace_schema_metadata({KEY: json.dumps(about).encode()})
     with whole_file(folder / FILE) as partial:
@@ -380,8 +427,11 @@ def read_study(folder: Path) -> Study:
             twin=about["twin"],
             car=about.get("car"),
             car_drawn=about.get("car_drawn") is True,
+            conditions=tuple(map(str, about.get("conditions", ()))),
         )
-        whole = [*LONG, *study.features] == list(frame.columns) and set(study.axes) <= set(study.features)
+        whole = [*LONG, *study.features, *study.conditions] == list(frame.columns) and set(study.axes) <= set(
+            study.features
+        )
         numbers = frame[["margin", "limit", *study.features]].to_numpy(np.float64)
         features = numbers[:, 2:]
         if not (whole and len(frame) and np.isfinite(features).all() and not np.isinf(numbers).any()):
@@ -401,6 +451,8 @@ def read_study(folder: Path) -> Study:
 def study_of(table: OutcomeTable) -> Study:
     """Make a study of any table, such as a campaign's, to export it."""
     rows = []
+    changed = {name for one in table.conditions for name in one.changed}
+    conditions = {column: name for column, name in CONDITIONS.items() if name in changed}
     for k, test in enumerate(table.test_ids):
         for column, name in enumerate(table.simulators):
             if table.states[k, column] in (State.COMPLETED, State.FAILED):
@@ -414,14 +466,22 @@ def study_of(table: OutcomeTable) -> Study:
                         table.limits[k, column],
                         str(table.families[k]),
                         *table.features[k],
+                        *(getattr(table.conditions[k], name) for name in conditions.values()),
                     )
                 )
-    frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names])
+    frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names, *conditions])
     return Study(
-        rows=frame, features=table.feature_names, axes=axes_of(frame, table.feature_names[:2]), twin=table.twin
+        rows=frame.astype(dict.fromkeys(conditions, np.float64)),
+        features=table.feature_names,
+        axes=axes_of(frame, table.feature_names[:2]),
+        twin=table.twin,
+        conditions=tuple(conditions),
     )
 
 
 def axes_of(rows: pd.DataFrame, names: Sequence[str]) -> dict[str, float]:
-    """Let features span a map, in about ten bins each, of a width of one digit."""
-    return {name: max(float(f"{np.ptp(rows[name]) / BINS:.1g}"), 1e-9) for name in names}
+    """Let features span a map, in about ten bins each, of a width of one digit; 0 and 1 are two bins."""
+    return {
+        name: 1.0 if rows[name].isin((0.0, 1.0)).all() else max(float(f"{np.ptp(rows[name]) / BINS:.1g}"), 1e-9)
+        for name in names
+    }

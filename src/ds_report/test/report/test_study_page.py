@@ -47,7 +47,7 @@ def test_too_few_tests_still_have_maps_and_counts(tmp_path: Path) -> None:
     assert "expected at least 10" in text and "What was read" in text
 
 
-def test_maps_count_every_drive_and_merge_by_every_operator(tmp_path: Path) -> None:
+def test_maps_count_every_test_and_merge_by_every_operator(tmp_path: Path) -> None:
     study = import_outcomes([table(tmp_path, 60)], Columns(twin="car", map={"speed": 5.0, "curve": 0.1}))
     maps = maps_of_study(study)
     rows = study.rows

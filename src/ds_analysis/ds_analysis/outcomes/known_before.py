@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Features of imported tests: columns of numbers, of few words, and with cells that are empty."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from ds_analysis.common.outcome_table import OutcomeTableError
+from ds_analysis.outcomes.columns import column_of, is_empty, numbers_of
+from ds_base.left_out import LeftOut
+
+MOST_LEVELS = 12
+"""Words of a column up to which each becomes a feature; chosen: weathers and towns have fewer, remarks have more."""
+MOSTLY = 0.9
+"""Share of a column's cells that have to be numbers for the others to be missing ones; chosen."""
+IDENTIFIER = re.compile(r"(^|[\W_])(id|index|seed|uuid|hash|unnamed: \d+)$", re.IGNORECASE)
+AFTERWARDS = re.compile(r"(^|[\W_])(status|outcome|result|verdict|reason|message|error|comment|notes?)$", re.IGNORECASE)
+"""Names of columns of words that are written after a drive."""
+
+
+@dataclass
+class ImportNotes:
+    """What an import says beside the study.
+
+    Attributes:
+        rows: those that cannot be read.
+        columns: those that are no features.
+        features: a line for each feature that was made of words, or that has missing numbers.
+    """
+
+    rows: LeftOut = field(default_factory=lambda: LeftOut("rows", strict=True))
+    columns: LeftOut = field(default_factory=lambda: LeftOut("columns"))
+    features: list[str] = field(default_factory=list)
+
+
+def features_of(
+    frame: pd.DataFrame,
+    tests: Sequence[str],
+    names: Sequence[str] | None,
+    used: set[str],
+    notes: ImportNotes,
+    source: str,
+    *,
+    owners: Sequence[str] | None = (),
+) -> pd.DataFrame:
+    """Return the features of each test, a row for each.
+
+    A missing number is the median of the other tests, and 1 in a further feature, `NAME missing`. Each word of a column
+    is a feature of 0 and 1, `NAME=WORD`.
+
+    Args:
+        frame: rows of the table.
+        tests: (rows,) test of each.
+        names: columns to take; all that may be features if None.
+        used: columns that are something else.
+        notes: takes what is left out, and what became of words and missing numbers.
+        source: name of the table, for errors.
+        owners: simulators of a wide table, whose names end their columns; None if all columns are known to be features.
+
+    Raises:
+        OutcomeTableError: a named column is no feature; or a number is missing and `notes.rows` is strict.
+    """
+    made: dict[str, pd.Series[Any]] = {}
+    for name in names if names is not None else [one for one in frame.columns if one not in used]:
+        column_of(frame, name, source)
+        values, is_number = _values(frame[name], numbers_of(frame, name, source))
+        reason = _varies(values, tests, is_number)
+        of_test = values.groupby(pd.Index(tests), sort=False).first()
+        levels = [] if is_number else sorted(of_test.dropna().unique())
+        if not reason and not is_number and len(levels) > MOST_LEVELS:
+            reason = f"has {len(levels)} different words, expected numbers or at most {MOST_LEVELS} words"
+        if reason and names is not None:
+            raise OutcomeTableError(f"{source}: {name} {reason}: it is no feature, leave it out of features")
+        if names is None:
+            if of_test.nunique(dropna=False) < 2:
+                continue
+            notes.columns.total += 1
+            if reason := reason or ("" if owners is None else _unlike(name, levels, of_test, owners)):
+                notes.columns.add(name, reason)
+                continue
+        gaps = of_test.isna()
+        if gaps.any() and notes.rows.strict:
+            raise OutcomeTableError(f"{source}: {name} is no finite number, or empty, for test {gaps.idxmax()}")
+        if is_number:
+            made[name] = of_test.astype(np.float64).fillna(of_test.median())
+        else:
+            made |= {f"{name}={level}": (of_test == level).astype(np.float64) for level in levels}
+            notes.features.append(f"{name}: a feature of 0 and 1 for each of {', '.join(levels)}")
+        if gaps.any():
+            made[f"{name} missing"] = gaps.astype(np.float64)
+            median = f", which count as the median, {of_test.median():.4g}" if is_number else ""
+            notes.features.append(f"{name} missing: 1 for the {gaps.sum()} of {len(gaps)} tests without it{median}")
+    return pd.DataFrame(made)
+
+
+def _values(column: pd.Series[Any], numbers: np.ndarray) -> tuple[pd.Series[Any], bool]:
+    """Values of a column, NaN where there is none, and whether they are numbers rather than words."""
+    cells = ~is_empty(column)
+    if np.isfinite(numbers).sum() >= MOSTLY * cells.sum():
+        return pd.Series(numbers), True
+    words: pd.Series[Any] = column.astype(str).str.strip().where(cells)
+    return words.set_axis(range(len(words))), False
+
+
+def _varies(values: pd.Series[Any], tests: Sequence[str], is_number: bool) -> str:
+    """Why a column is known only after a drive; empty if it may be a feature."""
+    of_test = values.groupby(pd.Index(tests))
+    if is_number:
+        spread = of_test.max() - of_test.min()
+        differing = spread[spread > 1e-9 * of_test.max().abs()].index
+    else:
+        counts = of_test.nunique()
+        differing = counts[counts > 1].index
+    return f"differs between drives of {len(differing)} tests, as {differing[0]}" if len(differing) else ""
+
+
+def _unlike(name: str, levels: Sequence[str], of_test: pd.Series[Any], owners: Sequence[str]) -> str:
+    """Why a column that nobody named as a feature is none; empty if it is one."""
+    if IDENTIFIER.search(name):
+        return "is an identifier by its name"
+    if levels and AFTERWARDS.search(name):
+        return "is written after a drive, by its name"
+    if len(levels) > len(of_test) / 2:
+        return "names single tests"
+    owner = [one for one in owners if re.search(rf"(^|[\W_]){re.escape(one)}$", name, re.IGNORECASE)]
+    return f"belongs to {owner[0]}" if owner else ""

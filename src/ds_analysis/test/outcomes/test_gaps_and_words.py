@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables with empty cells and words, as others publish them: what is read, left out and made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from ds_analysis.common.outcome_table import OutcomeTableError
+from ds_analysis.outcomes.columns import Columns
+from ds_analysis.outcomes.known_before import ImportNotes
+from ds_analysis.outcomes.maps import maps_of_study
+from ds_analysis.outcomes.study import Study, import_outcomes, read_study, write_rows, write_study
+from ds_base.left_out import LeftOut
+from ds_orchestrator.maps.feature_map import MapId
+
+WEATHERS = ["rain", "clear", "fog", None]
+SPEEDS = np.random.default_rng(4).uniform(5.0, 20.0, 24).round(2)
+
+
+def leaderboard(folder: Path) -> pd.DataFrame:
+    """24 routes on two simulators, with words, identifiers, remarks, and a speed that route 3 does not have."""
+    rows = [
+        {
+            "test_id": f"RouteScenario_{route}",
+            "simulator": simulator,
+            "failed": "Failed" if route % 3 == 0 else "Completed",
+            "town": f"Town0{route % 2 + 1}",
+            "weather": WEATHERS[route % 4],
+            "speed": None if route == 3 else SPEEDS[route],
+            "turns": route % 5,
+            "save_name": f"run_{route}",
+            "remark": f"note {route % 13}",
+            "status": "as planned" if route % 2 else "late",
+            "route_index": route,
+        }
+        for route in range(24)
+        for simulator in ("carla", "lgsvl")
+    ]
+    frame = pd.DataFrame(rows)
+    frame.to_csv(folder / "t.csv", index=False)
+    return frame
+
+
+def read(folder: Path, frame: pd.DataFrame, columns: Columns, *, strict: bool = False) -> tuple[Study, ImportNotes]:
+    frame.to_csv(folder / "t.csv", index=False)
+    notes = ImportNotes(rows=LeftOut("rows", strict))
+    return import_outcomes([folder / "t.csv"], columns, notes), notes
+
+
+def test_words_become_levels_and_gaps_the_median_with_an_indicator(tmp_path: Path) -> None:
+    frame = leaderboard(tmp_path)
+    study, notes = read(tmp_path, frame, Columns())
+    of_test = frame.drop_duplicates("test_id").set_index("test_id")
+    expected = pd.get_dummies(of_test[["town", "weather"]], prefix_sep="=", dtype=float)
+    expected["weather missing"] = of_test["weather"].isna().astype(float)
+    expected["speed"] = of_test["speed"].astype(float).fillna(np.median(np.delete(SPEEDS, 3)))
+    expected["speed missing"] = (of_test.index == "RouteScenario_3").astype(float)
+    expected["turns"] = of_test["turns"].astype(float)
+    found = study.rows.drop_duplicates("test_id").set_index("test_id")[list(study.features)].astype(float)
+    pd.testing.assert_frame_equal(found, expected, check_like=True)
+    assert list(study.axes) == ["speed", "turns"]
+    reasons = dict(notes.columns.items)
+    assert set(reasons) == {"save_name", "remark", "status", "route_index"} and "13 different" in reasons["remark"]
+    assert notes.features == [
+        "town: a feature of 0 and 1 for each of Town01, Town02",
+        "weather: a feature of 0 and 1 for each of clear, fog, rain",
+        "weather missing: 1 for the 6 of 24 tests without it",
+        f"speed missing: 1 for the 1 of 24 tests without it, which count as the median, {expected.speed.iloc[3]:.4g}",
+    ]
+    # Exported and imported again, nothing changes.
+    write_rows(tmp_path / "again.csv", study)
+    again = import_outcomes([tmp_path / "again.csv"], Columns())
+    pd.testing.assert_frame_equal(again.rows, study.rows)
+    assert (again.features, again.axes) == (study.features, study.axes)
+    write_study(tmp_path, study)
+    assert read_study(tmp_path).features == study.features
+    named, _ = read(tmp_path, frame, Columns(features=["weather", "speed", "route_index"]))
+    assert {"weather=fog", "route_index"} <= set(named.features)
+    with pytest.raises(OutcomeTableError, match="remark has 13 different words, expected numbers or at most 12 words"):
+        read(tmp_path, frame, Columns(features=["remark", "speed"]))
+    with pytest.raises(OutcomeTableError, match="speed is no finite number, or empty, for test RouteScenario_3"):
+        read(tmp_path, frame, Columns(features=["speed", "turns"]), strict=True)
+
+
+def test_rows_that_cannot_be_read_are_counted_and_named(tmp_path: Path) -> None:
+    frame = leaderboard(tmp_path)
+    frame.loc[0, "test_id"] = None  # line 2
+    frame.loc[5, "simulator"] = " "  # line 7
+    frame.loc[10, "failed"] = None  # line 12
+    frame.loc[21, "failed"] = "aborted"  # line 23
+    study, notes = read(tmp_path, frame, Columns())
+    good = frame.drop(index=[0, 5, 10, 21])
+    assert len(study.rows) == 44
+    assert study.rows["test_id"].tolist() == good["test_id"].tolist()
+    assert study.rows["failed"].tolist() == (good["failed"] == "Failed").tolist()
+    assert notes.rows.line() == (
+        "4 of 48 rows left out: line 2 (test_id is empty); line 7 (simulator is empty); line 12 (failed is empty); "
+        "and 1 more"
+    )
+    with pytest.raises(OutcomeTableError, match=r"t.csv, line 2 \(test_id=nan.*: test_id is empty"):
+        read(tmp_path, frame, Columns(), strict=True)
+
+
+@pytest.mark.parametrize(
+    ("rules", "failed", "unread"),
+    [
+        # status, collisions: (ok, 0), (ok, none), (none, 0), (none, 2), (bad, none), (ok, 1), (ok, 0)
+        ([{"column": "status", "is_not": "ok"}, {"column": "hits", "above": 0}], [0, 0, 0, 1, 1, 1, 0], [1, 2]),
+        ([{"column": "status", "is": "bad"}], [0, 0, 0, 0, 1, 0, 0], [2, 3]),
+        ([{"column": "hits", "is_not": ""}], [1, 0, 1, 1, 0, 1, 1], []),
+    ],
+)
+def test_a_verdict_is_never_guessed(
+    tmp_path: Path, rules: list[dict[str, Any]], failed: list[int], unread: list[int]
+) -> None:
+    status, hits = ["ok", "ok", None, None, "bad", "ok", "ok"], [0, None, 0, 2, None, 1, 0]
+    frame = pd.DataFrame({"test_id": range(7), "simulator": "a", "status": status, "hits": hits})
+    more = frame.assign(test_id=range(7, 14), status="ok", hits=0)
+    both = pd.concat([frame, *[more.assign(test_id=more.test_id + 7 * k) for k in range(3)]], ignore_index=True)
+    both["x"], both["y"] = both.test_id * 1.5, both.test_id % 3
+    columns = Columns.model_validate({"failed": rules, "features": ["x", "y"]})
+    study, notes = read(tmp_path, both, columns)
+    found = study.rows.set_index("test_id")["failed"]
+    assert {k: bool(found[str(k)]) for k in range(7) if str(k) in found} == {
+        k: bool(failed[k]) for k in range(7) if k not in unread
+    }
+    assert [name for name, _ in notes.rows.items] == [f"line {k + 2}" for k in unread]
+
+
+@pytest.mark.parametrize(("word", "said"), [("crash", "failed is 'crash', expected"), (None, "failed is empty")])
+def test_leaving_out_every_failure_is_refused(tmp_path: Path, word: str | None, said: str) -> None:
+    """Where all other rows say the same, leaving out those without a verdict would decide the outcome."""
+    frame = leaderboard(tmp_path)
+    frame["failed"] = [word if one == "Failed" else one for one in frame["failed"]]
+    with pytest.raises(OutcomeTableError, match=f"line 2 .*{said}.*without such rows no verdict differs"):
+        read(tmp_path, frame, Columns())
+
+
+def test_needed_margins_and_second_tables_with_gaps(tmp_path: Path) -> None:
+    rows = [(f"t{k}", sim, float(k), None if k == 4 else 0.1 * k, 7 * k % 10, k % 3) for k in range(12) for sim in "ab"]
+    frame = pd.DataFrame(rows, columns=["test_id", "simulator", "run", "xte", "x", "y"])
+    frame.loc[3, "run"] = None
+    pd.DataFrame({"test_id": [f"t{k}" for k in range(11)] + [None], "width": range(12)}).to_csv(tmp_path / "w.csv")
+    frame.to_csv(tmp_path / "t.csv", index=False)
+    columns = Columns.model_validate({"margin": {"column": "xte", "limit": 0.55}, "repeat": "run"})
+    notes = ImportNotes(rows=LeftOut("rows"))
+    study = import_outcomes([tmp_path / "t.csv", tmp_path / "w.csv"], columns, notes)
+    assert notes.rows.line() == (
+        "3 of 24 rows left out: line 5 (run is no finite number); line 10 (xte or its limit is not a finite number); "
+        "line 11 (xte or its limit is not a finite number)"
+    )
+    assert set(study.rows[study.rows.failed].test_id) == {f"t{k}" for k in range(6, 12)}
+    of_test = study.rows.drop_duplicates("test_id").set_index("test_id")
+    assert of_test.loc["t11", ["width", "width missing"]].tolist() == [np.median([*range(4), *range(5, 11)]), 1.0]
+
+
+def test_maps_count_tests_not_their_repeats(tmp_path: Path) -> None:
+    """By hand: three tests share a cell, driven three times each; they fail in 0, 1 and 2 of them, so one fails."""
+    speeds = {"a": 1.0, "b": 1.5, "c": 1.9, "d": 7.0}
+    failures = {"a": 0, "b": 1, "c": 2, "d": 3}
+    rows = [
+        (test, sim, run, run < failures[test], speed, 0.5)
+        for test, speed in speeds.items()
+        for sim in ("x", "y")
+        for run in range(3)
+    ]
+    frame = pd.DataFrame(rows, columns=["test_id", "simulator", "repeat", "failed", "speed", "curve"])
+    study, _ = read(tmp_path, frame, Columns(features=["speed", "curve"], map={"speed": 5.0, "curve": 1.0}))
+    cells = maps_of_study(study)[MapId.union("x")].cells
+    assert {cell: (one.tests, one.failures) for cell, one in cells.items()} == {(0, 0): (3, 1), (1, 0): (1, 1)}
+    assert cells[0, 0].probability == cells[0, 0].quality_loss == pytest.approx(1 / 3)
