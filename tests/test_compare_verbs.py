@@ -424,6 +424,14 @@ def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
     assert (configs[1][0].engine, configs[1][0].workers) == ("graph", 1)
     other = ds("test", "autopilot", "--sims", "bullet,donkey", "--size", "medium")
     assert other.returncode == 2 and "holds another test: choose another --out" in other.stderr
+    assert ds("test", "autopilot", "--sims", "bullet,donkey", "--seed", 7, "--out", "seventh").returncode == 0
+    assert read_config(Path("seventh/campaign.yaml")).seed == 7
+
+
+def test_a_test_that_fails_may_end_with_status_3(tmp_path: Path, engine: list[OfDriver]) -> None:
+    done = ds("test", "dave2", "--sims", "bullet,donkey", "--fail-on", "failure", "--out", tmp_path / "out")
+    assert done.returncode == 3 and "not passed: " in done.stderr and "next: ds " in done.stderr, done.stderr
+    assert Path(done.stdout.splitlines()[-1]) == tmp_path / "out" / "report.html"
 
 
 def test_a_campaign_of_several_networks_is_one_each_and_a_sorted_table(tmp_path: Path, engine: list[OfDriver]) -> None:

@@ -72,6 +72,22 @@ def test_a_campaign_without_drives_says_how_it_goes_on(here: Path) -> None:
     assert len(json.loads(ds("campaign", "status", moved, "--json").stdout)["missing_bags"]) > 0
 
 
+@pytest.mark.parametrize(
+    ("verb", "words"),
+    [
+        (("models",), ["check", "dave2"]),
+        (
+            ("collect", "--out", "my data", "--roads", "1", "--sims", "donkey", "--every", "50"),
+            ["train", "--data", "my data", "--out", "networks"],
+        ),
+    ],
+)
+def test_a_verb_ends_with_what_comes_next(here: Path, verb: tuple[str, ...], words: list[str]) -> None:
+    done = ds(*verb)
+    assert done.returncode == 0 and printed(done.stderr) == words, done.stderr
+    assert ds(*words[:1], "--help").returncode == 0
+
+
 def test_an_unfinished_bag_says_how_it_is_completed(here: Path) -> None:
     simulator = make_simulator("donkey")
     road = Road([(125.0, 25.0 * number) for number in range(9)])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import tempfile
 import time
@@ -352,4 +353,6 @@ def drive_command(
             print(warning(whose, habit))
 
     unmet = [f"{whose} fails on the road"] if fail_on == "failure" and run.outcome.is_failure else []
-    end(Result(document=document, show=show, error=run.outcome.is_error, unmet=unmet), as_json)
+    following = f"ds test {shlex.quote('dave2' if whose in ('attached', 'autopilot') else whose)}"
+    error = run.outcome.is_error
+    end(Result(document=document, show=show, error=error, unmet=unmet, next=following), as_json)

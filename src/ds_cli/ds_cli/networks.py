@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,6 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import as_typed, ds_command
 from ds_cli.options import (
     Camera,
     ImageRows,
@@ -71,6 +73,7 @@ def collect_command(
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
     counts = json.loads((out / "manifest.json").read_text())["images"]
     print(f"{sum(counts.values())} images of {', '.join(simulators)} are in {out}")
+    say(f"next: {as_typed(_training_of(out))}")
 
 
 @app.command("import")
@@ -109,7 +112,8 @@ def import_command(
 
     if left_out.items:
         say(left_out.line())
-    answer(Result(document=asdict(found) | {"unreadable": len(left_out.items)}, show=show), as_json)
+    document = asdict(found) | {"unreadable": len(left_out.items)}
+    answer(Result(document=document, show=show, next=_training_of(out)), as_json)
 
 
 @app.command("train")
@@ -152,7 +156,14 @@ def train_command(
         raise Interrupted(
             f"the finished epochs are kept in {out}; the same command continues" if known else ""
         ) from None
-    print(out / f"{network}.safetensors")
+    file = out / f"{network}.safetensors"
+    print(file)
+    say(f"next: {ds_command('check', file)}")
+
+
+def _training_of(data: Path) -> str:
+    """Command that trains a network on a data set."""
+    return shlex.join(["ds", "train", "--data", str(data), "--out", "networks"])
 
 
 def _steps_of(text: str) -> tuple[int, ...]:
@@ -183,4 +194,4 @@ def models_command(as_json: JsonFlag = False) -> None:
             table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
         Console().print(table)
 
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next="ds check dave2"), as_json)

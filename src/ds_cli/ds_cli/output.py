@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ds_base.installation import as_typed
 from ds_base.progress import LOGGER
 from ds_base.words import duration
 
@@ -58,12 +59,14 @@ class Result:
         show: prints it for a person, on standard output.
         error: True if the exit status is to be 1.
         unmet: pass criteria that are not met, one sentence each; with any, the exit status is 3 unless it is 1.
+        next: command that a user types next, such as `ds report DIR`; empty if there is none.
     """
 
     document: Any
     show: Callable[[], None]
     error: bool = False
     unmet: Sequence[str] = ()
+    next: str = ""
 
 
 def say(line: str) -> None:
@@ -144,6 +147,8 @@ def answer(result: Result, as_json: bool) -> None:
         print(json.dumps(result.document, allow_nan=False))
     else:
         result.show()
+    if result.next and not result.error:
+        say(f"next: {as_typed(result.next)}")
 
 
 def end(result: Result, as_json: bool) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -134,7 +135,8 @@ def siblings_compare_command(
             print(out)
 
     in_error = any(row["errors"] for row in document["simulators"].values())
-    end(Result(document=document, show=show, error=in_error), as_json)
+    following = "" if out is None else f"ds predict {shlex.quote(str(out))}"
+    end(Result(document=document, show=show, error=in_error, next=following), as_json)
 
 
 def _write(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
@@ -67,7 +68,9 @@ def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
             table.add_row(*(Text(printable(topic[key])) for key in ("name", "type", "messages")))
         Console().print(table)
 
-    answer(Result(document=document, show=show), as_json)
+    verb = "redrive" if document["facts"].get("simulator") else "drive"
+    words = ["ds", "bag", verb, str(folder), *([] if verb == "redrive" else ["--driver", "dave2"])]
+    answer(Result(document=document, show=show, next=shlex.join(words)), as_json)
 
 
 @bag_app.command("recover")

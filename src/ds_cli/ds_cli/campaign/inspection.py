@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -73,7 +74,8 @@ def status(folder: Path) -> Result:
         if document["errors"]:
             print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
 
-    return Result(document=document, show=show)
+    verb = "report" if all(stage.state == "done" for stage in stages) else "campaign resume"
+    return Result(document=document, show=show, next=f"ds {verb} {shlex.quote(str(folder))}")
 
 
 @campaign_app.command("status")

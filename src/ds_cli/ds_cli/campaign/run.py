@@ -75,7 +75,6 @@ def campaign(
     Raises:
         Interrupted: the user stopped it.
     """
-    from ds_base.installation import as_typed
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.campaign.folder import open_store
@@ -109,11 +108,10 @@ def campaign(
     def show() -> None:
         for sentence in filter(None, (outcome.answer.where, outcome.answer.believe, outcome.answer.next)):
             print(sentence)
-        if outcome.answer.command:
-            print(f"  {as_typed(outcome.answer.command)}")
         print(outcome.report)
 
-    return Result(document=document, show=show, error=outcome.executions_in_error > 0)
+    error = outcome.executions_in_error > 0
+    return Result(document=document, show=show, error=error, next=outcome.answer.command)
 
 
 def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], Result], sort: str | None) -> Result:
@@ -219,7 +217,13 @@ def campaign_init_command(
 
 
 def _template_of(
-    driver: str, sims: str, size: str, sensitivity: Path | None, file: Path, angles: Mapping[str, int] | None = None
+    driver: str,
+    sims: str,
+    size: str,
+    sensitivity: Path | None,
+    file: Path,
+    angles: Mapping[str, int] | None = None,
+    seed: int = 1,
 ) -> str:
     """A commented configuration for a file; the driver and the simulators exist."""
     from ds_orchestrator.campaign.config import rebase_paths
@@ -231,7 +235,8 @@ def _template_of(
     check_driver(driver, names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
     named = rebase_paths({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
-    return template(**named, size=size, ranges=read_ranges(sensitivity) if sensitivity else None, angles=angles)
+    ranges = read_ranges(sensitivity) if sensitivity else None
+    return template(**named, size=size, ranges=ranges, angles=angles, seed=seed)
 
 
 @app.command("test")
@@ -252,6 +257,12 @@ def search_command(
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**32 - 1, help="Seed of the search: another one drives other roads.")
+    ] = 1,
+    fail_on: FailOnFailure = None,
+    max_failures: MaxFailures = None,
+    junit: Junit = None,
     sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -265,14 +276,19 @@ def search_command(
 
     def tested(network: str, folder: Path) -> Result:
         file = folder / "campaign.yaml"
-        text = _template_of(network, sims, size, sensitivity, file)
+        text = _template_of(network, sims, size, sensitivity, file, seed=seed)
         make_folder(folder)
         if file.exists() and file.read_text("utf-8") != text:
             raise ConfigError(f"{folder} holds another test: choose another --out")
         file.write_text(text, "utf-8")
-        return campaign(with_engine(read_config(file), workers or usual_workers(engine), engine or "local"), folder)
+        config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
+        return judged(campaign(config, folder), folder, criteria, junit)
 
-    if networks := several(network):
+    criteria = criteria_of(fail_on, max_failures, has_reference=False)
+    check_writable(junit)
+    if (networks := several(network)) and junit:
+        raise ConfigError("--junit is for one network: give one")
+    if networks:
         end(each_network(networks, out or Path("networks_test"), tested, sort), as_json)
     else:
         end(tested(network, out or Path(f"{label_of_driver(network)}_test")), as_json)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -87,7 +88,8 @@ def suite_make_command(
         print(f"{sizes}, with the margins of {suite.driver}; below 0 it fails.")
         print(out)
 
-    answer(Result(document=document, show=show), as_json)
+    following = shlex.join(["ds", "suite", "run", str(out), suite.driver])
+    answer(Result(document=document, show=show, next=following), as_json)
 
 
 @suite_app.command("run")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import shlex
 from contextlib import closing, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -99,4 +100,6 @@ def explain_command(
         if out is not None:
             print(out)
 
-    end(Result(document=document, show=show, error=not all(one.repeats for one in explained)), as_json)
+    following = f"ds campaign roads {shlex.quote(str(folder))} --failed --out failures.json"
+    error = not all(one.repeats for one in explained)
+    end(Result(document=document, show=show, error=error, next=following), as_json)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -131,7 +132,8 @@ def sensitivity_command(
             if page is not None:
                 print(page.path)
 
-        return found, Result(document=document, show=show, error=bool(found.errors))
+        following = "" if out is None else shlex.join(["ds", "test", driver, "--sensitivity", str(out)])
+        return found, Result(document=document, show=show, error=bool(found.errors), next=following)
 
     if len(drivers) == 1:
         end(analyse(drivers[0], out, gates)[1], as_json)

@@ -35,6 +35,7 @@ def template(
     size: str,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     angles: Mapping[str, int] | None = None,
+    seed: int = 1,
 ) -> str:
     """Write a configuration as YAML, with a comment on every key.
 
@@ -45,6 +46,7 @@ def template(
         size: one of `SIZES`.
         ranges: conditions to search, the most sensitive one first; those after `MOST_SEARCHED` become comments.
         angles: `min_angle` and `max_angle` of the search, where they are not to be the defaults.
+        seed: of the campaign.
 
     Raises:
         ConfigError: the size is unknown, the angles are in the wrong order, or the simulators do not make a campaign.
@@ -64,6 +66,7 @@ def template(
         conditions=_conditions(ranges or {}),
         iterations=search.iterations,
         runs=search.runs,
+        seed=f"# seed: {seed}" if seed == 1 else f"seed: {seed}",
         simulators=", ".join(SIMULATORS),
         searches=" or ".join(SEARCHES),
         features=", ".join(list(FEATURES)[:6]),
@@ -118,7 +121,7 @@ search:    # on every sibling
 # operators: {{probability: product, quality_loss: minimum, compare: []}}    # {operators}
 # sim2real: false    # or generators that translate every image
 # maxitwo_compatible: false    # true: reproduce known quirks of the authors' package
-# seed: 1
+{seed}
 # engine: graph    # local: without ROS, faster; dask: many machines; the same results
 # workers: 1    # drives at the same time; results do not depend on it
 # retries: 2    # further attempts after an error
