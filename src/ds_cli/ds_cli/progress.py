@@ -16,6 +16,7 @@ from ds_orchestrator.campaign.eta import TimedListener
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 
 EVERY = 5.0
 """Seconds between two lines about a drive where there is no terminal; chosen."""
@@ -69,7 +70,7 @@ class ScreenListener(TimedListener):
             self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
             if not self._console.is_terminal and fresh:
                 outcome = _outcome(execution)
-                line = f"{self.done}/{self.total} {test.test_id} on {simulator}: {outcome}"
+                line = f"{self.done}/{self.total} {test.test_id} on {SimulatorName.parse(simulator).title}: {outcome}"
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from ds_base.errors import InputError
 from ds_base.extension import installed, plugin_of
 from ds_base.palette import SERIES
-from ds_base.words import did_you_mean
+from ds_base.words import did_you_mean, listed
 
 if TYPE_CHECKING:
     from ds_sim.simulator import Simulator, SimulatorSpec  # NumPy would delay every help text
@@ -48,8 +48,11 @@ class SimulatorName:
         parts: of a hybrid, each part and the name of the simulator that gives it.
 
     Examples:
+        >>> from ds_sim.registry import HYBRID, SimulatorName
         >>> SimulatorName.parse("donkey@my_car.yaml")
         SimulatorName(base='donkey', file='my_car.yaml', parts=())
+        >>> SimulatorName.parse(HYBRID + "@camera=donkey,look=bullet,vehicle=bullet,delays=bullet").title
+        'bullet with the camera of donkey'
     """
 
     base: str
@@ -67,6 +70,16 @@ class SimulatorName:
     def __str__(self) -> str:
         ending = self.file or ",".join(f"{part}={name}" for part, name in self.parts)
         return f"{self.base}@{ending}" if ending else self.base
+
+    @property
+    def title(self) -> str:
+        """The name for a person; of a hybrid its parts: `bullet with the camera of donkey`."""
+        if not self.parts:
+            return str(self)
+        names = [name for _, name in self.parts]
+        most = max(names, key=names.count)
+        others = [f"the {part} of {name}" for part, name in self.parts if name != most]
+        return f"{most} with {listed(others)}" if others else most
 
     def moved(self, start: Path, end: Path) -> SimulatorName:
         """The name whose paths, relative to one folder, are made relative to another."""
