@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
+
+if TYPE_CHECKING:
+    from ds_analysis.outcomes.columns import Columns
 
 app = typer.Typer()
 outcomes_app = typer.Typer(no_args_is_help=True)
@@ -36,17 +40,18 @@ def outcomes_import_command(
 ) -> None:
     """Make a study of the same tests' outcomes on any simulators, to predict, propose drives and compare.
 
-    Without --columns: test_id, simulator and failed; every other number is a feature. docs/outcomes.md begins with a
-    table of ten lines.
+    Without --columns, test_id, simulator and failed or what has usual names for them; otherwise the folder gets a first
+    columns.yaml to check. docs/outcomes.md begins with a table of ten lines.
     """
-    from ds_analysis.outcomes.columns import Columns, read_columns
+    from ds_analysis.outcomes.columns import read_columns
     from ds_analysis.outcomes.known_before import ImportNotes
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_base.folder_files import make_folder
     from ds_base.left_out import LeftOut
 
     notes = ImportNotes(rows=LeftOut("rows", strict))
-    study = import_outcomes(tables, Columns() if columns is None else read_columns(columns), notes)
+    known = _guessed(tables, out) if columns is None else read_columns(columns)
+    study = import_outcomes(tables, known, notes)
     for line in (notes.rows.line(), notes.columns.line(), *notes.features):
         if line:
             say(line)
@@ -82,6 +87,32 @@ def outcomes_import_command(
         print(path)
 
     answer(Result(document=document, show=show), as_json)
+
+
+def _guessed(tables: list[Path], out: Path) -> Columns:
+    """What the columns are, by usual names; writes a first file to check where these do not say it."""
+    from ds_analysis.common.outcome_table import OutcomeTableError
+    from ds_analysis.outcomes.columns import Columns
+    from ds_analysis.outcomes.guess import FILE, guess_columns
+    from ds_base.atomic_files import write_whole
+    from ds_base.folder_files import make_folder
+
+    guess = None if any(path.is_dir() for path in tables) else guess_columns(tables[0])
+    if guess is None:
+        return Columns()
+    if guess.sure:
+        say("by usual names: " + ", ".join(f"{key} is {value}" for key, value in guess.columns.items()))
+        return Columns.model_validate(guess.columns)
+    file = out / FILE
+    command = ds_command("outcomes", "import", *tables, "--columns", file, "--out", out)
+    if file.exists():
+        raise OutcomeTableError(f"{tables[0]}: its columns have no usual names, and {file} exists: `{command}` uses it")
+    make_folder(out)
+    write_whole(file, guess.text(tables[0].name))
+    asked = f", and fill in {' and '.join(guess.asked)}" if guess.asked else ""
+    say(f"{tables[0]}: wrote {file} with what its columns seem to be: check it{asked}")
+    print(f"next: {command}")
+    raise typer.Exit(2)
 
 
 @outcomes_app.command("export")

@@ -65,7 +65,7 @@ class Rule(_Strict):
         wanted = self.is_ if self.is_ is not None else self.is_not
         if wanted == "":
             return empty if self.is_ is not None else ~empty, np.zeros(len(frame), np.bool_)
-        same = np.array([_word(one) == _word(wanted) for one in column], np.bool_)
+        same = np.array([word_of(one) == word_of(wanted) for one in column], np.bool_)
         if len(same) and not same.any():
             known = ", ".join(sorted({str(one) for one in column})[:_SHOWN])
             raise OutcomeTableError(f"{source}: {self.column} is never {wanted!r:.60}, but {known:.150}")
@@ -212,7 +212,7 @@ def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> tuple[Bools
     """
     words: list[str] = []
     if isinstance(failed, str):
-        words = [_word(one) for one in column_of(frame, failed, source)]
+        words = [word_of(one) for one in column_of(frame, failed, source)]
         empty, known = is_empty(frame[failed]), WORDS[True] | WORDS[False]
         expected = f"expected true or false, 1 or 0, failed or completed, or rules: {GUIDE}"
         reasons = {
@@ -255,5 +255,6 @@ def _text(value: Any) -> str:
     return str(int(value) if isinstance(value, float) and value.is_integer() else value)
 
 
-def _word(value: Any) -> str:
+def word_of(value: Any) -> str:
+    """Word of a cell, in lower case."""
     return _text(value).strip().lower()

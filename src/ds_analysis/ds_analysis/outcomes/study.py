@@ -157,7 +157,7 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
     folders = [path for path in tables if path.is_dir()]
     if folders:
         columns = columns.model_copy(update={"repeat": columns.repeat or "repeat"})
-    frame = read_competition(folders, notes.rows) if folders else _read(tables[0])
+    frame = read_competition(folders, notes.rows) if folders else read_frame(tables[0])
     tests = listed(columns.test)
     for path in (path for path in tables[1:] if path not in folders):
         frame = _joined(frame, path, tests, source)
@@ -219,7 +219,7 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
 
 def _joined(frame: pd.DataFrame, path: Path, tests: list[str], source: str) -> pd.DataFrame:
     """Add the columns of a table with a row for each test."""
-    more = _read(path)
+    more = read_frame(path)
     keys = texts_of(more, tests, path.name)
     more = more.set_axis(pd.Index(keys, name="test of the row"))[[key != "" for key in keys]]
     if more.index.has_duplicates:
@@ -259,7 +259,12 @@ def _spanning(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
     return sorted(names, key=lambda name: bool(rows[name].isin((0.0, 1.0)).all()))[:2]
 
 
-def _read(path: Path) -> pd.DataFrame:
+def read_frame(path: Path) -> pd.DataFrame:
+    """Read a table, CSV or Parquet; the index of CSV is the line.
+
+    Raises:
+        OutcomeTableError: it cannot be read, or is too large.
+    """
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise OutcomeTableError(f"{path}: more than {LARGEST_FILE // 2**20} MiB: import a part of it")
@@ -416,7 +421,7 @@ def read_study(folder: Path) -> Study:
         OutcomeTableError: it is damaged, or not one.
     """
     path = folder / FILE
-    frame = _read(path)
+    frame = read_frame(path)
     damaged = OutcomeTableError(f"{path} is no study: make it again with `ds outcomes import`")
     try:
         about = json.loads((pq.read_schema(path).metadata or {})[KEY])
