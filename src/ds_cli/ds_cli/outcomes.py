@@ -46,6 +46,7 @@ def outcomes_import_command(
     from ds_analysis.outcomes.columns import read_columns
     from ds_analysis.outcomes.known_before import ImportNotes
     from ds_analysis.outcomes.study import import_outcomes, write_study
+    from ds_analysis.prediction.mixture import FEWEST_TESTS
     from ds_base.folder_files import make_folder
     from ds_base.left_out import LeftOut
 
@@ -84,7 +85,11 @@ def outcomes_import_command(
         print(f"features: {', '.join(study.features)}")
         if len(study.simulators) - (study.twin is not None) < 2:
             print("warning: only one sibling: what it says counts half, as no other simulator confirms it")
+        few = [f"{name} ({tests})" for name, (tests, *_) in found.items() if tests < FEWEST_TESTS]
+        if few:
+            print(f"fewer than {FEWEST_TESTS} tests: {', '.join(few)}; they count where they were driven")
         print(path)
+        print(f"next: {ds_command('predict', out)}")
 
     answer(Result(document=document, show=show), as_json)
 

@@ -130,6 +130,14 @@ class Prediction:
         return probabilities
 
 
+def too_few(table: OutcomeTable) -> str:
+    """Why a table has too few tests for a prediction; empty if it has enough."""
+    tests = int(np.any([table.known(name) for name in table.siblings], axis=0).sum())
+    if tests >= FEWEST_TESTS:
+        return ""
+    return f"{tests} tests have a verdict on a sibling, expected at least {FEWEST_TESTS}: drive more tests"
+
+
 def predict(table: OutcomeTable) -> Prediction:
     """Predict a car that was never driven from a table's siblings; a twin's outcomes are not looked at.
 
@@ -140,10 +148,8 @@ def predict(table: OutcomeTable) -> Prediction:
     known = np.column_stack([table.known(name) for name in table.siblings])
     failed = np.column_stack([table.failed(name) for name in table.siblings])
     tests = known.any(axis=1)
-    if tests.sum() < FEWEST_TESTS:
-        raise OutcomeTableError(
-            f"{int(tests.sum())} tests have a verdict on a sibling, expected at least {FEWEST_TESTS}: drive more tests"
-        )
+    if reason := too_few(table):
+        raise OutcomeTableError(reason)
     for name in table.siblings:
         if not table.known(name).any():
             raise OutcomeTableError(f"no test has a verdict on {name}: drive tests there, or leave it out")

@@ -14,9 +14,14 @@ import pyarrow.parquet as pq
 import pytest
 from report_campaigns import make_campaign
 
+from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.frames import COLUMNS, write_frames
+from ds_analysis.outcomes.study import import_outcomes, read_study, study_of, write_rows, write_study
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_road import generate
+from ds_sim.conditions.model import DEFAULT, Conditions
 
 CONFIG = CampaignConfig(siblings=["bullet", "softbody"], twin="donkey", driver="dave2")
 
@@ -38,3 +43,24 @@ def test_frames_are_the_stored_trajectories(tmp_path: Path) -> None:
     assert write_frames(tmp_path / "again", data).read_bytes() == path.read_bytes()
     assert [field.metadata[b"unit"].decode() for field in pq.read_schema(path)] == [u for _, u, _ in COLUMNS.values()]
     assert pq.read_table(write_frames(tmp_path / "none", CampaignData(config=CONFIG))).num_rows == 0
+
+
+def test_an_export_has_a_column_for_each_condition_that_was_changed(tmp_path: Path) -> None:
+    roads = [generate(np.random.default_rng(seed)) for seed in range(4)]
+    conditions = [DEFAULT, Conditions(visibility=60.0), Conditions(friction=0.5, speed_limit=8.0), DEFAULT]
+    states = np.array([[1, 2]] * 4, np.int8)
+    table = OutcomeTable.of(roads, states, np.ones((4, 2)), siblings=["a", "b"], conditions=conditions)
+    study = study_of(table)
+    write_study(tmp_path, study)
+    of_a = pandas.read_parquet(tmp_path / "outcomes.parquet").query("simulator == 'a'")
+    assert of_a["condition_visibility"].tolist() == [np.inf, 60.0, np.inf, np.inf]
+    assert of_a["condition_friction"].tolist() == [1.0, 1.0, 0.5, 1.0]
+    assert of_a["condition_speed_limit"].isna().tolist() == [True, True, False, True]
+    assert of_a["condition_speed_limit"].iloc[2] == 8.0
+    assert len([name for name in of_a if name.startswith("condition_")]) == 3
+    assert read_study(tmp_path).features == table.feature_names  # as before: shares of ranges
+    for suffix in ("csv", "parquet"):  # no feature either when it comes back
+        write_rows(tmp_path / f"t.{suffix}", read_study(tmp_path))
+        again = import_outcomes([tmp_path / f"t.{suffix}"], Columns())
+        pandas.testing.assert_frame_equal(again.rows, study.rows, check_dtype=False)
+        assert again.conditions == study.conditions

@@ -84,15 +84,28 @@ def test_bad_input_is_one_line(compared: Path, tmp_path: Path, capsys: pytest.Ca
     damaged = tmp_path / "damaged"
     damaged.mkdir()
     (damaged / "comparison.json").write_text('{"outcomes": 3}')
-    few = write_comparison(tmp_path / "few", ROADS[:6])
     for named, arguments in (
         ("holds no campaign.sqlite, siblings.json or outcomes.parquet", ["predict", str(tmp_path)]),
         ("no simulator 'carla', expected one of bullet", ["predict", str(compared), "--twin", "carla"]),
         ("holds no comparison: expected", ["predict", str(damaged)]),
         ("expected the --out of `ds siblings compare`", ["predict", str(networks)]),
-        ("expected at least 10: drive more tests", ["predict", str(few)]),
     ):
         assert run(arguments) == 2
         captured = capsys.readouterr()
         lines = [line for line in captured.err.splitlines() if line.startswith("error")]
         assert captured.out == "" and len(lines) == 1 and named in lines[0], captured.err
+
+
+def test_too_few_tests_still_have_failure_rates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    few = write_comparison(tmp_path / "few", ROADS[:6])
+    counts = {
+        name: sum(row["failed"][name] for row in json.loads((few / "siblings.json").read_text())["outcomes"])
+        for name in ("bullet", "softbody", "panda", "donkey")
+    }
+    assert run(["predict", str(few)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("no prediction: 6 tests have a verdict on a sibling, expected at least 10")
+    assert all(f"{name} fails {failures} of 6 tests (" in text for name, failures in counts.items())
+    assert run(["predict", str(few), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["simulators"]
+    assert {name: one["failures"] for name, one in found.items()} == counts

@@ -14,6 +14,7 @@ from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
 
 if TYPE_CHECKING:
+    from ds_analysis.common.outcome_table import OutcomeTable
     from ds_analysis.prediction.verdicts import Verdicts
 
 app = typer.Typer()
@@ -37,6 +38,27 @@ def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
     ]
 
 
+def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result:
+    """What can be said where there are too few tests for a prediction: how many each simulator fails."""
+    from ds_base.intervals import jeffreys_interval
+
+    counts = {name: (int(table.failed(name).sum()), int(table.known(name).sum())) for name in table.simulators}
+    rows = {
+        name: {"tests": tests, "failures": failures, "interval": list(jeffreys_interval(failures, tests))}
+        for name, (failures, tests) in counts.items()
+        if tests
+    }
+
+    def show() -> None:
+        print(f"no prediction: {reason}")
+        for name, (failures, tests) in counts.items():
+            low, high = jeffreys_interval(failures, tests) if tests else (0.0, 1.0)
+            print(f"{name} fails {failures} of {tests} tests (95 % of its failure rate: {low:.0%} to {high:.0%})")
+        print(f"next: {ds_command('maps', folder)}")
+
+    return Result(document={"verdicts": None, "reason": reason, "simulators": rows}, show=show)
+
+
 @app.command("predict")
 def predict_command(
     folder: TestsFolder,
@@ -58,7 +80,7 @@ def predict_command(
     from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
-    from ds_analysis.prediction.mixture import predict
+    from ds_analysis.prediction.mixture import predict, too_few
     from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
     from ds_analysis.prediction.verdicts import cell_table, judge
     from ds_base.atomic_files import write_json, write_whole
@@ -67,9 +89,12 @@ def predict_command(
     from ds_report.verdict_picture import draw_verdicts
     from ds_sim.camera.encodings import png
 
+    table = read_table(folder, twin=twin, most=MOST_ANALYSED)
+    if reason := too_few(table if twin else table.as_population()):
+        answer(without_prediction(folder, table, reason), as_json)
+        return
     if out is not None:
         make_folder(out)
-    table = read_table(folder, twin=twin, most=MOST_ANALYSED)
     document: dict[str, Any] = {}
     if twin is None:
         say(f"{len(table)} tests on {', '.join(table.as_population().siblings)}: predicting a car")
