@@ -49,7 +49,7 @@ def test_usual_names_are_understood(tmp_path: Path, capsys: pytest.CaptureFixtur
     table = long_table(
         Scenario_ID=lambda sim, k: f"s{k}",
         sim=lambda sim, k: sim,
-        outcome=lambda sim, k: "FAIL" if FAILED[sim, k] else None if k == 5 else "PASS",
+        outcome=lambda sim, k: "FAIL" if FAILED[sim, k] else {5: None, 7: "ERROR"}.get(k, "PASS"),
         weather=lambda sim, k: None if k == 2 else ["rain", "fog"][k % 2],
     )
     table.to_csv(tmp_path / "t.csv", index=False)
@@ -57,11 +57,12 @@ def test_usual_names_are_understood(tmp_path: Path, capsys: pytest.CaptureFixtur
     said = capsys.readouterr().err.splitlines()
     assert said[:2] == [
         "by usual names: failed is outcome, test is Scenario_ID, simulator is sim",
-        "2 of 24 rows left out: line 7 (outcome is empty); line 19 (outcome is empty)",
+        "4 of 24 rows left out: line 7 (outcome is empty); line 9 (outcome is 'error'); line 19 (outcome is empty); "
+        "and 1 more",
     ]
     rows = read_study(tmp_path / "study").rows
     found = {(row.simulator, int(row.test_id[1:])): row.failed for row in rows.itertuples()}
-    assert found == {key: failed for key, failed in FAILED.items() if key[1] != 5}
+    assert found == {key: failed for key, failed in FAILED.items() if key[1] not in (5, 7)}
     for verb in ("maps", "predict", "report"):
         assert run([verb, f"{tmp_path}/study"]) == 0
     assert "weather=rain" in (tmp_path / "study/report.html").read_text()

@@ -21,6 +21,8 @@ WORDS = {
     False: {"false", "0", "0.0", "no", "pass", "passed", "completed", "success", "safe"},
 }
 """Whether a test failed -> how a table says so, in lower case."""
+NO_VERDICT = {"error", "invalid", "skipped", "cancelled", "not_run"}
+"""Words of tests that did not end."""
 MOST_EMPTY = 0.1
 """Share of rows without a verdict up to which the others may all say the same; chosen: a column that is filled in only
 where something happened is emptier."""
@@ -210,32 +212,33 @@ def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> tuple[Bools
     Raises:
         OutcomeTableError: the others all say the same, so that leaving these rows out would decide the outcome.
     """
-    words: list[str] = []
+    strange: set[int] = set()
     if isinstance(failed, str):
         words = [word_of(one) for one in column_of(frame, failed, source)]
         empty, known = is_empty(frame[failed]), WORDS[True] | WORDS[False]
-        expected = f"expected true or false, 1 or 0, failed or completed, or rules: {GUIDE}"
         reasons = {
-            row: f"{failed} is empty" if empty[row] else f"{failed} is {word!r:.60}, {expected}"
+            row: f"{failed} is empty" if empty[row] else f"{failed} is {word!r:.60}"
             for row, word in enumerate(words)
             if empty[row] or word not in known
         }
+        strange = {row for row in reasons if not empty[row] and words[row] not in NO_VERDICT}
         found = np.array([word in WORDS[True] for word in words], np.bool_)
     else:
         rules = failed if isinstance(failed, list) else [failed]
         held, unknown = map(np.array, zip(*(rule.holds(frame, source) for rule in rules), strict=True))
         found = (held & ~unknown).any(axis=0)
         untold = ~found & unknown.any(axis=0)
-        empty = np.ones(len(frame), np.bool_)
         reasons = {
             int(row): f"{rules[int(np.argmax(unknown[:, row]))].column} is empty or no number"
             for row in np.flatnonzero(untold)
         }
     kept = np.delete(found, list(reasons))
-    strange = not all(empty[row] for row in reasons)
     if reasons and (strange or len(reasons) > MOST_EMPTY * len(frame)) and (kept.all() or not kept.any()):
-        row = next(iter(reasons))
-        raise OutcomeTableError(f"{row_of(frame, row, source)}: {reasons[row]}; without such rows no verdict differs")
+        row = min(strange or reasons)
+        expected = f"expected true or false, 1 or 0, failed or completed, or rules: {GUIDE}"
+        raise OutcomeTableError(
+            f"{row_of(frame, row, source)}: {reasons[row]}, {expected}; without such rows no verdict differs"
+        )
     return found, reasons
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from ds_analysis.outcomes.columns import GUIDE, WORDS, Columns, is_empty, word_of
+from ds_analysis.outcomes.columns import GUIDE, NO_VERDICT, WORDS, Columns, is_empty, word_of
 from ds_analysis.outcomes.study import read_frame
 
 FILE = "columns.yaml"
@@ -124,7 +124,7 @@ def _says(column: pd.Series[Any], name: str) -> bool:
     """Whether the words of a column say which tests failed; of 1 and 0 if its own name contains another."""
     words = {word_of(one) for one in column[~is_empty(column)]}
     clear = re.search(name, str(column.name), re.IGNORECASE) is not None or not words & TRUTHS
-    return clear and bool(words) and words <= WORDS[True] | WORDS[False]
+    return clear and bool(words - NO_VERDICT) and words <= WORDS[True] | WORDS[False] | NO_VERDICT
 
 
 def _verdict(frame: pd.DataFrame, passed: Sequence[str], guess: Guess) -> list[str]:

@@ -20,8 +20,12 @@ MOST_LEVELS = 12
 MOSTLY = 0.9
 """Share of a column's cells that have to be numbers for the others to be missing ones; chosen."""
 IDENTIFIER = re.compile(r"(^|[\W_])(id|index|seed|uuid|hash|unnamed: \d+)$", re.IGNORECASE)
-AFTERWARDS = re.compile(r"(^|[\W_])(status|outcome|result|verdict|reason|message|error|comment|notes?)$", re.IGNORECASE)
-"""Names of columns of words that are written after a drive."""
+AFTERWARDS = re.compile(
+    r"(^|[\W_])(status|outcome|result|verdict|reason|message|error|comment|notes?|description|duration|elapsed|xte|cte|"
+    r"(score|fitness|collisions?)(_.*)?)$",
+    re.IGNORECASE,
+)
+"""Names of columns that are written after a drive."""
 
 
 @dataclass
@@ -124,7 +128,7 @@ def _unlike(name: str, levels: Sequence[str], of_test: pd.Series[Any], owners: S
     """Why a column that nobody named as a feature is none; empty if it is one."""
     if IDENTIFIER.search(name):
         return "is an identifier by its name"
-    if levels and AFTERWARDS.search(name):
+    if AFTERWARDS.search(name):
         return "is written after a drive, by its name"
     if len(levels) > len(of_test) / 2:
         return "names single tests"

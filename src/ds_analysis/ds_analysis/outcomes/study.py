@@ -162,7 +162,9 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
     for path in (path for path in tables[1:] if path not in folders):
         frame = _joined(frame, path, tests, source)
     columns = columns.filled(list(frame.columns))
-    frame = _where(frame, columns, notes, source)
+    frame = frame[np.all([np.ones(len(frame), bool), *(one.holds(frame, source)[0] for one in columns.where)], axis=0)]
+    if not len(frame):
+        raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
     used = {*tests, *listed(columns.simulator)}
     parts, outcomes = _outcomes(frame, columns, source, notes)
     rows = pd.concat(parts, ignore_index=True)
@@ -228,26 +230,6 @@ def _joined(frame: pd.DataFrame, path: Path, tests: list[str], source: str) -> p
     return pd.concat([frame, of_row.rename(columns={n: f"{n} of {path.stem}" for n in of_row if n in frame})], axis=1)
 
 
-def _where(frame: pd.DataFrame, columns: Columns, notes: ImportNotes, source: str) -> pd.DataFrame:
-    """Rows that are to be read; those of which a rule cannot tell are left out."""
-    wanted = np.ones(len(frame), np.bool_)
-    untold: dict[int, str] = {}
-    for rule in columns.where:
-        holds, unknown = rule.holds(frame, source)
-        if rule.above is not None or rule.below is not None:
-            untold |= dict.fromkeys(np.flatnonzero(unknown).tolist(), f"{rule.column} is no finite number")
-            holds = holds | unknown
-        wanted &= holds
-    leave = {row: reason for row, reason in untold.items() if wanted[row]}
-    notes.rows.total += len(leave)
-    for row, reason in leave.items():
-        _leave_out(frame, row, reason, notes, source)
-        wanted[row] = False
-    if not wanted.any():
-        raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
-    return frame[wanted]
-
-
 def _leave_out(frame: pd.DataFrame, row: int, reason: str, notes: ImportNotes, source: str, of: str = "") -> None:
     if notes.rows.strict:
         raise OutcomeTableError(f"{row_of(frame, row, source)}: {reason}")
@@ -255,8 +237,11 @@ def _leave_out(frame: pd.DataFrame, row: int, reason: str, notes: ImportNotes, s
 
 
 def _spanning(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """First two features, of numbers rather than of 0 and 1 where there are such."""
-    return sorted(names, key=lambda name: bool(rows[name].isin((0.0, 1.0)).all()))[:2]
+    """First two features, of numbers rather than of 0 and 1, and of two columns, where there are such."""
+    ordered = sorted(names, key=lambda name: bool(rows[name].isin((0.0, 1.0)).all()))
+    column = ordered[0].partition("=")[0].removesuffix(" missing")
+    others = sorted(ordered[1:], key=lambda name: name.partition("=")[0].removesuffix(" missing") == column)
+    return [ordered[0], others[0]]
 
 
 def read_frame(path: Path) -> pd.DataFrame:

@@ -37,6 +37,7 @@ def leaderboard(folder: Path) -> pd.DataFrame:
             "remark": f"note {route % 13}",
             "status": "as planned" if route % 2 else "late",
             "route_index": route,
+            "score_composed": 100.0 - route,
         }
         for route in range(24)
         for simulator in ("carla", "lgsvl")
@@ -65,7 +66,10 @@ def test_words_become_levels_and_gaps_the_median_with_an_indicator(tmp_path: Pat
     pd.testing.assert_frame_equal(found, expected, check_like=True)
     assert list(study.axes) == ["speed", "turns"]
     reasons = dict(notes.columns.items)
-    assert set(reasons) == {"save_name", "remark", "status", "route_index"} and "13 different" in reasons["remark"]
+    assert (
+        set(reasons) == {"save_name", "remark", "status", "route_index", "score_composed"}
+        and "13 different" in reasons["remark"]
+    )
     assert notes.features == [
         "town: a feature of 0 and 1 for each of Town01, Town02",
         "weather: a feature of 0 and 1 for each of clear, fog, rain",
@@ -81,6 +85,8 @@ def test_words_become_levels_and_gaps_the_median_with_an_indicator(tmp_path: Pat
     assert read_study(tmp_path).features == study.features
     named, _ = read(tmp_path, frame, Columns(features=["weather", "speed", "route_index"]))
     assert {"weather=fog", "route_index"} <= set(named.features)
+    words, _ = read(tmp_path, frame, Columns(features=["town", "weather"]))
+    assert list(words.axes) == ["town=Town01", "weather=clear"]  # not two words of one column
     with pytest.raises(OutcomeTableError, match="remark has 13 different words, expected numbers or at most 12 words"):
         read(tmp_path, frame, Columns(features=["remark", "speed"]))
     with pytest.raises(OutcomeTableError, match="speed is no finite number, or empty, for test RouteScenario_3"):
