@@ -78,23 +78,35 @@ def _die_with_parent(parent: int) -> None:
 
 
 def map_in_processes(
-    work: Callable[[Job], Result], jobs: Sequence[Job], *, workers: int | None = None
+    work: Callable[[Job], Result], jobs: Sequence[Job], *, workers: int | None = None, abandon: bool = False
 ) -> Iterator[Result]:
     """Run jobs in worker processes with one OpenMP thread each, and yield the results in order.
 
     `work` is a module-level function that depends on its argument only; if `workers` is None, there are as many as
-    available processors.
+    available processors. On Ctrl-C the running jobs are finished; with `abandon` they are ended at once.
     """
     count = min(workers or len(os.sched_getaffinity(0)), max(len(jobs), 1))
     context = multiprocessing.get_context("spawn")
     threads = os.environ.get("OMP_NUM_THREADS")
     os.environ["OMP_NUM_THREADS"] = "1"  # inherited; in the child it would come after the imports
+    others = set(multiprocessing.active_children())
     try:
         with ProcessPoolExecutor(count, mp_context=context, initializer=_start_worker) as pool:
             try:
-                yield from pool.map(work, jobs)
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
+                # Workers begin with Ctrl-C blocked: while they import, they would print a traceback.
+                signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+                try:
+                    results = [pool.submit(work, job) for job in jobs]
+                finally:
+                    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+                while results:
+                    yield results.pop(0).result()
+            except BaseException as error:
+                if abandon and isinstance(error, KeyboardInterrupt):
+                    for worker in set(multiprocessing.active_children()) - others:
+                        worker.terminate()
+                else:
+                    pool.shutdown(wait=False, cancel_futures=True)
                 raise
     finally:
         if threads is None:
@@ -106,6 +118,7 @@ def map_in_processes(
 def _start_worker() -> None:
     """Ignore Ctrl-C, on which the parent stops the pool, and exit with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # for its own children
     threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -27,41 +28,53 @@ def check_command(
     sims: Simulators = ALL,
     out: Annotated[Path, typer.Option(help="Folder for the picture, check.png.")] = Path("check"),
     seed: Seed = 1,
+    seconds: Annotated[
+        float, typer.Option("--time", min=1.0, help="Seconds for the whole check; a slow network gets fewer images.")
+    ] = 120.0,
     as_json: JsonFlag = False,
 ) -> None:
     """Show what a network sees, and say what is wrong with how it is connected.
 
     The autopilot drives, and the network is only asked about the images. For a file without description, one is
-    written beside it. Exit status: 0 nothing wrong found, 2 bad input, 3 not connected correctly.
+    written beside it. Exit status: 0 nothing wrong found, 2 bad input, 3 not connected correctly, or trained on
+    another world.
     """
     from rich.console import Console
     from rich.table import Table
 
     from ds_base.folder_files import make_folder
+    from ds_driver.networks.described_network import DescribedNetworkPilot
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.network_file import KINDS
     from ds_sim.camera.encodings import png
-    from ds_studies.network_check.description import describe, forms_of
-    from ds_studies.network_check.diagnosis import check_network
+    from ds_studies.network_check.description import describe, forms_of, load
+    from ds_studies.network_check.diagnosis import ASKED, check_network, pace_of
     from ds_studies.network_check.picture import draw_check
-    from ds_studies.network_check.recording import record
+    from ds_studies.network_check.recording import affordable, record
 
+    began = time.monotonic()
     names, file = every_or_named(sims), Path(network)
     bare = file.suffix.lower() in KINDS
     forms = forms_of(file) if bare else []
     # Refuses what cannot be used before anything is driven.
-    has_memory = forms[0].has_memory if bare else load_pilot(network).has_memory
+    pilot = load(file, forms) if bare else load_pilot(network)
     make_folder(out)
-    recordings = record(names, seed, ScreenProgress(), whole=has_memory)
+    recordings = record(names, seed, ScreenProgress(), whole=pilot.has_memory)
+    pace = pace_of(pilot, recordings[0].frames[0])
+    asked = ASKED["file" if bare else "description" if isinstance(pilot, DescribedNetworkPilot) else "other"]
+    left = max(seconds - (time.monotonic() - began), seconds / 4)
+    recordings, search = affordable(recordings, pace, left, asked=asked, whole=pilot.has_memory)
+    if not search:
+        say(f"{network} takes {pace:.2g} s for an image: no other description is tried in {seconds:g} s (--time)")
     if bare:
         network = str(file.with_suffix(".yaml"))
         say(f"choosing a description for {file}")
-        text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None)
+        text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None, search=search)
         with Path(network).open("x", encoding="utf-8") as written:
             written.write(text)
         say(f"wrote {network}: its comments say what was chosen, and why")
     say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
-    found = check_network(network, recordings, seed)
+    found = check_network(network, recordings, seed, search=search)
     picture = out / "check.png"
     picture.write_bytes(png(draw_check(found, recordings)))
 

@@ -85,6 +85,11 @@ class DescribedNetworkPilot(Pilot):
         return prediction
 
     @property
+    def input_names(self) -> tuple[str, ...]:
+        """Return the names of the inputs; () if the file has none."""
+        return tuple(one.name for one in self._runner.inputs)
+
+    @property
     def output_names(self) -> tuple[str, ...]:
         """Return the names of the outputs; () if the file has none."""
         return self._runner.outputs

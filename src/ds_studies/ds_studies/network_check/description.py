@@ -16,8 +16,10 @@ from ds_driver.networks.described_network import DescribedNetworkPilot, sizes
 from ds_driver.networks.description import GUIDE, DescribedNetwork
 from ds_driver.networks.network_file import limited_memory, runner_of
 from ds_driver.networks.pilot import DriverError
+from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement, agreement
 from ds_studies.network_check.diagnosis import (
+    LIKELY,
     SHARE_TRIED,
     ask_open_loop,
     best_reading,
@@ -25,7 +27,9 @@ from ds_studies.network_check.diagnosis import (
     findings_of,
     flow,
     inputs,
+    only_offset,
     ranked,
+    scale_kind,
 )
 from ds_studies.network_check.recording import Recording
 
@@ -40,6 +44,10 @@ OUTPUT_NAMES = {
 """What an output is -> names that it has, Donkey Car's (maker's `n_outputs0`, TensorFlow Lite's numbers) among them."""
 DONKEY_BINS = {"angle_out": (-1.0, 1.0), "throttle_out": (0.0, 0.475)}
 """Centres of the first and the last bin of Donkey Car's `categorical`: 15, and 20 up to a range of 0.5."""
+DONKEY_CAR = re.compile(r"img_in|n_outputs\d|^angle_out$")
+"""Inputs and outputs that only Donkey Car names so; its pilots see RGB, divided by 255."""
+DONKEY_IMAGE = (120, 160)
+"""Rows and columns of Donkey Car's image; one with fewer rows lost them at its top (its `ROI_CROP_TOP`)."""
 QUESTIONS = {"colour": "Colours", "crop": "Part of the image", "subtract": "Scale of the pixels"}
 ORDER = ("crop", "colour", "crop", "colour", "subtract")
 """Parts of the input of a network with memory, as they are chosen: colours look alike on a wrong part of the image."""
@@ -97,7 +105,9 @@ def _images(given: NetworkInput) -> list[dict[str, Any]]:
             if (rows, columns) in ((None, None), size):
                 kind = "uint8" if given.type == "uint8" else "float32"
                 form = {"size": size, "layout": layout, "colour": "grey" if channels == 1 else "rgb", "type": kind}
-                scaled = {"divide": 255.0} if kind == "float32" else {}
+                scaled: dict[str, Any] = {"divide": 255.0} if kind == "float32" else {}
+                if "img_in" in given.name and size[0] < DONKEY_IMAGE[0] and size[1] == DONKEY_IMAGE[1]:
+                    scaled["crop"] = {"top": round(IMAGE_HEIGHT * (1 - size[0] / DONKEY_IMAGE[0]))}
                 found.append({**form, **scaled, **time, **({"frames": stack} if stack > 1 else {})})
     return found
 
@@ -129,20 +139,29 @@ def _named_outputs(names: Sequence[str]) -> dict[str, Any]:
     return found
 
 
-def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence[Recording], ask: Ask | None) -> str:
+def describe(
+    file: Path,
+    forms: Sequence[DescribedNetwork],
+    recordings: Sequence[Recording],
+    ask: Ask | None,
+    *,
+    search: bool = True,
+) -> str:
     """Choose what a file does not say, and return its description with comments that say why.
 
     Args:
         file: the network.
         forms: how it may be described; see `forms_of`.
         recordings: drives of the autopilot, by which is chosen.
-        ask: asks about what they do not decide; None takes what agrees best.
+        ask: asks about what they do not decide; None takes the convention of the file's maker, or the commonest.
+        search: whether other descriptions are tried than that.
 
     Raises:
         DriverError: the network takes none of the inputs.
     """
-    pilot = _load(file, forms)
+    pilot = load(file, forms)
     remembers, comments = pilot.has_memory, {}
+    maker = "Donkey Car" if any(map(DONKEY_CAR.search, (*pilot.input_names, *pilot.output_names))) else ""
     # A network with memory is asked about whole drives: few, one part of its input after the other, no combinations.
     tried = [one.first_drives(2) if remembers else one.sample(SHARE_TRIED) for one in recordings]
     known: dict[str, Agreement] = {}
@@ -155,17 +174,31 @@ def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence
             known[key] = _agreement_over_drives(pilot.described_as(one), tried)
         return known[key]
 
-    if remembers:
-        chosen = pilot.description
+    chosen = pilot.description
+    if not search:
+        fit = fitted(chosen)
+    elif remembers:
         for part in ORDER:
             tries = [changed(chosen, one) for one in inputs(chosen.input)[part]]
             chosen = max(tries, key=lambda one: round(abs(fitted(one).correlation), 3))
         fit = fitted(chosen)
     else:
         chosen, fit = ranked(pilot, recordings)[0]
+    # What the drives do not decide is as the maker of the file has it, or as most have it.
+    best, conventions = fit, []
+    for part, values in inputs(pilot.description.input).items():
+        usual = changed(chosen, values[0])
+        if usual != chosen and not _decides(best, fitted(usual), bool(maker)):
+            chosen = usual
+        if all(getattr(usual.input, key) == getattr(chosen.input, key) for key in values[0]):
+            conventions.append(part)
+    fit = fitted(chosen)
     for part, others in inputs(chosen.input).items():
+        if not search:
+            comments[part] = f"not tried, so as in {maker or 'most networks'}"
+            continue
         fits = [(_shown(one), fitted(changed(chosen, one))) for one in others]
-        comments[part] = _why(fits)
+        comments[part] = _why(fits, maker or "most networks" if part in conventions else "")
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
             answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
@@ -173,12 +206,12 @@ def describe(file: Path, forms: Sequence[DescribedNetwork], recordings: Sequence
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
             chosen = changed(chosen, others[[name for name, _ in fits].index(answer)])
             comments[part] = "as you answered"
-    if not remembers:
+    if search and not remembers:
         chosen = best_reading(pilot.described_as(chosen), tried)[0]
     answers = np.concatenate(list(ask_open_loop(pilot.described_as(chosen), recordings)[0].values()))
     findings, fixed = findings_of(chosen, chosen, answers, recordings)
     fit = agreement(answers, recordings)
-    described = fixed or chosen
+    described = chosen if fixed is None or only_offset(findings) else fixed
     steering = described.outputs.steering.model_dump(exclude_defaults=True) or {"output": 0}
     throttle = described.outputs.throttle
     why = "; ".join(one.text for one in findings) or f"it answers as it has to, correlation {fit.correlation:.2f}"
@@ -217,7 +250,12 @@ def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[Record
     return agreement(np.concatenate(list(answers.values())), drives)
 
 
-def _load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:
+def load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:
+    """Load a network file by the first of the descriptions that it takes.
+
+    Raises:
+        DriverError: it takes none.
+    """
     problem = None
     for form in forms:
         try:
@@ -231,13 +269,27 @@ def _shown(values: dict[str, Any]) -> str:
     return flow(values if len(values) > 1 else next(iter(values.values())))
 
 
-def _why(fits: Sequence[tuple[str, Agreement]]) -> str:
-    """Say how well a value agrees, and the best of the others."""
+def _decides(best: Agreement, usual: Agreement, maker: bool) -> bool:
+    """Whether drives decide against the usual convention; against a maker's, only by an answer that is itself good.
+
+    Without bounds, a network answers 255 times as much to pixels of 255: then the likelier scale decides.
+    """
+    clear, sure = best.beats(usual), best.surely_above(usual)
+    if maker:
+        return clear and sure
+    likelier = LIKELY.index(scale_kind(best.slope)) < LIKELY.index(scale_kind(usual.slope))
+    return abs(best.correlation) >= FOUND and (clear or sure or likelier)
+
+
+def _why(fits: Sequence[tuple[str, Agreement]], convention: str) -> str:
+    """Say how well a value agrees, and the best of the others, and whose convention it is."""
     (_, best), *others = fits
     if not others:
         return "the only one possible"
     name, second = max(others, key=lambda one: abs(one[1].correlation))
     clear = "chosen" if best.unexplained <= GAIN * second.unexplained else "undecided"
+    if convention and clear == "undecided":
+        clear = f"undecided, so as in {convention}"
     return f"{clear}: correlation {abs(best.correlation):.2f}, with {name} {abs(second.correlation):.2f}"
 
 

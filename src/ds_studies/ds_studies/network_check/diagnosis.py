@@ -12,19 +12,21 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.progress import SILENT
 from ds_driver.control.command_habits import command_habits
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import DescribedNetwork, InputSpec, OutputSpec
 from ds_driver.networks.network_driver import load_pilot
-from ds_driver.networks.pilot import Pilot
+from ds_driver.networks.pilot import Frame, Pilot
 from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreement, readings
-from ds_studies.network_check.recording import Recording, speeds_of_throttle
+from ds_studies.network_check.recording import Recording, record, speeds_of_throttle
 
 Kind = Literal[
     "degrees",
     "radians",
     "scale",
     "offset",
+    "lane",
     "sign",
     "colour",
     "crop",
@@ -47,10 +49,14 @@ RADIANS = (0.2, FAINTEST)
 """Slopes at which an answer is taken to be in radians; chosen: full lock from 12 degrees, as above."""
 OFF_CENTRE = 0.2
 """Steering while the autopilot drives straight on from which there is an offset; chosen: ten times a good network's."""
+ELSEWHERE = 0.5
+"""Part of an offset that may remain in the lane that a network wants; chosen: it is nearer to none than to all."""
 SHARE_TRIED = 4
 """One image of so many is shown to other descriptions, about 30 for each simulator; one of `SHARE_SCREENED` times as
 many where all combinations are tried."""
 SHARE_SCREENED = 3
+ASKED = {"file": 20, "description": 10, "other": 1}
+"""What is checked -> times that a network is asked about each image, other descriptions included, at most."""
 LIKELY: tuple[Kind | None, ...] = (None, "degrees", "radians", "scale")
 """What a network answers in, see `scale_kind`, the likeliest first."""
 FINALISTS = 4
@@ -127,12 +133,14 @@ class NetworkCheck:
     @property
     def verdict(self) -> str:
         """One line."""
+        if any(one.kind == "unrelated" for one in self.findings):
+            found = f"correlation {self.correlation:.2f} with the autopilot, below {FOUND:g}"
+            return f"{self.driver} is not connected, or was trained on another world: {found}."
         if self.findings:
             return f"{self.driver} is not connected correctly."
-        weak = [one.simulator for one in self.answers if one.correlation < AGREES]
-        but = f", but not with the road on {', '.join(weak)}" if weak else ""
-        how = "is connected correctly" if self.correlation >= FOUND else "answers with the road, but weakly"
-        return f"{self.driver} {how}{but}: correlation {self.correlation:.2f} with the autopilot."
+        weak = [one.simulator for one in self.answers if one.correlation < FOUND]
+        but = f", but does not answer with the road on {', '.join(weak)}" if weak else ""
+        return f"{self.driver} is connected correctly{but}: correlation {self.correlation:.2f} with the autopilot."
 
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
@@ -147,13 +155,14 @@ class NetworkCheck:
         }
 
 
-def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> NetworkCheck:
+def check_network(driver: str, recordings: Sequence[Recording], seed: int, *, search: bool = True) -> NetworkCheck:
     """Ask a network about recorded images, and diagnose how it is connected.
 
     Args:
         driver: any name that `ds_driver.networks.network_driver.load_pilot` takes.
         recordings: of all simulators.
         seed: of the road on which its throttle is tried, if it has one.
+        search: whether other descriptions and its throttle are tried, which takes many more images.
 
     Raises:
         ds_driver.networks.pilot.DriverError: it cannot be loaded, or gives no valid answer.
@@ -162,14 +171,22 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
     steering, throttle, milliseconds = ask_open_loop(pilot, recordings)
     described = pilot.description if isinstance(pilot, DescribedNetworkPilot) else None
     best, answers = described, np.concatenate(list(steering.values()))
-    if isinstance(pilot, DescribedNetworkPilot) and not pilot.has_memory:  # single images say nothing about one with it
+    if (
+        search and isinstance(pilot, DescribedNetworkPilot) and not pilot.has_memory
+    ):  # single images say nothing about one with it
         best = best_description(pilot, recordings)
         if best != described:
-            other = ask_open_loop(pilot.described_as(best), recordings)[0]
-            answers = np.concatenate(list(other.values()))
+            answers = np.concatenate(list(ask_open_loop(pilot.described_as(best), recordings)[0].values()))
     whole = agreement(np.concatenate(list(steering.values())), recordings)
     findings, fixed = findings_of(described, best, answers, recordings, abs(whole.correlation))
-    if throttle is not None and (crawling := _crawling(pilot, throttle, recordings, seed, described)):
+    kinds, offset = [one.kind for one in findings], agreement(answers, recordings).offset
+    if search and offset < 0.0 and only_offset(findings):
+        other = record([one.simulator for one in recordings], seed, SILENT, whole=pilot.has_memory, lane="left")
+        asked = pilot.described_as(best) if isinstance(pilot, DescribedNetworkPilot) and best is not None else pilot
+        there = np.concatenate(list(ask_open_loop(asked, other)[0].values()))
+        if lane := lane_finding(offset, there, other, driver):
+            findings[kinds.index("offset")], fixed = lane, None
+    if search and throttle is not None and (crawling := _crawling(pilot, throttle, recordings, seed, described)):
         findings.append(crawling[0])
         if fixed is not None:
             outputs = fixed.outputs.model_copy(update={"throttle": crawling[1]})
@@ -197,6 +214,14 @@ def check_network(driver: str, recordings: Sequence[Recording], seed: int) -> Ne
         steering=steering,
         fixed=fixed if findings else None,
     )
+
+
+def pace_of(pilot: Pilot, frame: Frame) -> float:
+    """Measure how long a network, which has seen an image before, takes for one, s."""
+    pilot.start()
+    began = time.monotonic()
+    pilot.predict(frame)
+    return time.monotonic() - began
 
 
 def ask_open_loop(
@@ -340,15 +365,9 @@ def findings_of(
         return [
             Finding("constant", f"It answers {answers[0]:.3g} to every image: train it again, or look at its file")
         ], best
-    agreeing = [k for k, one in enumerate(fit.by_simulator) if abs(one) >= AGREES]
-    if abs(fit.correlation) < AGREES and not agreeing:
-        tried = ", under no description that was tried" if described else ""
-        text = f"It answers, but not with the road: correlation {fit.correlation:.2f} with the autopilot{tried}"
-        return [Finding("unrelated", text)], best
-    if abs(fit.correlation) < AGREES:  # it was made for some of the simulators
-        ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
-        parts = np.split(answers, ends)
-        fit = agreement(np.concatenate([parts[k] for k in agreeing]), [recordings[k] for k in agreeing])
+    if abs(fit.correlation) < FOUND and any(abs(one) < FOUND for one in fit.by_simulator):
+        agreeing = [one.simulator for one, its in zip(recordings, fit.by_simulator, strict=True) if abs(its) >= FOUND]
+        return [_unrelated(fit, agreeing, described is not None)], best
     found: list[Finding] = []
     steering, agree = OutputSpec(), f"correlation {abs(fit.correlation):.2f}"
     if described is not None and best is not None:
@@ -361,7 +380,8 @@ def findings_of(
         kind = "scale"  # more likely 0 to 1 with the middle at a half
     scale = fit.slope if kind else float(np.sign(fit.slope))
     if kind is not None:
-        unit = "" if kind == "scale" else f"in {kind}: "
+        side = "weakly" if size < 1.0 else "strongly"
+        unit = f"too {side}: " if kind == "scale" else f"in {kind}: "
         texts.append((kind, f"It answers {unit}{size:.2g} times the autopilot's steering ({agree})"))
     if fit.slope < 0.0:
         texts.append(("sign", f"It steers right where the autopilot steers left ({agree})"))
@@ -378,6 +398,58 @@ def findings_of(
         line = output_line("steering", repaired)
     found += [Finding(kind, text, line) for kind, text in texts]
     return found, with_steering(best, repaired) if best is not None else None
+
+
+def _unrelated(fit: Agreement, agreeing: Sequence[str], described: bool) -> Finding:
+    """Say how little answers follow the road, and what to do."""
+    if abs(fit.correlation) < AGREES:
+        how = "not with the road"
+    else:
+        how = f"only weakly with the road{', and to the other side' if fit.slope < 0.0 else ''}"
+    tried = ", under no description that was tried better" if described else ""
+    advice = (
+        "Either its input is described wrongly, or it was trained on other images: train it here, or test it on "
+        "its own, recording@FOLDER (docs/recordings.md)"
+    )
+    if agreeing:
+        advice = f"It does on {', '.join(agreeing)}: check it there alone, --sims {','.join(agreeing)}"
+    return Finding(
+        "unrelated",
+        f"It answers, but {how}: correlation {fit.correlation:.2f} with the autopilot{tried}. {advice}",
+    )
+
+
+def only_offset(findings: Sequence[Finding]) -> bool:
+    """Whether answers are off by a number alone, which may be a lane, too."""
+    kinds = {one.kind for one in findings}
+    return "offset" in kinds and not {"scale", "degrees", "radians", "sign"} & kinds
+
+
+def lane_finding(
+    offset: float, steering: NDArray[np.float64], other: Sequence[Recording], driver: str
+) -> Finding | None:
+    """Say which lane a network wants that steers to one side in the right lane; None if its offset is everywhere.
+
+    Args:
+        offset: what it answers in the right lane where the autopilot drives straight on, -1 left to +1 right.
+        steering: its answers to all images of the left lane.
+        other: drives of the autopilot in the left lane.
+        driver: its name.
+    """
+    there = agreement(steering, other).offset
+    begins = f"ds drive --sim {other[0].simulator} --driver {driver}"
+    seen = (
+        f"It answers {offset:.2g} where the autopilot drives straight on in the right lane, {there:.2g} in the left one"
+    )
+    if offset < 0.0 and abs(there) < ELSEWHERE * abs(offset):
+        return Finding("lane", f"{seen}: it wants the left lane; test it there, `{begins} --lane left`")
+    if offset < 0.0 < there:
+        return Finding(
+            "lane",
+            f"{seen}: it wants the middle of the road; `{begins}` leaves the lane to the left then, and with "
+            "`--lane left` to the right: train it in the lane that it has to drive in",
+        )
+    return None
 
 
 def _differences(described: DescribedNetwork, best: DescribedNetwork, agree: str) -> Iterator[Finding]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -12,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Indices
+from ds_base.errors import InputError
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
+from ds_road import Side
 from ds_sim.registry import simulator_of_process
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
@@ -32,6 +35,15 @@ EVERY = 8
 """Frames from one kept image to the next, 0.4 s; chosen: closer ones look alike."""
 WHOLE = slice(80, 200)
 """Frames of a drive that a network with memory is shown; chosen: six seconds around the first bend, 300 MB in all."""
+FEWEST = 24
+"""Images from which there is a verdict; chosen: a network with a correlation of 0.93 has less than 0.8 on so many once
+in 200 times, and one with 0.4 more than that once in 1,000 times (Fisher's z)."""
+MOST_THINNED = 3
+"""One image of so many is kept at least where other descriptions are tried; chosen: a dozen for a simulator's trial."""
+
+
+class TooSlowError(InputError):
+    """The network takes so long for an image that there is no verdict in time."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,19 +62,61 @@ class Recording:
     steering: NDArray[np.float64]
     throttle: NDArray[np.float64]
 
+    @property
+    def drives(self) -> NDArray[np.intp]:
+        """(frames,) number of the drive that each image is of."""
+        return np.cumsum([0, *(b.step <= a.step for a, b in pairwise(self.frames))])
+
     def sample(self, step: int) -> Recording:
         """Keep one image of so many, evenly over the autopilot's steering, so that sharp bends are among them."""
         return self._only(np.sort(np.argsort(self.steering, kind="stable")[step // 2 :: step]))
 
     def first_drives(self, count: int) -> Recording:
         """Keep whole drives, the first ones."""
-        begins = np.cumsum([0, *(b.step <= a.step for a, b in pairwise(self.frames))])
-        return self._only(np.flatnonzero(begins < count))
+        return self._only(np.flatnonzero(self.drives < count))
 
     def _only(self, kept: Indices) -> Recording:
         return replace(
             self, frames=tuple(self.frames[k] for k in kept), steering=self.steering[kept], throttle=self.throttle[kept]
         )
+
+
+def affordable(
+    recordings: Sequence[Recording], pace: float, seconds: float, *, asked: int, whole: bool = False
+) -> tuple[list[Recording], bool]:
+    """Keep as many images as a network can be asked about in time.
+
+    Args:
+        recordings: of all simulators.
+        pace: seconds that it takes for an image.
+        seconds: time.
+        asked: times that it is asked about each image on the whole if other descriptions are tried.
+        whole: whether it needs whole drives.
+
+    Returns:
+        Images, and whether there is time for other descriptions.
+
+    Raises:
+        TooSlowError: fewer than `FEWEST` images are left, or no whole drive.
+    """
+
+    def thinned(step: int) -> list[Recording]:
+        if whole:
+            return [one.first_drives(max(4 // step, 1)) for one in recordings]
+        return [one.sample(step) for one in recordings]
+
+    for search, most in ((True, MOST_THINNED), (False, max(len(one.frames) for one in recordings))):
+        for step in range(1, most + 1):
+            kept = list(recordings) if step == 1 else thinned(step)
+            count = sum(len(one.frames) for one in kept)
+            tried = LONGEST * len(kept) if asked > 1 else 0  # its throttle
+            if count >= FEWEST and pace * (asked * count + tried if search else count) <= seconds:
+                return kept, search
+    needed = sum(len(one.frames) for one in thinned(4)) if whole else FEWEST
+    raise TooSlowError(
+        f"the network takes {pace:.1f} s for an image, and a verdict needs {needed} of them: give "
+        f"--time {2 * math.ceil(pace * needed)}, fewer simulators, or a faster network"
+    )
 
 
 class _Job(NamedTuple):
@@ -71,8 +125,10 @@ class _Job(NamedTuple):
     kept: slice
 
 
-def record(simulators: Sequence[str], seed: int, progress: Progress, *, whole: bool = False) -> list[Recording]:
-    """Let the autopilot drive on every simulator; the same seed gives the same images.
+def record(
+    simulators: Sequence[str], seed: int, progress: Progress, *, whole: bool = False, lane: Side = "right"
+) -> list[Recording]:
+    """Let the autopilot drive in a lane on every simulator; the same seed gives the same images.
 
     A network with memory is asked about `whole` pieces of drives, any other about some images of each.
 
@@ -82,14 +138,14 @@ def record(simulators: Sequence[str], seed: int, progress: Progress, *, whole: b
     roads = [one for one in candidate_roads(ROADS, seed) if one.road.reversed().validity.valid][:ROADS]
     kept = WHOLE if whole else slice(None, None, EVERY)
     jobs = [
-        _Job(name, way, kept)
+        _Job(name, replace(one, road=way.in_lane(lane)), kept)
         for name in simulators
         for one in roads
-        for way in (one, replace(one, road=one.road.reversed()))
+        for way in (one.road, one.road.reversed())
     ]
     drives: dict[str, list[Recording]] = {}
     progress.start(len(jobs))
-    for one in map_in_processes(_record, jobs):
+    for one in map_in_processes(_record, jobs, abandon=True):
         drives.setdefault(one.simulator, []).append(one)
         progress.advance(line=f"the autopilot drove on {one.simulator}")
     return [
