@@ -190,7 +190,7 @@ def texts_of(frame: pd.DataFrame, names: str | list[str], source: str) -> list[s
     for name in listed(names):
         column_of(frame, name, source)
     empty = np.any([is_empty(frame[name]) for name in listed(names)], axis=0)
-    parts = [[_text(one) for one in frame[name].tolist()] for name in listed(names)]
+    parts = [[text_of(one) for one in frame[name].tolist()] for name in listed(names)]
     return ["" if no else "-".join(one) for no, one in zip(empty, zip(*parts, strict=True), strict=True)]
 
 
@@ -253,11 +253,11 @@ def place_of(frame: pd.DataFrame, row: int) -> str:
     return f"line {frame.index[row]}" if frame.index.name == "line" else f"row {row + 1}"
 
 
-def _text(value: Any) -> str:
+def text_of(value: Any) -> str:
     """Text of a cell; a whole number without a decimal point, as pandas adds one where another cell is empty."""
     return str(int(value) if isinstance(value, float) and value.is_integer() else value)
 
 
 def word_of(value: Any) -> str:
     """Word of a cell, in lower case."""
-    return _text(value).strip().lower()
+    return text_of(value).strip().lower()

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from ds_analysis.outcomes.columns import GUIDE, NO_VERDICT, WORDS, Columns, is_empty, word_of
+from ds_analysis.outcomes.columns import GUIDE, NO_VERDICT, WORDS, Columns, is_empty, text_of, word_of
 from ds_analysis.outcomes.study import read_frame
 
 FILE = "columns.yaml"
@@ -69,10 +69,8 @@ class Guess:
             lines += [f"# {self.reasons[key]}", f"{key}: {json.dumps(self.columns[key])}"]
         for key, asked in self.asked.items():
             for line, question in asked:
-                whole = (
-                    f"simulators: {{{json.dumps(self.only)}: {{{line}}}}}" if self.only and key == "failed" else line
-                )
-                lines += [f"# {question}", f"# {whole}"]
+                of_one = f"simulators: {{{json.dumps(self.only)}: {{{line}}}}}"
+                lines += [f"# {question}", f"# {of_one if self.only and key == 'failed' else line}"]
         return "\n".join([*lines, "# The simulator that the others are to predict, or a real car, if any:", _ROLES])
 
 
@@ -89,6 +87,8 @@ def guess_columns(path: Path) -> Guess | None:
         if len(named[key]) == 1:
             guess.set(key, named[key][0], "by its name", sure=True)
     wide = {name: one for one in frame for name in [_simulator_in(one)] if name and _says(frame[one], FAILED)}
+    if len(wide) < 2 or named["simulator"] or any(_named(frame, FAILED)):
+        wide = {}
     verdicts = [] if wide else _verdict(frame, named["passed"], guess)
     taken = {*wide.values(), *verdicts, *named["repeat"][:1], *named["family"][:1]}
     _test_and_simulator(frame, named, taken, guess, bool(wide))
@@ -101,9 +101,8 @@ def guess_columns(path: Path) -> Guess | None:
             guess.set("simulators", {path.stem: {"failed": guess.columns.pop("failed")}}, said, sure=False)
     if not wide and not verdicts:
         for one in named["margin"]:
-            guess.ask(
-                "failed", f"margin: {{column: {json.dumps(one)}, limit: LIMIT}}", "Beyond which LIMIT is it a failure?"
-            )
+            line = f"margin: {{column: {json.dumps(one)}, limit: LIMIT}}"
+            guess.ask("failed", line, "Beyond which LIMIT is it a failure?")
         guess.ask("failed", "failed: COLUMN", "Which column says whether a test failed?")
     return guess
 
@@ -137,7 +136,7 @@ def _verdict(frame: pd.DataFrame, passed: Sequence[str], guess: Guess) -> list[s
         guess.set("failed", clear[0], "by its name and words", sure=only)
         return clear
     for one in candidates:
-        counts = {str(word): count for word, count in frame[one].value_counts().items()}
+        counts = frame[one].dropna().map(text_of).value_counts().to_dict()
         good = WORDS[False] - TRUTHS | ({"true", "1", "yes"} if one in passed else set())
         wanted = next((word for word in counts if word_of(word) in good), "WORD")
         if one in passed and {word_of(word) for word in counts} <= TRUTHS and wanted != "WORD":
@@ -153,28 +152,20 @@ def _test_and_simulator(
     frame: pd.DataFrame, named: dict[str, list[str]], taken: set[str], guess: Guess, wide: bool
 ) -> None:
     """Set `test` and `simulator`: columns of usual names, or the first that tell all rows apart."""
-    repeat = named["repeat"][:1]
-    tests, simulators = named["test"][:1], [] if wide else named["simulator"][:1]
-    single = _tells(frame, [*tests, *repeat]) if tests else False
-    groups = [
-        one for one in frame if one not in taken | {*tests, *simulators} and not pd.api.types.is_float_dtype(frame[one])
-    ]
-    few = [one for one in groups if 1 < frame[one].nunique() <= MOST_GROUPS]
-    if tests and not simulators and not wide and not single:
-        simulators = _telling(frame, few, [*tests, *repeat])
-    sure_test = len(named["test"]) == 1
+    repeat, tests, simulators = (named[key][:1] for key in ("repeat", "test", "simulator"))
+    others = [one for one in frame if one not in {*taken, *tests, *simulators} and frame[one].dtype.kind != "f"]
     if not tests:
-        tests, sure_test = _telling(frame, groups, [*simulators, *repeat]), False
-    if tests:
-        by = "by its name" if named["test"] else "as it tells the rows apart"
-        sure = sure_test and _tells(frame, [*tests, *simulators, *repeat])
-        guess.set("test", tests if len(tests) > 1 else tests[0], by, sure=sure)
-    else:
+        tests = _telling(frame, others, [*simulators, *repeat])
+    elif not (simulators or wide or _tells(frame, [*tests, *repeat])):
+        few = [one for one in others if 1 < frame[one].nunique() <= MOST_GROUPS]
+        simulators = _telling(frame, few, [*tests, *repeat])
+    told = _tells(frame, [*tests, *simulators, *repeat])
+    for key, names in (("test", tests), ("simulator", simulators)):
+        if names:
+            by = "by its name" if named[key] else "as it tells rows apart"
+            guess.set(key, names if len(names) > 1 else names[0], by, sure=told and len(named[key]) == 1)
+    if not tests:
         guess.ask("test", "test: COLUMN", "Which column, or list of columns, names the test?")
-    if simulators:
-        by = "by its name" if named["simulator"] else "as it tells drives of a test apart"
-        value = simulators if len(simulators) > 1 else simulators[0]
-        guess.set("simulator", value, by, sure=len(named["simulator"]) == 1)
 
 
 def _telling(frame: pd.DataFrame, candidates: Sequence[str], beside: Sequence[str]) -> list[str]:
