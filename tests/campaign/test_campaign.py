@@ -207,7 +207,7 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
     [
         (
             {"siblings": ["bulet"]},
-            "siblings: unknown simulator 'bulet': expected one of bullet, softbody, panda, donkey",
+            "siblings: unknown simulator 'bulet', did you mean 'bullet'?: expected one of bullet, softbody, panda",
         ),
         ({"siblings": ["bullet", "bullet"]}, "siblings: bullet is named twice"),
         ({"siblings": []}, "siblings: an empty list, expected at least 1"),
@@ -215,7 +215,7 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
         ({"siblings": None}, "siblings: nothing there, expected a list"),
         ({"sibling": ["bullet"]}, "sibling: there is no such key (keys: siblings"),
         ({"twin": "bullet"}, "twin: bullet is a sibling too"),
-        ({"twin": "dnkey"}, "twin: unknown simulator 'dnkey': expected one of bullet"),
+        ({"twin": "dnkey"}, "twin: unknown simulator 'dnkey', did you mean 'donkey'?: expected one of bullet"),
         ({"twin": False}, "twin: false, expected text"),
         ({"search": {"population": 0}}, "search.population: 0, expected at least 1"),
         ({"search": {"min_angle": 200, "max_angle": 100}}, "search: min_angle 200 is above max_angle 100"),

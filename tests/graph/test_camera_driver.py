@@ -41,7 +41,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
         "yuv422": cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_UYVY),
         "yuv422_yuy2": cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_YUY2),
         "rgb8 large": large,
-        "16UC1": np.zeros((160, 320, 2), np.uint8),
+        "32FC1": np.zeros((160, 320, 4), np.uint8),
     }
     # Expected commands, from the network in this process: the speed of equation 2, the bicycle model's yaw rate.
     steering = NetworkDriver("dave2").steering(rgb, Crop())
@@ -84,13 +84,13 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
             image.data = np.ascontiguousarray(pixels).tobytes()
             image.step = len(image.data) // rows
             image.header.stamp.sec = second
-            for _ in range(30 if name != "16UC1" else 3):
+            for _ in range(30 if name != "32FC1" else 3):
                 camera.publish(image)
                 time.sleep(0.1)
                 if found := [m for m in heard if m.header.stamp.sec == second]:
                     answers[name] = found[-1]
                     break
-        assert set(answers) == set(pictures) - {"16UC1"}
+        assert set(answers) == set(pictures) - {"32FC1"}
         rates = {name: message.twist.angular.z for name, message in answers.items()}
         assert rates["rgb8"] == pytest.approx(yaw_rate, abs=1e-6)
         assert answers["rgb8"].twist.linear.x == pytest.approx(speed, abs=1e-6)
@@ -106,7 +106,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
         assert status.hardware_id == "/car/camera_driver"
         assert int(values["frames answered"]) >= 6 and int(values["frames refused"]) >= 1
         assert 0.0 < float(values["latency mean ms"]) <= float(values["latency max ms"])
-        assert "image of encoding '16UC1'" in (logs / "driver.log").read_text()
+        assert "image of encoding '32FC1'" in (logs / "driver.log").read_text()
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

@@ -151,7 +151,7 @@ def rgb_of_message(message: Any) -> Pixels:
         height=message.height,
         width=message.width,
         step=message.step,
-        big_endian=bool(message.is_bigendian),
+        big_endian=bool(getattr(message, "is_bigendian", False)),
     )
 
 
