@@ -216,11 +216,21 @@ def test_a_fit_says_how_long_it_still_takes() -> None:
     phases.begin(1, "windows")
     for number in range(6):
         phases.iterated(f"iteration {number}")
-    assert told.total == 4 * 1 + 4 * 2.5 + 8 * 6 and told.done == 3
+    assert told.total == 4 * 1 + 4 * 2.5 + 8 * 6 and told.done == 3.875  # more than usual share what is left
     phases.begin(2, "windows")
     assert told.done == 4
     phases.iterated("iteration 0")
     assert told.done == 6.5 and told.lines[-2:] == ["phase 2 of 3: windows", "iteration 0"]
+
+
+def test_lines_may_be_some_seconds_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    now = 0.0
+    progress = ScreenProgress(lambda: now, every=3.0)
+    progress.start(10)
+    for _ in range(10):
+        now += 1.0
+        progress.advance(line="x")
+    assert [line.split(";")[0] for line in capsys.readouterr().err.splitlines()] == ["3/10 x", "6/10 x", "9/10 x"]
 
 
 def test_time_left_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:

@@ -89,10 +89,11 @@ class ScreenProgress:
 
     Args:
         now: steady clock, s.
+        every: seconds between two lines of `advance`, for work with more lines than anybody reads.
     """
 
-    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        self._now = now
+    def __init__(self, now: Callable[[], float] = time.monotonic, every: float = 0.0) -> None:
+        self._now, self._every, self._said = now, every, now()
         self.start(0)
 
     def start(self, total: float) -> None:
@@ -105,7 +106,7 @@ class ScreenProgress:
         passed = self._now() - self._began
         if passed < KEPT * (self._done - self._kept) and passed < 1.0:
             self._kept = self._done
-        if line:
+        if line and self._now() - self._said >= self._every:
             self.describe(line)
 
     def describe(self, line: str) -> None:
@@ -117,6 +118,7 @@ class ScreenProgress:
         if self._kept < self._done < self._total:
             pace = (self._now() - self._began) / (self._done - self._kept)
             left = f"; about {duration(pace * (self._total - self._done))} left"
+        self._said = self._now()
         say(f"{share} {line}{left}")
 
 

@@ -3,38 +3,113 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import replace
+import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ds_cli.options import JsonFlag
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer
+from ds_cli.campaign.compare_results import FailOnFailure
+from ds_cli.options import Backend, DriverName, JsonFlag, Workers, driver_named, with_engine_without_ros
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
 
 app = typer.Typer()
 recording_app = typer.Typer(help="Make a track, a twin and a sibling of a car's recording.", no_args_is_help=True)
 app.add_typer(recording_app, name="recording")
 
 
+Source = Annotated[Path, typer.Argument(help="Bag or Donkey Car tub with images of a track.")]
+LaneWidth = Annotated[
+    float, typer.Option(min=0.02, max=50.0, help="From the middle of the centre line to that of an edge line, m.")
+]
+CameraFile = Annotated[Path, typer.Option(help="YAML file of the camera, as of `ds recording calibrate`.")]
+Topic = Annotated[str | None, typer.Option(help="Topic of the images, for bags with several.")]
+Steering = Annotated[str | None, typer.Option(help="TOPIC:FIELD of the steering, for bags of others.")]
+Factor = Annotated[float, typer.Option(help="Converts that field to steering, -1 left to +1 right.")]
+Odometry = Annotated[
+    str | None, typer.Option(help="Field or topic of speeds, yaw rates or poses; `none`; all if omitted.")
+]
+Centre = Annotated[str, typer.Option(help="Colour of the centre line: yellow, green or blue.")]
+EVERY = 3.0
+"""Seconds between two lines of progress."""
+
+
+@recording_app.command("test")
+def recording_test_command(
+    source: Source,
+    lane_width: LaneWidth,
+    camera: CameraFile,
+    out: Annotated[Path, typer.Option(help="Folder for the result; a stopped test goes on there.")],
+    driver: DriverName = "dave2",
+    backend: Backend = "auto",
+    roads: Annotated[int, typer.Option(min=1, max=200, help="Roads to cut at most.")] = 20,
+    crop_top: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            max=159,
+            help="Of 160 image rows, those at the top that the network does not see; 40 for shipped ones, or 0.",
+        ),
+    ] = None,
+    topic: Topic = None,
+    steering: Steering = None,
+    factor: Factor = 1.0,
+    odometry: Odometry = None,
+    centre: Centre = "yellow",
+    workers: Workers = None,
+    fail_on: FailOnFailure = None,
+    as_json: JsonFlag = False,
+) -> None:
+    """Test a network on the track of a recording: does it leave its lane there?
+
+    Locates the recording, fits the twin, cuts roads, drives them seen in the recording's photographs and on the twin,
+    and ends in one page, and in one sentence after what it could not do. A stopped test goes on.
+    """
+    from ds_cli.progress import ScreenListener
+    from ds_driver.data.recordings import Reading
+    from ds_orchestrator.campaign.engine import DriveSettings
+    from ds_orchestrator.campaign.executor import Stopped
+    from ds_orchestrator.engines.drive_tests import Callbacks
+    from ds_orchestrator.engines.preflight import check_driver
+    from ds_studies.track_test import PAGE, ROADS, Recording, TrackTest, run_track_test
+
+    driver = driver_named(driver, backend, "cpu")
+    check_driver(driver, [])
+    settings = with_engine_without_ros(DriveSettings(siblings=(), driver=driver), workers, None, None)
+    reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
+    recording = Recording(
+        source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
+    )
+    asked = TrackTest(recording=recording, out=out, driver=driver, roads=roads, crop_top=crop_top)
+    try:
+        found = run_track_test(asked, settings, Callbacks(listen=ScreenListener), lambda: ScreenProgress(every=EVERY))
+    except (KeyboardInterrupt, Stopped):
+        raise Interrupted(f"what is finished is in {out}: the same command goes on") from None
+
+    def show() -> None:
+        for caution in found.cautions:
+            print(f"- {caution}")
+        print(found.sentence)
+        print(out / PAGE)
+
+    failures, judged = found.failures(driver, found.recording)
+    unmet = [f"{driver} fails on {failures} of {judged} roads"] if fail_on and failures else []
+    more = f"recording@{asked.located},bullet,softbody"
+    then = shlex.join(["ds", "siblings", "compare", "--file", str(out / ROADS), "--driver", driver, "--sims", more])
+    end(Result(document=found.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then), as_json)
+
+
 @recording_app.command("locate")
 def locate_command(
-    source: Annotated[Path, typer.Argument(help="Bag or Donkey Car tub with images of a track.")],
-    lane_width: Annotated[
-        float,
-        typer.Option(min=0.02, max=50.0, help="From the middle of the centre line to that of an edge line, m."),
-    ],
+    source: Source,
+    lane_width: LaneWidth,
     out: Annotated[Path, typer.Option(help="Folder for the result.")],
-    camera: Annotated[Path, typer.Option(help="YAML file of the camera, as of `ds recording calibrate`.")],
-    topic: Annotated[str | None, typer.Option(help="Topic of the images, for bags with several.")] = None,
-    steering: Annotated[str | None, typer.Option(help="TOPIC:FIELD of the steering, for bags of others.")] = None,
-    factor: Annotated[float, typer.Option(help="Converts that field to steering, -1 left to +1 right.")] = 1.0,
-    odometry: Annotated[
-        str | None,
-        typer.Option(help="Field or topic of speeds, yaw rates or poses; `none`; all if omitted."),
-    ] = None,
-    centre: Annotated[str, typer.Option(help="Colour of the centre line: yellow, green or blue.")] = "yellow",
+    camera: CameraFile,
+    topic: Topic = None,
+    steering: Steering = None,
+    factor: Factor = 1.0,
+    odometry: Odometry = None,
+    centre: Centre = "yellow",
     as_json: JsonFlag = False,
 ) -> None:
     """Find where the car was in every image of a recording, and the track it drove on.
@@ -42,21 +117,15 @@ def locate_command(
     Looks for a coloured centre line between two white edge lines. A recording that cannot carry this is refused.
     """
     from ds_driver.data.recordings import Reading
-    from ds_recording.floor_camera import read_camera
-    from ds_recording.locate import located_of
-    from ds_recording.located import write_located
     from ds_recording.odometry import summary
-    from ds_recording.recording import read_views
-    from ds_report.recording_page import write_recording_page
+    from ds_studies.track_test import Recording, locate_recording
 
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
+    recording = Recording(
+        source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
+    )
     try:
-        known = read_camera(camera)
-        views = read_views(source, reading, odometry, centre)
-        found, fit = located_of(views, known, lane_width, progress=ScreenProgress())
-        found = replace(found, about=found.about | {"source": os.path.relpath(source, out), "topic": topic})
-        write_located(out, found)
-        page = write_recording_page(out / "index.html", views, found, fit)
+        found, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
     except KeyboardInterrupt:
         raise Interrupted from None
     document = found.about | {"out": str(out), "page": str(page)}
@@ -120,7 +189,10 @@ def recording_roads_command(
     folder: Annotated[Path, typer.Argument(help="Folder that `ds recording locate` wrote.")],
     out: Annotated[Path, typer.Option(help="Road file to write.")] = Path("roads.json"),
     length: Annotated[float, typer.Option(min=20.0, max=900.0, help="Length of each road, road metres.")] = 80.0,
-    every: Annotated[float, typer.Option(min=1.0, help="Distance between two starts, road metres.")] = 20.0,
+    every: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Distance between two starts, road metres; 20 if left out, less on short tracks."),
+    ] = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Cut the recorded track into roads to test.

@@ -41,13 +41,14 @@ def twin_fit_command(
     evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of the model per round at most.")] = 40,
     as_json: JsonFlag = False,
 ) -> None:
-    """Fit the digital twin's parameters to recorded drives.
+    """Fit the digital twin's parameters to recorded drives; a fit that was interrupted goes on.
 
     `--sim donkey@FILE` then drives with them.
     """
     from ds_report.fit_picture import draw_fit
     from ds_twin_donkey.car_files import read_start
     from ds_twin_donkey.fit import FitSettings, fit
+    from ds_twin_donkey.fit_state import Kept
     from ds_twin_donkey.located import LOCATED, fit_located
     from ds_twin_donkey.logs import read_log
     from ds_twin_donkey.parameter_file import document_of, write_parameters
@@ -63,13 +64,15 @@ def twin_fit_command(
     settings = LOCATED if located else FitSettings()
     settings = replace(settings, window_seconds=window or settings.window_seconds, max_evaluations=evaluations)
     mounting = None
+    state = out.with_name(f"{out.name}.state")
+    kept = Kept(state)
     try:
         if located:
-            found, mounting = fit_located(drives, begin, settings, ScreenProgress())
+            found, mounting = fit_located(drives, begin, settings, ScreenProgress(), kept)
         else:
-            found = fit(drives, begin, settings, ScreenProgress())
+            found = fit(drives, begin, settings, ScreenProgress(), kept)
     except KeyboardInterrupt:
-        raise Interrupted from None
+        raise Interrupted(f"the same command goes on from {state}" if state.exists() else "") from None
     for name, ratio in found.misfit.items():
         if ratio > MISFIT:
             say(
@@ -84,6 +87,7 @@ def twin_fit_command(
             "with a camera there, add that to forward_m in camera.yaml, and locate again"
         )
     write_parameters(out, document)
+    kept.forget()
     picture = out.parent / "fit.png"
     draw_fit(found, picture)
     document |= {"file": str(out), "picture": str(picture)}

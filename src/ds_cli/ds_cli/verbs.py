@@ -101,7 +101,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "recording",
                 "recordings",
                 "Make a track, a twin and a sibling of a car's recording.",
-                ("locate", "calibrate", "roads"),
+                ("test", "locate", "calibrate", "roads"),
             ),
             Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
             Verb(

@@ -23,7 +23,7 @@ from ds_recording.motion import Motion, MotionFinder
 from ds_recording.mounting import mount
 from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
-from ds_recording.smoother import Evidence, Smoother, Solution
+from ds_recording.smoother import TURNS, Evidence, Smoother, Solution
 from ds_recording.track import Track
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
         hints.append(before.see(image))
         motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0, hints[-1]))
         lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1, views.centre), seen))
-        progress.advance(line="" if (index + 1) % 500 else "images looked at")
+        progress.advance(line="images looked at")
     return Evidence(times=seconds, lines=lines, motions=motions, hints=hints, steering=views.steering)
 
 
@@ -113,7 +113,7 @@ def with_odometry(
     for index, seconds in enumerate(np.diff(evidence.times, prepend=evidence.times[0])):
         motion = finder.see(images[index], float(seconds), hints[index])
         motions.append(motion and replace(motion, step=motion.step * longer))
-        progress.advance(line="" if (index + 1) % 500 else "images looked at again, with odometry")
+        progress.advance(line="images looked at again, with odometry")
     return replace(evidence, motions=motions, hints=[replace(hint, step=hint.step * longer) for hint in hints]), checked
 
 
@@ -156,7 +156,7 @@ def check_evidence(evidence: Evidence) -> None:
         )
 
 
-def solve(evidence: Evidence) -> Fit:
+def solve(evidence: Evidence, progress: Progress = SILENT) -> Fit:
     """Guess the road, smooth the run, and join the ends of a lap where there is one.
 
     Raises:
@@ -174,10 +174,12 @@ def solve(evidence: Evidence) -> Fit:
             "the lines of most images fit no road with a coloured centre line and white edges, one lane width apart: "
             "check --lane-width and the camera"
         )
-    solution = Smoother(evidence, poses, track).solve()
+    progress.start(TURNS)
+    solution = Smoother(evidence, poses, track).solve(progress=progress)
     lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading)
     if lap is not None:
-        closed = Smoother(evidence, lap.poses, lap.track, lap.pieces).solve(CLOSED_TURNS)
+        progress.start(CLOSED_TURNS)
+        closed = Smoother(evidence, lap.poses, lap.track, lap.pieces).solve(CLOSED_TURNS, progress)
         if np.nanmean(closed.agree) > np.nanmean(solution.agree) - WORSE_CLOSED:
             solution = closed
     located = _trusted(evidence, solution)
@@ -271,5 +273,5 @@ def located_of(
     if views.odometry:
         evidence, checked = with_odometry(evidence, views, camera, lane_width, progress)
     progress.describe("lines and motion found; solving for the whole run")
-    fit = solve(evidence)
+    fit = solve(evidence, progress)
     return in_metres(views, fit, camera, lane_width, calibration, checked), fit

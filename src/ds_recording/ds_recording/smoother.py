@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import splu
 
+from ds_base.progress import SILENT, Progress
 from ds_recording.first_guess import SPACING
 from ds_recording.hints import Hint
 from ds_recording.lines import LinePoints
@@ -51,7 +52,7 @@ _TRIES = 5
 """Shorter and shorter steps that are tried."""
 NEAR = 1.5
 """Distance of the line's points that are used first, lane widths."""
-_TURNS = 16
+TURNS = 16
 """Gauss-Newton steps; chosen: the last ones move nothing by more than a thousandth."""
 
 
@@ -168,8 +169,8 @@ class Smoother:
         spread = spread + np.diag(np.square(MOTION_FLOOR))
         self._whitening = np.linalg.inv(np.linalg.cholesky(spread))
 
-    def solve(self, turns: int = _TURNS) -> Solution:
-        """Run Gauss-Newton, with the gates closing, and return what was found."""
+    def solve(self, turns: int = TURNS, progress: Progress = SILENT) -> Solution:
+        """Run Gauss-Newton, with the gates closing, and return what was found; `progress` counts its steps."""
         step_damping = 1e-5
         for turn in range(turns):
             # From near to far: what is far away turns a road that is only guessed by too much.
@@ -189,6 +190,8 @@ class Smoother:
                 step_damping = max(10.0 * step_damping, 1e-4)
             if turn in (4, 8):
                 self._steering = self._follow()
+            progress.advance(line="steps of the solution for the whole run")
+        progress.describe("how sure it is, image by image")
         return self._solution()
 
     @property

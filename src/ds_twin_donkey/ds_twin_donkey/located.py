@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ds_base.progress import SILENT, Progress
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.fit import ROUGH_SUBSTEPS, ROUGH_TOTAL, Fit, FitSettings, fit
+from ds_twin_donkey.fit_state import FORGETFUL, Kept
 from ds_twin_donkey.logs import Drive
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 from ds_twin_donkey.windows import Windows
@@ -137,6 +138,7 @@ def fit_located(
     start: DonkeyParameters | None = None,
     settings: FitSettings = LOCATED,
     progress: Progress = SILENT,
+    kept: Kept = FORGETFUL,
 ) -> tuple[Fit, Mounting]:
     """Fit parameters to a located recording; deterministic.
 
@@ -145,6 +147,7 @@ def fit_located(
         start: values of all parameters that are not fitted; nominal if omitted.
         settings: see `FitSettings`.
         progress: see `ds_twin_donkey.fit.fit`.
+        kept: see there.
 
     Returns:
         The fit, of the car's centre, and where the recording's poses are on the car.
@@ -155,4 +158,4 @@ def fit_located(
     start = start or DonkeyParameters()
     mounting = find_mounting(drives, start)
     drives = mounting.centred(drives)
-    return fit(drives, rough_start(drives, start), settings, progress), mounting
+    return fit(drives, rough_start(drives, start), settings, progress, kept), mounting

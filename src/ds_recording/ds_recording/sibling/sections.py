@@ -7,20 +7,24 @@ import numpy as np
 
 from ds_recording.errors import RecordingError
 from ds_recording.sibling.recorded_drive import RecordedDrive, near_photographs
-from ds_recording.track import Track
+from ds_recording.track import Track, wrap
 from ds_road import Road, RoadError
 
 TOLERANCE = 0.3
 """Distance, road metres, by which a lane may differ from the one that was driven; chosen: a thirteenth of its width."""
 
+EVERY, ENOUGH = 20.0, 20
+"""Distance between two starts, road metres, that is shortened where it gives fewer than so many roads; chosen: what
+`ds siblings compare` needs to judge a sibling."""
 
-def sections(drive: RecordedDrive, length: float, every: float) -> list[Road]:
+
+def sections(drive: RecordedDrive, length: float, every: float | None = None) -> list[Road]:
     """Cut the driven lane into overlapping roads, each driven in its right lane, where there are photographs.
 
     Args:
         drive: a located recording.
         length: of each road, road metres.
-        every: distance between two starts, road metres.
+        every: distance between two starts, road metres; None for `EVERY`, or less where the track is short.
 
     Raises:
         RecordingError: none of them is a valid road, as on a lap that is shorter.
@@ -29,14 +33,18 @@ def sections(drive: RecordedDrive, length: float, every: float) -> list[Road]:
     shown = near_photographs(lane.points, drive.poses)
     count = round(length) + 1
     last = len(lane.points) if lane.closed else len(lane.points) - count + 1
-    roads = []
-    for start in range(0, max(last, 0), max(round(every), 1)):
-        part = (start + np.arange(count)) % len(lane.points)
-        points = lane.points[part]
-        centre = Track(points).beside(-drive.lane_width / 2)
-        road = Road.from_road_points(centre.points.round(4), lane_width=drive.lane_width)
-        if shown[part].all() and road.validity.valid:
-            roads.append(road)
+    step = max(round(EVERY if every is None else every), 1)
+    roads: list[Road] = []
+    while True:
+        for start in range(0, max(last, 0), step):
+            part = (start + np.arange(count)) % len(lane.points)
+            centre = Track(lane.points[part]).beside(-drive.lane_width / 2)
+            road = Road.from_road_points(centre.points.round(4), lane_width=drive.lane_width)
+            if shown[part].all() and road.validity.valid:
+                roads.append(road)
+        if every is not None or len(roads) >= ENOUGH or step == 1:
+            break
+        step, roads = step // 2, []
     if not roads:
         raise RecordingError(
             f"no section of {length:g} road metres is a valid road, the lane has {lane.length:.0f}: shorten --length"
@@ -60,3 +68,13 @@ def check_is_section(road: Road, drive: RecordedDrive) -> None:
         raise RoadError(
             f"road {road.road_id} is no section of the recorded track: make roads with `ds recording roads`"
         )
+
+
+def left_its_lane(drive: RecordedDrive, road: Road) -> bool:
+    """Whether the recorded car left the lane of a section of its track, on any lap."""
+    line, places = Track(road.lane_centre), drive.poses[:, :2]
+    nearest = np.array([int(np.argmin(np.hypot(*(line.points - place).T))) for place in places])
+    along, offset, heading = line.place(places, line.nearest(places, nearest))
+    here = (along > 0.0) & (along < line.length) & (np.abs(wrap(drive.poses[:, 2] - heading)) < np.pi / 2)
+    here &= np.abs(offset) < 1.5 * road.lane_width  # not another part of the track
+    return bool((np.abs(offset[here]) > road.lane_width / 2).any())

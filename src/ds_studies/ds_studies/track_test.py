@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a recording to an answer: locates it, fits the twin, cuts roads, drives them, and writes one page.
+
+Each step leaves its result in one folder, where a stopped call goes on. No step looks at a clock, so that the same
+inputs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ds_analysis.siblings.track_answer import AUTOPILOT, TrackAnswer
+from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.errors import InputError
+from ds_base.folder_files import make_folder
+from ds_base.progress import SILENT, Progress, logger_of
+from ds_driver.data.recordings import Reading
+from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.weights import shipped_networks
+from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, Unfinished, drive_tests
+from ds_orchestrator.store.model import Test
+from ds_recording.floor_camera import read_camera
+from ds_recording.locate import located_of
+from ds_recording.located import ABOUT, LOCATED, Located, read_located, write_located
+from ds_recording.odometry import summary
+from ds_recording.recording import read_views
+from ds_recording.sibling.recorded_drive import RecordedDrive, near_photographs, read_drive
+from ds_recording.sibling.sections import left_its_lane, sections
+from ds_recording.sibling.simulator import SETTINGS
+from ds_recording.track import Track
+from ds_report.recording_page import write_recording_page
+from ds_report.track_page import write_track_page
+from ds_road import Road, write_roads
+from ds_sim.scenario import Scenario
+from ds_twin_donkey.fit_state import Kept
+from ds_twin_donkey.located import fit_located
+from ds_twin_donkey.logs import LogError, read_log
+from ds_twin_donkey.parameter_file import document_of, write_parameters
+from ds_twin_donkey.parameters import SCALE
+from ds_twin_donkey.windows import FitError
+
+LOG = logger_of(__name__)
+INPUTS, TWIN, ROADS, ANSWER, PAGE = "inputs.json", "twin.json", "roads.json", "answer.json", "index.html"
+CAR = "car.yaml"
+NEEDED = ("max_steering_angle", "full_duty")
+"""Parameters without which a fitted twin is not used: how far it turns, and how fast it is."""
+LENGTH, SHARE = 80.0, 0.6
+"""Length of a road, road metres, and the most of the track that one may take; chosen: a lap has to leave its loop
+open."""
+SHIPPED_CROP = 40
+"""Image rows at the top that the networks shipped here do not see of the twin's camera."""
+LARGEST = 2**31
+"""Largest file of a recording, bytes."""
+
+
+class TrackTestError(InputError):
+    """The folder holds the test of something else."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """What is located.
+
+    Attributes:
+        source: bag or tub.
+        camera: YAML file of the camera.
+        lane_width: m on the floor.
+        reading: topics of images and steering.
+        odometry: see `ds_recording.odometry.read_sources`.
+        centre: colour of the centre line.
+    """
+
+    source: Path
+    camera: Path
+    lane_width: float
+    reading: Reading
+    odometry: str | None = None
+    centre: str = "yellow"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackTest:
+    """What is tested.
+
+    Attributes:
+        recording: of the track.
+        out: folder.
+        driver: name of the driver.
+        roads: number of roads at most.
+        crop_top: image rows at the top that the driver does not see; None for those of the shipped networks, else 0.
+    """
+
+    recording: Recording
+    out: Path
+    driver: str
+    roads: int = 20
+    crop_top: int | None = None
+
+    @property
+    def located(self) -> Path:
+        """Folder of the located recording."""
+        return self.out / "located"
+
+    @property
+    def crop(self) -> int:
+        """Image rows that are cut off above."""
+        if self.crop_top is not None:
+            return self.crop_top
+        return SHIPPED_CROP if DriverName.parse(self.driver).network in shipped_networks() else 0
+
+
+def locate_recording(of: Recording, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
+    """Locate a recording, and write a folder; its page, whose path is returned, too, is written last.
+
+    Raises:
+        ds_recording.errors.RecordingError: it cannot carry a location.
+    """
+    camera = read_camera(of.camera)
+    views = read_views(of.source, of.reading, of.odometry, of.centre)
+    found, fit = located_of(views, camera, of.lane_width, progress)
+    about = {"source": os.path.relpath(of.source, folder), "topic": of.reading.camera}
+    found = replace(found, about=found.about | about)
+    write_located(folder, found)
+    return found, write_recording_page(folder / PAGE, views, found, fit)
+
+
+def run_track_test(
+    test: TrackTest,
+    settings: DriveSettings,
+    callbacks: Callbacks | None = None,
+    progress: Callable[[], Progress] = lambda: SILENT,
+) -> TrackAnswer:
+    """Do what is left to do, and write `answer.json` and the page.
+
+    Args:
+        test: what is tested.
+        settings: engine that drives; its driver and simulators are those of the test.
+        callbacks: who hears of the drives.
+        progress: makes one that counts the work of a step.
+
+    Raises:
+        TrackTestError: the folder holds the test of another recording, camera or lane.
+        ds_base.errors.DsError: a step cannot be done.
+    """
+    make_folder(test.out)
+    _check_inputs(test)
+    folder = test.located
+    if not (folder / PAGE).exists():
+        LOG.info("step 1 of 4: where the car was")
+        locate_recording(test.recording, folder, progress())
+    if not (folder / TWIN).exists():
+        LOG.info("step 2 of 4: the twin of the car")
+        _fit_twin(folder, progress())
+    twin = json.loads(read_regular(folder / TWIN, LARGEST))
+    chosen = {"crop_top": test.crop} | ({"car": CAR} if twin["fitted"] else {})
+    write_whole(folder / SETTINGS, yaml.safe_dump(chosen))
+    LOG.info("step 3 of 4: roads of the track")
+    drive = read_drive(folder)
+    roads = _roads(drive, test.roads)
+    write_roads(roads, test.out / ROADS)
+    LOG.info("step 4 of 4: %d roads are driven", len(roads))
+    names = f"recording@{folder}", f"donkey@{folder / CAR}" if twin["fitted"] else "donkey"
+    answer = _driven(test, settings, names, roads, drive, callbacks)
+    answer = replace(answer, limits=_limits(read_located(folder), twin["cautions"], drive, roads, test.roads))
+    write_json(test.out / ANSWER, answer.document() | {"crop_top": test.crop})
+    write_track_page(test.out / PAGE, answer, drive, _facts(read_located(folder), twin, drive, test.crop))
+    return answer
+
+
+def _check_inputs(test: TrackTest) -> None:
+    """Begin the folder, or refuse one of other inputs."""
+    of = test.recording
+    inputs: dict[str, Any] = {
+        "recording": _sha256(of.source),
+        "camera": _sha256(of.camera),
+        "lane width": of.lane_width,
+        "options": {**asdict(of.reading), "trusted": [], "odometry": of.odometry, "centre": of.centre},
+    }
+    path = test.out / INPUTS
+    if not path.exists():
+        write_json(path, inputs)
+        return
+    try:
+        known = json.loads(read_regular(path, LARGEST))
+        differ = [name for name, value in inputs.items() if known[name] != value]
+    except (ValueError, KeyError, TypeError, RecursionError, FileError):
+        differ = [INPUTS]
+    if differ:
+        raise TrackTestError(f"{test.out} was begun with another {', '.join(differ)}: choose another --out")
+
+
+def _sha256(path: Path) -> str:
+    """Digest of a file, or of all files of a folder with their names."""
+    digest = hashlib.sha256()
+    try:
+        files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+        for file in files:
+            digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode(errors="surrogateescape"))
+            with file.open("rb") as stream:
+                while block := stream.read(2**20):
+                    digest.update(block)
+    except OSError as error:
+        raise TrackTestError(f"{path}: {error.strerror}: give a bag or tub, and the file of its camera") from None
+    return digest.hexdigest()
+
+
+def _fit_twin(folder: Path, progress: Progress) -> None:
+    """Fit the twin, or say why the nominal one is used."""
+    fitted, cautions = False, []
+    kept = Kept(folder / f"{CAR}.state")
+    try:
+        log = read_log(folder)
+        found, mounting = fit_located(log.drives, progress=progress, kept=kept)
+    except (FitError, LogError) as error:
+        cautions.append(f"The twin is not fitted, it is the nominal car: {error}.")
+    else:
+        unknown = [one.name for one in found.estimates if not one.determined]
+        fitted = not set(unknown) & set(NEEDED)
+        if unknown:
+            which = "keeps these of the nominal one" if fitted else "is not fitted, it is the nominal car"
+            cautions.append(f"The recording does not determine {', '.join(unknown)}: the twin {which}.")
+        if fitted:
+            write_parameters(folder / CAR, document_of(found, [log]))
+        if abs(mounting.forward) > 0.02:
+            cautions.append(
+                f"The poses are {mounting.forward:.3f} m ahead of the car's centre: with a camera there, add that to "
+                "forward_m in the camera's file, and test again in another folder."
+            )
+    write_json(folder / TWIN, {"fitted": fitted, "cautions": cautions})
+    kept.forget()
+
+
+def _roads(drive: RecordedDrive, most: int) -> list[Road]:
+    """Sections of the track, evenly spread."""
+    length = max(20.0, min(LENGTH, np.floor(SHARE * drive.lane.length)))
+    roads = sections(drive, length)
+    return [roads[index] for index in np.linspace(0, len(roads), min(most, len(roads)), endpoint=False).astype(int)]
+
+
+def _driven(
+    test: TrackTest,
+    settings: DriveSettings,
+    names: tuple[str, str],
+    roads: list[Road],
+    drive: RecordedDrive,
+    callbacks: Callbacks | None,
+) -> TrackAnswer:
+    """Drive the driver and the autopilot on both simulators."""
+    tests = [Test(f"{road.road_id}-{seed}", Scenario(road, seed=seed)) for seed, road in enumerate(roads)]
+    drives, undecided = {}, {}
+    for driver in dict.fromkeys((test.driver, AUTOPILOT)):
+        # A folder of drives belongs to its driver, car and roads.
+        what = [driver, *names, drive.sha256, (test.located / SETTINGS).read_text(), *(one.test_id for one in tests)]
+        place = test.out / "drives" / hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
+        chosen = replace(settings, driver=driver, siblings=names, twin=None)
+        LOG.info("%s drives", driver)
+        found = drive_tests(chosen, dict.fromkeys(names, tests), place, callbacks)
+        for name in names:
+            drives[driver, name] = [found.executions.get((one.test_id, name)) for one in tests]
+            undecided[driver, name] = [
+                gate.message.removeprefix("OutOfSightError: ")
+                if (gate := found.gates.get(key))
+                else str(found.errors.get(key, Unfinished()))
+                for one in tests
+                if (key := (one.test_id, name)) not in found.executions
+            ]
+    return TrackAnswer(
+        driver=test.driver,
+        recording=names[0],
+        twin=names[1],
+        roads=roads,
+        drives=drives,
+        undecided=undecided,
+        recorded=[left_its_lane(drive, road) for road in roads],
+    )
+
+
+def _why(found: DriveResults, key: tuple[str, str]) -> str:
+    """Why a test has no verdict on a simulator."""
+    gate = found.gates.get(key)
+    text = str(found.errors.get(key, Unfinished())) if gate is None else gate.message
+    return text.removeprefix("OutOfSightError: ")
+
+
+def _limits(
+    located: Located, cautions: list[str], drive: RecordedDrive, roads: list[Road], wanted: int
+) -> tuple[str, ...]:
+    """What could not be done before any drive, one sentence each."""
+    said = []
+    about = located.about
+    if about["located"] < 0.995:
+        said.append(f"{1.0 - about['located']:.1%} of the recording's {about['frames']} images are not located.")
+    shown = float(near_photographs(drive.lane.points, drive.poses).mean())
+    if shown < 0.995:
+        said.append(f"{1.0 - shown:.0%} of the track has no photograph near it, and so no road.")
+    length = Track(roads[0].lane_centre).length
+    apart = max(int(drive.lane.length // length), 1)
+    if len(roads) < wanted:
+        said.append(f"Too little track: {len(roads)} roads, {wanted} were wanted.")
+    if apart < len(roads):
+        said.append(
+            f"Too little track for {len(roads)} independent roads: in {drive.lane.length:.0f} road metres only {apart} "
+            f"of {length:.0f} do not overlap, so the counts below are worth about {apart} tests."
+        )
+    return (*said, *cautions)
+
+
+def _facts(located: Located, twin: Mapping[str, Any], drive: RecordedDrive, crop: int) -> dict[str, str]:
+    """Rows of the page's table."""
+    loop = "a closed track" if located.about["closed"] else "open"
+    return {
+        "Recording": f"{located.about['source']}, {located.about['frames']} images, {located.about['located']:.1%} "
+        f"located (located/{PAGE}, {ABOUT}, {LOCATED})",
+        "Track": f"{loop}, {drive.lane.length:.0f} road metres, {drive.lane.length / SCALE:.1f} m on the floor",
+        "Motion": summary(located.about) or "from images alone",
+        "Twin": f"fitted (located/{CAR})" if twin["fitted"] else "nominal",
+        "Images": f"the network does not see the first {crop} of 160 rows" if crop else "all rows",
+    }
