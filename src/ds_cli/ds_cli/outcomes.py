@@ -47,6 +47,7 @@ def outcomes_import_command(
     from ds_analysis.outcomes.known_before import ImportNotes
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_analysis.prediction.mixture import FEWEST_TESTS
+    from ds_bags.layout import printable
     from ds_base.folder_files import make_folder
     from ds_base.left_out import LeftOut
 
@@ -55,7 +56,7 @@ def outcomes_import_command(
     study = import_outcomes(tables, known, notes)
     for line in (notes.rows.line(), notes.columns.line(), *notes.features):
         if line:
-            say(line)
+            say(printable(line, 2000))
     study.table()
     make_folder(out)
     path = write_study(out, study)

@@ -106,7 +106,8 @@ def features_of(
 def _values(column: pd.Series[Any], numbers: np.ndarray) -> tuple[pd.Series[Any], bool]:
     """Values of a column, NaN where there is none, and whether they are numbers rather than words."""
     cells = ~is_empty(column)
-    if np.isfinite(numbers).sum() >= MOSTLY * cells.sum():
+    is_time = column.dtype.kind in "mM"
+    if not is_time and np.isfinite(numbers).sum() >= MOSTLY * cells.sum():
         return pd.Series(numbers), True
     words: pd.Series[Any] = column.astype(str).str.strip().where(cells)
     return words.set_axis(range(len(words))), False

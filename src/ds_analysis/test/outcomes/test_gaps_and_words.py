@@ -180,3 +180,16 @@ def test_maps_count_tests_not_their_repeats(tmp_path: Path) -> None:
     cells = maps_of_study(study)[MapId.union("x")].cells
     assert {cell: (one.tests, one.failures) for cell, one in cells.items()} == {(0, 0): (3, 1), (1, 0): (1, 1)}
     assert cells[0, 0].probability == cells[0, 0].quality_loss == pytest.approx(1 / 3)
+
+
+def test_types_of_parquet(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"test_id": range(20), "simulator": "a", "failed": [k % 3 == 0 for k in range(20)]})
+    frame["kind"] = pd.Categorical([["x", "y", None][k % 3] for k in range(20)])
+    frame["begun"] = pd.date_range("2024-01-01", periods=20)  # a time is no number
+    frame["lit"] = pd.array([None if k == 3 else k % 2 == 0 for k in range(20)], dtype="boolean")
+    frame["lanes"] = pd.array([None if k == 3 else k % 4 for k in range(20)], dtype="Int64")
+    frame.to_parquet(tmp_path / "t.parquet")
+    study = import_outcomes([tmp_path / "t.parquet"], Columns(), ImportNotes(rows=LeftOut("rows")))
+    assert study.features == ("kind=x", "kind=y", "kind missing", "lit", "lit missing", "lanes", "lanes missing")
+    assert study.rows["lit"].tolist() == [float(k % 2 == 0) if k != 3 else 1.0 for k in range(20)]
+    assert study.rows["lanes"].iloc[3] == np.median([k % 4 for k in range(20) if k != 3])
