@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C on a pool of processes: nothing is printed by its workers, and none is left."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+PROGRAM = """
+import sys, time
+from pathlib import Path
+from ds_base.processes import map_in_processes
+
+def work(seconds):
+    Path(f"began_{seconds}").touch()
+    time.sleep(seconds)
+
+if __name__ == "__main__":
+    try:
+        list(map_in_processes(work, [60, 61, 62, 63], workers=2, abandon=True))
+    except KeyboardInterrupt:
+        sys.exit("stopped")
+"""
+
+
+def running(group: int) -> list[str]:
+    """States of the processes of a group that are no zombies, which wait for the system to forget them."""
+    listed = subprocess.run(["ps", "-eo", "pgid=,stat=,args="], capture_output=True, text=True, check=True).stdout
+    rows = [line.split(None, 2) for line in listed.splitlines()]
+    return [row[-1] for row in rows if int(row[0]) == group and not row[1].startswith("Z")]
+
+
+@pytest.mark.parametrize("working", [False, True], ids=["while the workers import", "while they work"])
+def test_ctrl_c_leaves_neither_a_traceback_nor_a_process(tmp_path: Path, working: bool) -> None:
+    (tmp_path / "program.py").write_text(PROGRAM)
+    stopped = subprocess.Popen(
+        [sys.executable, "program.py"], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60.0
+    while (len(list(tmp_path.glob("began_*"))) < 2) if working else (len(running(stopped.pid)) < 3):
+        assert time.monotonic() < deadline and stopped.poll() is None
+        time.sleep(0.02)
+    os.killpg(stopped.pid, signal.SIGINT)  # as a terminal does
+    began = time.monotonic()
+    _, printed = stopped.communicate(timeout=50.0)
+
+    assert printed == "stopped\n" and stopped.returncode == 1
+    assert time.monotonic() - began < 40.0  # the shortest job takes 60 s
+    while running(stopped.pid):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
