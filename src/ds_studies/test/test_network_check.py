@@ -360,3 +360,19 @@ def test_drives_decide_by_their_number(drives: list[Recording]) -> None:
     assert not agreement(bad, drives).surely_above(agreement(good, drives))
     one_drive = np.where(np.arange(len(wanted)) < len(drives[0].steering) // 2, good, bad)
     assert not agreement(one_drive, drives).surely_above(agreement(bad, drives))
+
+
+@pytest.mark.parametrize(
+    ("times", "said", "factor"),
+    [
+        (0.1, "too weakly: 0.1 times", 10.0),
+        (0.3, "too weakly, as in radians: 0.3", 3.3),
+        (4.0, "too strongly: 4 ", 0.25),
+    ],
+)
+def test_says_which_way_a_scale_is_wrong(
+    made: Made, drives: list[Recording], times: float, said: str, factor: float
+) -> None:
+    (finding,) = check_network(str(made(times=times)), drives, 1).findings
+    assert f"It answers {said}" in finding.text
+    assert yaml.safe_load(finding.line)["outputs"]["steering"]["scale"] == pytest.approx(factor, rel=0.05)

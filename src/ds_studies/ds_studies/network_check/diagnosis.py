@@ -381,8 +381,8 @@ def findings_of(
     scale = fit.slope if kind else float(np.sign(fit.slope))
     if kind is not None:
         side = "weakly" if size < 1.0 else "strongly"
-        unit = f"too {side}: " if kind == "scale" else f"in {kind}: "
-        texts.append((kind, f"It answers {unit}{size:.2g} times the autopilot's steering ({agree})"))
+        unit = "" if kind == "scale" else f", as in {kind}"
+        texts.append((kind, f"It answers too {side}{unit}: {size:.2g} times the autopilot's steering ({agree})"))
     if fit.slope < 0.0:
         texts.append(("sign", f"It steers right where the autopilot steers left ({agree})"))
     if shift:
