@@ -25,7 +25,7 @@ _FLEX = re.compile(rb"Flex[A-Z][A-Za-z0-9]{2,60}(?=\0)")
 _PARTS_OF_WEIGHTS = re.compile(r"(collections|torch|torch\._utils|torch\._tensor|torch\.storage|numpy\S*|_codecs)$")
 """Modules of the classes that a checkpoint of weights alone names."""
 _GLOBAL = re.compile(r"[\w.]+ [\w.]+$")
-_SUFFIXES = (".pth", ".ckpt", ".h5", ".hdf5", ".keras", ".pb", ".savedmodel", ".engine", ".trt", ".bin", ".pkl")
+_SUFFIXES = (".pth", ".ckpt", ".h5", ".hdf5", ".keras", ".pb", ".bin", ".pkl")
 """Suffixes by which a file that its content does not name may be meant as a network."""
 
 
@@ -73,8 +73,6 @@ def foreign(content: bytes, file: Path) -> str | None:
         if content.startswith(_OLD_CHECKPOINT):
             return _checkpoint(content, file)
         return f"{file} is a Python pickle, which is a program: export the network in it to ONNX{_export(file)}"
-    elif file.suffix.lower() == ".pb":
-        return _to_onnx(file, "is a graph of TensorFlow", f"--saved-model {file.parent}")
     elif file.suffix.lower() in (".engine", ".trt"):
         return f"{file} is a TensorRT engine, built for one GPU: check the .onnx file that it was built from"
     elif file.suffix.lower() in _SUFFIXES:
@@ -100,9 +98,7 @@ def _zipped(content: bytes, file: Path) -> str | None:
             f"{file} is a whole Keras model: convert it where TensorFlow and Keras 3.8 or later are, with "
             f'`python -c "{program}"`, then `{ds_command("check", f"{file.stem}.onnx")}`'
         )
-    if any(one.endswith("saved_model.pb") for one in names):
-        return f"{file} is a zipped SavedModel of TensorFlow: unpack it, then `{ds_command('check', file.stem)}`"
-    return f"{file} is a zip archive without a network that is known here: unpack it, and check the file inside"
+    return f"{file} is a zip archive without a network that is known here: unpack it, and check what is inside"
 
 
 def _checkpoint(pickles: bytes, file: Path) -> str:

@@ -407,16 +407,12 @@ def _unrelated(fit: Agreement, agreeing: Sequence[str], described: bool) -> Find
     else:
         how = f"only weakly with the road{', and to the other side' if fit.slope < 0.0 else ''}"
     tried = ", under no description that was tried better" if described else ""
-    advice = (
-        "Either its input is described wrongly, or it was trained on other images: train it here, or test it on "
-        "its own, recording@FOLDER (docs/recordings.md)"
-    )
+    advice = "Its input is described wrongly, or it was trained on other images: train it here, or test it on its own, "
+    advice += "recording@FOLDER (docs/recordings.md)"
     if agreeing:
         advice = f"It does on {', '.join(agreeing)}: check it there alone, --sims {','.join(agreeing)}"
-    return Finding(
-        "unrelated",
-        f"It answers, but {how}: correlation {fit.correlation:.2f} with the autopilot{tried}. {advice}",
-    )
+    text = f"It answers, but {how}: correlation {fit.correlation:.2f} with the autopilot{tried}. {advice}"
+    return Finding("unrelated", text)
 
 
 def only_offset(findings: Sequence[Finding]) -> bool:
