@@ -14,9 +14,11 @@ from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.comparison.analysis import answer_of
 from ds_analysis.comparison.tables import document_of, drive_table, markdown_of
 from ds_analysis.outcomes.columns import Columns
+from ds_analysis.outcomes.known_before import ImportNotes
 from ds_analysis.outcomes.pairs import compare_studies
 from ds_analysis.outcomes.sbft import read_competition
 from ds_analysis.outcomes.study import import_outcomes, write_study
+from ds_base.left_out import LeftOut
 
 
 def arc(radius: float, degrees: float) -> list[list[float]]:
@@ -41,6 +43,11 @@ def test_a_folder_of_the_competition_is_a_simulator_and_its_road_has_the_feature
     assert study.simulators == ["beamng", "dave2"] and list(study.axes) == ["total_turn", "largest_curvature"]
     assert {name: found[:2] for name, found in study.flakiness().items()} == {"beamng": (15, 16), "dave2": (15, 15)}
     assert study.flakiness()["beamng"][3] == 1.0  # the one test that was repeated
+    (tmp_path / "dave2" / "test.9002.json").write_text("{")
+    notes = ImportNotes(rows=LeftOut("rows"))
+    assert import_outcomes([tmp_path / "beamng", tmp_path / "dave2"], Columns(), notes).rows.equals(study.rows)
+    assert notes.rows.line().startswith("1 of 32 rows left out: ") and "test.9002.json (" in notes.rows.line()
+    (tmp_path / "dave2" / "test.9002.json").unlink()
     rows = read_competition([tmp_path / "dave2"])
     for radius, (_, row) in zip(range(15, 60, 3), rows.iterrows(), strict=True):
         assert row.total_turn == pytest.approx(90.0, rel=0.1)
