@@ -258,7 +258,10 @@ def read_frame(path: Path) -> pd.DataFrame:
                 raise OutcomeTableError(f"{path}: more than {MOST_ROWS} rows: import a part of it")
             frame = pq.read_table(path).to_pandas(ignore_metadata=True)
             return frame
-        frame = pd.read_csv(path, nrows=MOST_ROWS, skip_blank_lines=False)
+        with path.open("rb") as file:
+            header = file.readline(2**16) if path.suffix.lower() in (".csv", ".tsv", ".txt") else b""  # or compressed
+        separator = next((one for one in ";\t" if b"," not in header and one.encode() in header), ",")
+        frame = pd.read_csv(path, sep=separator, nrows=MOST_ROWS, skip_blank_lines=False)
         frame.index = pd.RangeIndex(2, 2 + len(frame), name="line")  # the first has the names
         return frame.dropna(how="all")
     except OSError as error:

@@ -192,6 +192,13 @@ def test_what_is_wrong_gets_one_line(tmp_path: Path, columns: dict[str, Any], sa
     assert "\n" not in str(raised.value)
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separator: str) -> None:
+    study = imported(tmp_path, long_table(), LONG)
+    long_table().to_csv(tmp_path / "t.csv", index=False, sep=separator)
+    pd.testing.assert_frame_equal(import_outcomes([tmp_path / "t.csv"], Columns.model_validate(LONG)).rows, study.rows)
+
+
 @pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe" * 50, b'"unclosed', b"PAR1 and no more PAR1"])
 def test_received_files_that_are_no_tables_get_one_line(tmp_path: Path, content: bytes) -> None:
     for name in ("t.csv", "t.parquet", "outcomes.parquet"):
