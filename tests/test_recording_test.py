@@ -13,6 +13,7 @@ from benchmarks.recording.drives import Plan, line_distance, record
 from progress_lines import ProgressLines
 from tests.command_line import ds
 
+from ds_base.progress import SILENT
 from ds_driver.data.recordings import Reading
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped
@@ -24,7 +25,7 @@ from ds_recording.sibling.recorded_drive import read_drive
 from ds_recording.sibling.sections import sections
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import spec_of
-from ds_studies.track_test import Recording, TrackTest, TrackTestError, run_track_test
+from ds_studies.track_test import Recording, TrackTest, TrackTestError, _fit_twin, run_track_test
 from ds_twin_donkey.parameters import SCALE
 
 LANE = line_distance(spec_of("donkey")) / SCALE
@@ -126,3 +127,15 @@ def test_a_short_track_gives_enough_roads(folder: Path) -> None:
     assert len(sections(drive, 40.0, 20.0)) < 4 and len(sections(drive, 40.0)) >= 20
     with pytest.raises(RecordingError, match="shorten --length"):
         sections(drive, 200.0)
+
+
+def test_without_throttle_the_twin_stays_nominal_and_says_so(folder: Path, tmp_path: Path) -> None:
+    if not (folder / "out" / "located" / "index.html").exists():
+        stopped(folder, lambda: Stops("phase 2"))
+    header, *rows = (folder / "out" / "located" / "located.csv").read_text().splitlines()
+    bare = [row[: row.rindex(",") + 1] for row in rows]
+    (tmp_path / "located.csv").write_text("\n".join([header, *bare]) + "\n")
+    _fit_twin(tmp_path, SILENT)
+    twin = json.loads((tmp_path / "twin.json").read_text())
+    assert not twin["fitted"] and not (tmp_path / "car.yaml").exists()
+    assert twin["cautions"][0].startswith("The twin is not fitted, it is the nominal car: no drive lasts")

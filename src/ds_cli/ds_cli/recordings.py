@@ -142,7 +142,7 @@ def locate_command(
             print(f"Motion beside the images: {summary(about)}")
         print(page)
 
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next=shlex.join(["ds", "recording", "roads", str(out)])), as_json)
 
 
 @recording_app.command("calibrate")

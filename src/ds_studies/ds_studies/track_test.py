@@ -24,6 +24,7 @@ from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
 from ds_base.folder_files import make_folder
 from ds_base.progress import SILENT, Progress, logger_of
+from ds_base.words import count
 from ds_driver.data.recordings import Reading
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.weights import shipped_networks
@@ -182,7 +183,7 @@ def _check_inputs(test: TrackTest) -> None:
     """Begin the folder, or refuse one of other inputs."""
     of = test.recording
     inputs: dict[str, Any] = {
-        "recording": _sha256(of.source),
+        "recording": _sha256(of.source, test.out),
         "camera": _sha256(of.camera),
         "lane width": of.lane_width,
         "options": {**asdict(of.reading), "trusted": [], "odometry": of.odometry, "centre": of.centre},
@@ -200,11 +201,13 @@ def _check_inputs(test: TrackTest) -> None:
         raise TrackTestError(f"{test.out} was begun with another {', '.join(differ)}: choose another --out")
 
 
-def _sha256(path: Path) -> str:
-    """Digest of a file, or of all files of a folder with their names."""
+def _sha256(path: Path, without: Path | None = None) -> str:
+    """Digest of a file, or of all files of a folder with their names, without those of a folder in it."""
     digest = hashlib.sha256()
     try:
         files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+        if without is not None:
+            files = [one for one in files if not one.resolve().is_relative_to(without.resolve())]
         for file in files:
             digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode(errors="surrogateescape"))
             with file.open("rb") as stream:
@@ -311,7 +314,7 @@ def _limits(
     if apart < len(roads):
         said.append(
             f"Too little track for {len(roads)} independent roads: in {drive.lane.length:.0f} road metres only {apart} "
-            f"of {length:.0f} do not overlap, so the counts below are worth about {apart} tests."
+            f"of {length:.0f} do not overlap, so the counts below are worth about {count(apart, 'test')}."
         )
     return (*said, *cautions)
 
