@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PHOTOGRAPHS = 3
-"""Places of failures with a photograph; chosen: a glance."""
+PHOTOGRAPHS, APART = 3, 10.0
+"""Places of failures with a photograph, and how far they are apart, road metres; chosen: a glance, half a second."""
 
 
 def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, facts: Mapping[str, str]) -> Path:
@@ -43,18 +43,23 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
         )
         for index, road in enumerate(answer.roads)
     ]
-    places = _failures(answer, answer.recording)[:PHOTOGRAPHS]
+    places: list[NDArray[np.float64]] = []
+    for place in _failures(answer, answer.recording):
+        if all(np.hypot(*(place - other)) > APART for other in places):
+            places.append(place)
+    across, up = np.ptp(drive.lane.points, axis=0) + 3.0 * drive.lane_width
+    height = int(np.clip(WIDTH / 2 * up / across, 200, 600)) + 60
     return write_page(
         path,
         "track.html.j2",
         answer=answer,
         facts=facts,
-        map=data_address(draw_figure(WIDTH, 620, lambda figure: _draw(figure, answer, drive))),
+        map=data_address(draw_figure(WIDTH, height, lambda figure: _draw(figure, answer, drive))),
         columns=[f"{who} on {_short(where)}" for who, where in columns],
         rows=rows,
         photographs=[
             (f"{_start(drive, place):.0f} road metres along the track", data_address(_photograph(drive, place)))
-            for place in places
+            for place in places[:PHOTOGRAPHS]
         ],
     )
 
