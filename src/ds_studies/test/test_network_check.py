@@ -32,15 +32,25 @@ def one_by_one(work: Callable[[Any], Any], jobs: Sequence[Any], *, abandon: bool
     return map(work, jobs)
 
 
-@pytest.fixture(scope="module")
-def drives() -> list[Recording]:
-    """Two drives on two simulators, which these networks are fitted to."""
+def recorded(roads: int) -> list[Recording]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "ROADS", 1)
+        patch.setattr(recording, "ROADS", roads)
         patch.setattr(recording, "LONGEST", 160)
         patch.setattr(recording, "EVERY", 4)
         patch.setattr(recording, "map_in_processes", one_by_one)
         return record(["softbody", "donkey"], 1, SILENT)
+
+
+@pytest.fixture(scope="module")
+def drives() -> list[Recording]:
+    """Two drives on two simulators, which these networks are fitted to."""
+    return recorded(1)
+
+
+@pytest.fixture(scope="module")
+def more_drives() -> list[Recording]:
+    """Six drives on each of two simulators."""
+    return recorded(3)
 
 
 def fitted(drives: list[Recording], steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
@@ -303,10 +313,10 @@ def test_what_evidence_does_not_decide_is_as_the_maker_has_it(
     assert "is not connected, or was trained on another world" in found.verdict
 
 
-def test_clear_evidence_goes_before_the_maker(tmp_path: Path, drives: list[Recording]) -> None:
-    weights, bias = fitted(drives, np.concatenate([one.steering for one in drives]))
+def test_clear_evidence_goes_before_the_maker(tmp_path: Path, more_drives: list[Recording]) -> None:
+    weights, bias = fitted(more_drives, np.concatenate([one.steering for one in more_drives]))
     file = donkey_pilot(tmp_path, weights[::-1], bias, ("img_in", "n_outputs0"))
-    written = yaml.safe_load(describe(file, forms_of(file), drives, None))["input"]
+    written = yaml.safe_load(describe(file, forms_of(file), more_drives, None))["input"]
     assert (written["colour"], written["crop"]) == ("bgr", INPUT["crop"])
 
 
@@ -351,15 +361,15 @@ def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[Recording]) -> 
         affordable(drives, 8.0, 100.0, asked=10)
 
 
-def test_drives_decide_by_their_number(drives: list[Recording]) -> None:
+def test_drives_decide_by_their_number(more_drives: list[Recording]) -> None:
     """Fisher's z of a difference that every drive shows, and of one that a single drive makes."""
-    wanted = np.concatenate([one.steering for one in drives])
+    wanted = np.concatenate([one.steering for one in more_drives])
     rng = np.random.default_rng(2)
     good, bad = (wanted + size * wanted.std() * rng.normal(size=len(wanted)) for size in (0.2, 2.0))
-    assert agreement(good, drives).surely_above(agreement(bad, drives))
-    assert not agreement(bad, drives).surely_above(agreement(good, drives))
-    one_drive = np.where(np.arange(len(wanted)) < len(drives[0].steering) // 2, good, bad)
-    assert not agreement(one_drive, drives).surely_above(agreement(bad, drives))
+    assert agreement(good, more_drives).surely_above(agreement(bad, more_drives))
+    assert not agreement(bad, more_drives).surely_above(agreement(good, more_drives))
+    one_drive = np.where(np.arange(len(wanted)) < len(more_drives[0].steering) // 6, good, bad)
+    assert not agreement(one_drive, more_drives).surely_above(agreement(bad, more_drives))
 
 
 @pytest.mark.parametrize(

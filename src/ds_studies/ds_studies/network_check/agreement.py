@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import t
 
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import OutputSpec
@@ -20,9 +21,9 @@ which some 40 independent images give by chance once in a thousand times."""
 FOUND = 0.8
 """Correlation that a network, or another description of it, must reach; chosen: below what shipped networks have that
 drive, 0.93 at least, and above what chance gives on one of four simulators, 0.55 in 96 tries with random weights."""
-CERTAIN = 4.0
-"""Standard errors of the difference, drives left out in turn, from which evidence decides between two descriptions;
-chosen before any was measured: the best of 60 exceeds it by chance once in a hundred times (t, 16 drives)."""
+CHANCE = 0.01 / 60
+"""Probability that chance alone lets one description be ahead so far that evidence decides; chosen: one in a hundred
+for the best of the 60 that are tried. Four drives on one simulator need 19 standard errors for it, 16 need 4.6."""
 GAIN = 0.5
 """Part of the variance unexplained so far that another description may leave at most; chosen: it has to halve, on the
 whole, and shrink on every simulator, since one that fits by chance does so on some."""
@@ -65,12 +66,16 @@ class Agreement:
         )
 
     def surely_above(self, other: Agreement) -> bool:
-        """Whether its correlation, by size, is higher beyond the doubt that the choice of drives leaves; `CERTAIN`."""
+        """Whether its correlation, by size, is higher beyond the doubt that the choice of drives leaves.
+
+        Standard error by leaving out one drive each, and Student's t for their number; see `CHANCE`.
+        """
         if len(self.without) != len(other.without):
             return abs(self.correlation) > abs(other.correlation)  # the other refused the images
         gains, count = self.without - other.without, len(self.without)
         error = np.sqrt((count - 1) * gains.var())
-        return bool(_fisher(self.correlation) - _fisher(other.correlation) > max(CERTAIN * error, 1e-9))
+        needed = max(float(t.ppf(1.0 - CHANCE, count - 1) * error), 1e-9)
+        return _fisher(self.correlation) - _fisher(other.correlation) > needed
 
 
 def agreement(answers: NDArray[np.float64], recordings: Sequence[Recording]) -> Agreement:
