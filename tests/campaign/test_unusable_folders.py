@@ -190,7 +190,7 @@ def test_a_read_only_folder_is_read_and_not_run(
     before = content(campaign)
     status, said = ds("campaign", "run", config, "--out", campaign)
     assert status == 1 and "cannot be written" in said and len(said.splitlines()) == 1
-    assert ds("campaign", "status", campaign) == (0, "")
+    assert ds("campaign", "status", campaign) == (0, f"next: ds campaign resume {campaign}")
     with pytest.raises(StoreError, match="cannot be written"):
         Store(campaign / "campaign.sqlite", config=read_config(config).identity())
     status, said = ds("report", campaign)
