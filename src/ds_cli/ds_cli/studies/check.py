@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -99,7 +100,8 @@ def check_command(
 
     document = {**found.document(), "picture": str(picture)}
     unmet = [] if not found.findings else [f"{network} needs another description or training"]
-    end(Result(document=document, show=show, unmet=unmet), as_json)
+    following = "" if unmet else f"ds test {shlex.quote(network)}"
+    end(Result(document=document, show=show, unmet=unmet, next=following), as_json)
 
 
 def _ask(question: str, choices: list[str], best: str) -> str:
