@@ -5,7 +5,7 @@ from __future__ import annotations
 
 
 class ProgressLines:
-    """Keeps what it is told.
+    """Keeps what is reported.
 
     Attributes:
         lines: in order.

@@ -78,7 +78,8 @@ def import_roads(path: Path, left_out: LeftOut | None = None, *, lane_width: flo
         >>> abs(found.road.length - road.length) < 0.01
         True
     """
-    return _roads(path, read_lines(path, left_out, lane_width=lane_width), left_out)
+    left_out = left_out or LeftOut("roads", strict=True)
+    return _roads(path, _lines(path, left_out, lane_width), left_out)
 
 
 def cut_roads(
@@ -99,7 +100,7 @@ def cut_roads(
     """
     left_out = left_out or LeftOut("roads", strict=True)
     sections: list[CentreLine] = []
-    for line in read_lines(path, left_out, lane_width=lane_width):
+    for line in _lines(path, left_out, lane_width):
         try:
             sections += line.sections(length, every)
         except RoadError as error:
@@ -107,8 +108,7 @@ def cut_roads(
     return _roads(path, sections, left_out)
 
 
-def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut | None) -> list[ImportedRoad]:
-    left_out = left_out or LeftOut("roads", strict=True)
+def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut) -> list[ImportedRoad]:
     roads = []
     for line in lines:
         try:
@@ -120,9 +120,7 @@ def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut | None) ->
     return roads
 
 
-def read_lines(path: Path, left_out: LeftOut | None = None, *, lane_width: float | None = None) -> list[CentreLine]:
-    """Read centre lines, or roads of control points with their names; see `import_roads`."""
-    left_out = left_out or LeftOut("roads", strict=True)
+def _lines(path: Path, left_out: LeftOut, lane_width: float | None) -> list[CentreLine]:
     try:
         return _read(path, left_out, lane_width)
     except RoadError as error:
