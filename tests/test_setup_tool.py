@@ -96,23 +96,6 @@ def test_pip_installs_where_uv_finds_nothing(tmp_path: Path, monkeypatch: pytest
     assert "uv pip install" in log and "nowhere" in log
 
 
-@pytest.mark.parametrize(("flags", "wanted"), [("avx512f avx512_bf16", True), ("fma amx_bf16", True), ("avx2", False)])
-def test_openvino_is_installed_where_the_processor_has_bfloat16(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: str, wanted: bool
-) -> None:
-    shutil.copytree(REPOSITORY / "requirements", tmp_path / "requirements")
-    (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu {flags} sse\n")
-    found = machine.has_bfloat16(tmp_path / "cpuinfo")
-    assert found is wanted
-    assert not machine.has_bfloat16(tmp_path / "absent")
-    monkeypatch.setattr(machine, "has_bfloat16", lambda: found)
-    with one_at_a_time(tmp_path, lambda: None) as lock:
-        setup = steps.Setup(tmp_path, Console(tmp_path / ".venv/setup.log", lock), wanted_python="")
-        assert ("openvino" in [step.name for step in setup._steps()]) is wanted
-        monkeypatch.setattr(machine, "ROOM", 10**18)
-        assert "openvino" not in [step.name for step in setup._steps()]
-
-
 def test_a_stamp_counts_for_its_inputs_only_and_not_while_its_step_runs(tmp_path: Path) -> None:
     stamps = Stamps(tmp_path / "stamps")
     assert not stamps.is_done("wheels", "1")

@@ -19,9 +19,6 @@ from setup_tool.console import SetupError
 PYTHON_VERSIONS = ((3, 12), (3, 11))
 """Versions for which all wheels exist, preferred first (ROS 2 Jazzy has 3.12)."""
 
-ROOM = 5 * 10**9
-"""Free bytes with which OpenVINO, 180 MB, is installed unasked; chosen: a small campaign's bags still fit."""
-
 _DRIVER_FOLDERS = (Path("/usr/lib/x86_64-linux-gnu/dri"), Path("/usr/lib64/dri"), Path("/usr/lib/dri"))
 """Mesa's drivers on Debian and Ubuntu, on Fedora, and on Arch."""
 
@@ -161,19 +158,6 @@ def debian_series(python: Python) -> str:
     if default is not None and default.version[:2] != python.version[:2]:
         return f"python{python.version[0]}.{python.version[1]}"
     return "python3"
-
-
-def has_bfloat16(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
-    """Whether the processor computes in bfloat16, with which OpenVINO makes a campaign one and a half times faster."""
-    try:
-        return not {"avx512_bf16", "amx_bf16"}.isdisjoint(cpuinfo.read_text().split())
-    except OSError:
-        return False
-
-
-def has_room(folder: Path) -> bool:
-    """Whether the disk has room for an extra that nobody asked for."""
-    return shutil.disk_usage(folder).free > ROOM
 
 
 def apt_command(needs: Iterable[Need]) -> list[str]:

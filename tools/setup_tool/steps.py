@@ -146,8 +146,6 @@ class Setup:
             title = "set-up files and CMake paths of the ROS wheels"
             prepare = lambda: ros.prepare_prefix(self.environment, self._variables())  # noqa: E731
             steps.append(Step("prefix", title, inputs, prepare, alters_environment=False))
-        if machine.has_bfloat16() and (self._stamps.exists("openvino") or machine.has_room(self.root)):
-            steps.append(install("openvino", "OpenVINO, as this processor has bfloat16", self._pins("openvino")))
         return steps + [install(name, EXTRAS[name], self._pins(name)) for name in EXTRAS if name in self.extras]
 
     def _do(self, step: Step) -> None:

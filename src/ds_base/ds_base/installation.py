@@ -47,15 +47,17 @@ def as_typed(commands: str) -> str:
     return re.sub(r"(^|&& )ds ", lambda found: f"{found[1]}{ds_command()} ", commands)
 
 
-def install_command(extra: str) -> str:
-    """Command that installs the libraries of an extra.
+_LEFT_OUT = ("dask", "gym")
+"""Extras that a checkout's set-up leaves out, each a file in `requirements/`."""
 
-    Args:
-        extra: name of a file in `requirements/`, which is also the name of the wheel's extra.
-    """
+
+def install_command(extra: str) -> str:
+    """Command that installs the libraries of an extra of the wheel."""
     if wheel_version() is not None:
         return f"python -m pip install '{WHEEL}[{extra}]'"
-    return f".venv/bin/python -m pip install --no-deps -r requirements/{extra}.txt"
+    if extra in _LEFT_OUT:
+        return f".venv/bin/python -m pip install --no-deps -r requirements/{extra}.txt"
+    return "make setup"
 
 
 CPUINFO = Path("/proc/cpuinfo")

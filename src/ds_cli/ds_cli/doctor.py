@@ -33,7 +33,6 @@ _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
 _RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
 EXTRAS = {
-    "openvino": ("openvino", "--backend openvino, openvino-bf16 and openvino-int8, and for .tflite files"),
     "distributed": ("dask", "--engine dask"),
 }
 """Optional library -> its file in requirements/, and what it is for."""
