@@ -114,6 +114,8 @@ def load(network: str, mild: bool, tables: Path) -> Block:
             tests.setdefault(row["test_id"], row)
             if row["simulator"] in names and row["failed"] is not None:
                 found.setdefault(names[row["simulator"]], {})[row["test_id"]] = float(row["failed"])
+    drawn = plan.drawn({test: row["sibling"] for test, row in tests.items()})
+    tests = {test: row for test, row in tests.items() if test in drawn}
     failed = {name: np.array([of.get(test, np.nan) for test in tests]) for name, of in found.items()}
     return Block(known_of(list(tests.values())), failed)
 
@@ -301,7 +303,9 @@ def try_out(seed: int, repetitions: int) -> None:
     """Run part A's analysis on made-up outcomes of the campaign's roads, and count its decisions."""
     rows = {name: pq.read_table(CAMPAIGN_TABLES / f"{name}.parquet").to_pylist() for name in CAMPAIGN}
     runs = [{row["test_id"]: row for row in rows[name] if row["run"] == run} for run in (0, 1) for name in rows]
-    known = {name: known_of(list(run.values())) for name, run in zip(plan.DRIVERS, runs, strict=False)}
+    drawn = [plan.drawn({test: row["sibling"] for test, row in run.items()}) for run in runs]
+    used = [[row for test, row in run.items() if test in of] for run, of in zip(runs, drawn, strict=True)]
+    known = {name: known_of(run) for name, run in zip(plan.DRIVERS, used, strict=False)}
     rng = np.random.default_rng(seed)
     for strength in (0.0, 0.5, 1.0):
         cases = [cases_of(made_up(known, strength, rng), KEYS_A, 200) for _ in range(repetitions)]

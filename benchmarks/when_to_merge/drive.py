@@ -72,7 +72,7 @@ def config_of(part: Part, siblings: Sequence[str], twin: str | None = None) -> C
 
 
 def tests_of(part: Part, tables: Path) -> list[Test]:
-    """Tests that a part drives: of the campaign's first run, or of the searches of this study."""
+    """Tests that a part drives: drawn from the campaign's first run, or from the searches of this study."""
     files = [CAMPAIGN_TABLES / f"{part.network}.parquet"]
     if part.block == "C" or part.network in plan.SHIPPED:
         searching = SIBLINGS if part.block == "C" else plan.ORIGINS
@@ -83,7 +83,8 @@ def tests_of(part: Part, tables: Path) -> list[Test]:
         scenario = Scenario(road_from_json(json.loads(row["road"])), conditions, seed=row["seed"])
         origin = Origin(row["sibling"], row["run"], row["number"])
         tests.setdefault(row["test_id"], Test(row["test_id"], scenario, origin))
-    return [test for test in tests.values() if test.sibling != part.where]
+    drawn = plan.drawn({test.test_id: test.sibling for test in tests.values()})
+    return [test for test in tests.values() if test.test_id in drawn and test.sibling != part.where]
 
 
 def search(part: Part, folder: Path) -> CampaignData:

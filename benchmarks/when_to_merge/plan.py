@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from benchmarks.replication.drive import NETWORKS, WEIGHTS
 
 HERE, TABLES = Path("benchmarks/when_to_merge"), Path("docs/data/when_to_merge")
@@ -45,6 +46,8 @@ HAZE = "visibility=182"
 """Half-way from 1,000 m to 100 m, the mild limits, in the extinction of the air, which is the search's scale."""
 CONFIGS = {False: Path("src/ds_bringup/config/paper.yaml"), True: Path("src/ds_bringup/config/conditions_mild.yaml")}
 """Whether conditions are mild -> campaign, driven with one run on each sibling and seed 1."""
+TESTS = 120
+"""Tests of a network, in A and B and again in C, drawn in equal numbers from its searches."""
 PASSES = 2
 """Times that tests without a verdict are tried, with two retries each, before they are left out."""
 
@@ -73,8 +76,10 @@ class Part(NamedTuple):
     @property
     def expected(self) -> int:
         """Number of drives."""
-        each, searching = (80, SIBLINGS) if self.block == "C" else (170, ORIGINS)
-        return each if self.searches else each * (len(searching) - (self.where in searching))
+        searching = SIBLINGS if self.block == "C" else ORIGINS
+        if self.searches:
+            return 80 if self.block == "C" else 170
+        return TESTS // len(searching) * (len(searching) - (self.where in searching))
 
 
 def _parts() -> Iterator[Part]:
@@ -92,6 +97,19 @@ def _parts() -> Iterator[Part]:
 
 PARTS = tuple(_parts())
 """In the order in which they are driven."""
+
+
+def drawn(searched_on: Mapping[str, str]) -> frozenset[str]:
+    """Draw the tests that count, from a network's tests -> sibling that searched; their order does not matter."""
+    searching = sorted(set(searched_on.values()))
+    rng = np.random.default_rng(SEED)
+    return frozenset(
+        str(test)
+        for sibling in searching
+        for test in rng.choice(
+            sorted(test for test, on in searched_on.items() if on == sibling), TESTS // len(searching), replace=False
+        )
+    )
 
 
 def check_weights() -> None:
