@@ -349,7 +349,8 @@ def test_a_drive_answers_with_one_document_repeats_itself_and_is_that_of_the_lib
     road, text = tmp_path / "road.json", "steering_lag=0.3,tyre_pull=0.01"
     road.write_text(json.dumps([[125, 40], [125, 65], [128, 90], [131, 115], [131, 140]]))
     common = ("drive", "--sim", "donkey", "--driver", "autopilot", "--road", road, "--seed", 5, "--json")
-    runs = [in_process(*common, "--conditions", text) for _ in range(2)]
+    # Once by nodes, once without ROS.
+    runs = [in_process(*common, "--conditions", text, "--engine", engine) for engine in ("auto", "local")]
     first, second = (json.loads(run.stdout) for run in runs)
     assert runs[0].returncode == 0 and first["outcome"] == "COMPLETED" and first["warnings"] == []
     assert first["conditions"] == {"steering_lag": 0.3, "tyre_pull": 0.01}

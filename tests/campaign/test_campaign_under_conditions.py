@@ -83,7 +83,7 @@ def test_it_resumes_with_what_drove_it_last(folder: Path, tmp_path: Path) -> Non
     ):
         (copy / ENGINE).write_text(text)
         found = stored_config(copy, None)
-        assert (found.engine, found.workers) == ("graph", 1)  # the defaults
+        assert (found.engine, found.workers) == ("auto", 1)  # the defaults
     (copy / ENGINE).write_text('{"engine": "dask", "workers": 3}')
     assert stored_config(copy, None) == resumed.model_copy(update={"engine": "dask", "workers": 3})
 

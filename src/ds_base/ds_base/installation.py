@@ -9,6 +9,7 @@ import re
 import shlex
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 
 WHEEL = "digital-siblings"
@@ -23,6 +24,15 @@ def share_folders(package: str) -> list[Path]:
     """
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     return [prefix / "share" / package for prefix in [*prefixes, Path(__file__).parent]]
+
+
+ROS_MODULES = ("rclpy", "ds_interfaces")
+"""What nodes import: ROS 2, and the messages of a built checkout."""
+
+
+def missing_of_ros() -> list[str]:
+    """Modules of ROS that nodes need and that are not there; empty where ROS is set up."""
+    return [name for name in ROS_MODULES if find_spec(name) is None]
 
 
 def wheel_version() -> str | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds drive`: runs one drive through the graph, and writes its bag and video."""
+"""`ds drive`: runs one drive, through the graph of nodes or in a process without ROS, and writes its bag and video."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ from ds_sim.scenario import OfScenario, Scenario
 if TYPE_CHECKING:
     from ds_bags.ros.image_recorder import ImageRecorder
     from ds_driver.networks.network_driver import Translation
+    from ds_orchestrator.campaign.engine import EngineName
     from ds_orchestrator.graph.client import GraphClient
     from ds_road import Road
     from ds_sim.session import RunRecord
@@ -66,6 +67,7 @@ class DriveOptions(OfScenario):
         attach: use running nodes; whatever driver runs there drives.
         wait: s to wait for the nodes.
         namespace: of the simulator.
+        engine: what drives, `graph` or `local`.
     """
 
     sim: str
@@ -77,6 +79,7 @@ class DriveOptions(OfScenario):
     attach: bool
     wait: float
     namespace: str
+    engine: EngineName
 
 
 def in_words(document: dict[str, Any], road: Road) -> list[str]:
@@ -105,9 +108,16 @@ def _check(request: DriveOptions) -> None:
     """Refuse what cannot work before anything starts."""
     import ds_road
     from ds_bags.layout import BagError
+    from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.graph.supervisor import check_ros
     from ds_sim.registry import spec_of
     from ds_sim.video import check_path
+
+    if request.attach and request.engine != "graph":
+        raise ConfigError(f"--engine {request.engine} starts no nodes: leave out --attach")
+    if request.engine == "graph":
+        check_ros()
 
     spec_of(request.sim).check(request.conditions)
     if not request.attach:
@@ -121,8 +131,22 @@ def _check(request: DriveOptions) -> None:
         check_path(request.video)
 
 
+def _run_without_ros(request: DriveOptions) -> RunRecord:
+    from ds_driver.closed_loop.drive_request import DriveRequest
+    from ds_orchestrator.engines.local import running_local
+
+    say(f"{request.sim} drives")
+    with (
+        tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
+        running_local(request.driver, workers=1, command_timeout=COMMAND_TIMEOUT, logs=Path(logs)) as engine,
+    ):
+        return engine.drive(DriveRequest(request.scenario, request.driver, request.sim))
+
+
 def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
     """The run, and whether its images were recorded from the graph."""
+    if request.engine == "local":
+        return _run_without_ros(request), False
     from ds_cli.progress import DriveProgress
     from ds_orchestrator.graph.session import running_graph
 
@@ -272,6 +296,13 @@ def drive_command(
     attach: AttachFlag = False,
     wait: Wait = START_WAIT,
     namespace: Annotated[str, typer.Option(help="Namespace of the simulator.")] = "/ds1",
+    engine: Annotated[
+        Literal["auto", "graph", "local"],
+        typer.Option(
+            help="What drives: graph (nodes of ROS), local (a process without ROS), or auto, which is graph where ROS "
+            "is set up, else local. The result is the same."
+        ),
+    ] = "auto",
     fail_on: Annotated[
         FailOn, typer.Option(help="With failure: exit with 3 if the driver fails on the road; 1 is an error.")
     ] = "error",
@@ -286,8 +317,8 @@ def drive_command(
 
     from ds_cli.roads import one_road
     from ds_driver.control.command_habits import command_habits
+    from ds_orchestrator.campaign.engine import engine_here
     from ds_orchestrator.campaign.executor import trajectory_sha256
-    from ds_orchestrator.graph.supervisor import check_ros
     from ds_sim.conditions.text import parse_conditions
     from ds_sim.resimulation import resimulate
     from ds_sim.video import write_video
@@ -298,9 +329,9 @@ def drive_command(
     request = DriveOptions(
         sim=sim, driver=driver, scenario=Scenario(one_road(road, chosen, max_angle, lane), under, seed=chosen),
         bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
+        engine=engine_here(engine, attach=attach),
     )  # fmt: skip
     _check(request)
-    check_ros()
     started = time.monotonic()
     try:
         run, seen = _run(request)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 
 import typer
 
@@ -16,6 +16,7 @@ from ds_sim.registry import simulators
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.campaign.engine import DriveSettings
+    from ds_orchestrator.campaign.engine import EngineName as Engines
     from ds_orchestrator.engines.cluster import ClusterOptions
 
 ALL = "all"
@@ -83,8 +84,9 @@ EngineName = Annotated[
     str | None,
     typer.Option(
         "--engine",
-        help="What drives: graph (nodes of ROS), local (processes without ROS) or dask (processes on a cluster); the "
-        "configuration's, or local, if left out. Results do not depend on it.",
+        help="What drives: graph (nodes of ROS), local (processes without ROS), auto (graph where ROS is set up, else "
+        "local) or dask (processes on a cluster); the configuration's, or local, if left out. Results do not depend "
+        "on it.",
     ),
 ]
 Cluster = Annotated[
@@ -233,8 +235,11 @@ def with_engine_without_ros(
 def usual_workers(engine: str | None) -> int:
     """Workers where nothing says how many: a process for each processor, but one graph of nodes."""
     from ds_orchestrator.campaign.config import MOST_WORKERS
+    from ds_orchestrator.campaign.engine import engine_here
 
-    return 1 if engine == "graph" else min(len(os.sched_getaffinity(0)), MOST_WORKERS)
+    if engine is not None and engine_here(cast("Engines", engine)) == "graph":
+        return 1
+    return min(len(os.sched_getaffinity(0)), MOST_WORKERS)
 
 
 def _chosen(workers: int | None, engine: str | None) -> dict[str, Any]:

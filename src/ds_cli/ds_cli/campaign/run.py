@@ -82,7 +82,7 @@ def campaign(
     from ds_orchestrator.engines.preflight import faster_choice
     from ds_studies.whole_campaign import run_campaign
 
-    if faster := faster_choice(config.driver, config.engine):
+    if faster := faster_choice(config.driver, config.drive_settings(attach=attach).engine):
         say(faster)
     started = time.monotonic()
     listener = ScreenListener()
@@ -390,7 +390,7 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Resu
         raise Interrupted from None
     document = {
         **asdict(found),
-        "engine": config.engine,
+        "engine": settings.engine,
         "workers": config.workers,
         "seconds": round(found.seconds, 1),
         "disk": found.disk,
@@ -399,7 +399,7 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Resu
     def show() -> None:
         gates = f", and {found.gate_drives} of the autopilot for the gates" if found.gate_drives else ""
         workers = f"{config.workers} worker{'' if config.workers == 1 else 's'}"
-        print(f"{found.drives} drives at most{gates}, engine {config.engine}, {workers}.")
+        print(f"{found.drives} drives at most{gates}, engine {settings.engine}, {workers}.")
         print(
             f"About {duration(found.seconds)} on this machine as it is now: "
             + ", ".join(f"{one.simulator} took {duration(one.seconds)}" for one in found.measured)

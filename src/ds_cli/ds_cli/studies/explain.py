@@ -68,7 +68,8 @@ def explain_command(
         experiments = experiments_on(data, found, groups) if test is None else [experiment_on(data, test, sim, against)]
         failed = {(e.test_id, e.simulator): e for e in data.executions}
         reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
-    settings = with_engine_without_ros(data.config.drive_settings(), workers, engine, cluster)
+    without = "local" if engine == "auto" else engine
+    settings = with_engine_without_ros(data.config.drive_settings(), workers, without, cluster)
     with nullcontext(out) if out is not None else TemporaryDirectory(prefix="ds_explain_") as place:
         # A folder of drives belongs to its simulators, so that other experiments need another one.
         pairs = sorted(f"{one.test.test_id}-{one.fails}-{one.against}" for one in experiments)

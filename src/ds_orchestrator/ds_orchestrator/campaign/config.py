@@ -178,8 +178,8 @@ class CampaignConfig(_Strict):
             each search run.
         operators: merge operators.
         seed: seed from which every other seed is derived.
-        engine: what drives: `graph`, nodes of ROS; `local`, processes on this machine without ROS; `dask`, the same
-            processes on a cluster. Results do not depend on it.
+        engine: what drives: `graph`, nodes of ROS; `local`, processes on this machine without ROS; `auto`, `graph`
+            where ROS is set up, else `local`; `dask`, processes on a cluster. Results do not depend on it.
         workers: graphs or processes that drive in parallel; results do not depend on it either, so a resumed campaign
             may change both.
         retries: further attempts after a run that ended in an error.
@@ -200,7 +200,7 @@ class CampaignConfig(_Strict):
     migration: Literal["all", "elites"] = "all"
     operators: OperatorsConfig = OperatorsConfig()
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
-    engine: EngineName = "graph"
+    engine: EngineName = "auto"
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] = 1
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     command_timeout: Annotated[float, Field(gt=0, le=3600)] = 10.0
@@ -353,8 +353,8 @@ class CampaignConfig(_Strict):
         return self.model_dump_json(exclude={"engine": True, "workers": True, **lane, **self._unset()})
 
     def shown(self) -> dict[str, Any]:
-        """Every key as a report shows it; conditions and gates only where they are set."""
-        return self.model_dump(exclude=self._unset())
+        """Every key that affects results, as a report shows it; conditions and gates only where they are set."""
+        return self.model_dump(exclude={"engine": True, "workers": True, **self._unset()})
 
     def _unset(self) -> dict[str, Any]:
         later = {"conditions": DEFAULT, "gates": "conditions"}

@@ -8,12 +8,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
+from ds_base.installation import missing_of_ros
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.session import RunRecord
 
-EngineName = Literal["graph", "local", "dask"]
+EngineName = Literal["auto", "graph", "local", "dask"]
+"""What drives. `auto` stands for `graph` where ROS is set up, and for `local` where it is not."""
 Gates = Literal["none", "conditions", "all"]
 Record = Literal["none", "telemetry", "compressed", "raw"]
 
@@ -31,7 +33,7 @@ class DriveSettings:
         retries: further attempts after a run that ended in an error.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         record: content of a run's bag.
-        engine: what drives; no result depends on it, nor on what follows.
+        engine: what drives, never `auto` once made; no result depends on it, nor on what follows.
         workers: graphs or processes that drive in parallel.
         cluster: cluster of the engine `dask`.
         attach: use running nodes in this ROS domain instead of starting any.
@@ -50,6 +52,10 @@ class DriveSettings:
     cluster: ClusterOptions = field(default_factory=ClusterOptions)
     attach: bool = False
 
+    def __post_init__(self) -> None:
+        """Choose an engine for `auto`."""
+        object.__setattr__(self, "engine", engine_here(self.engine, attach=self.attach))
+
     @property
     def simulators(self) -> tuple[str, ...]:
         """Siblings, then the twin if there is one."""
@@ -64,6 +70,18 @@ class DriveSettings:
         """JSON text of what the results of given tests depend on."""
         keys = ("siblings", "twin", "driver", "gates", "retries", "command_timeout")
         return json.dumps({key: getattr(self, key) for key in keys})
+
+
+def engine_here(engine: EngineName, *, attach: bool = False) -> EngineName:
+    """What `auto` stands for here; any other engine stays.
+
+    Args:
+        engine: as configured.
+        attach: use running nodes, which only `graph` can.
+    """
+    if engine != "auto":
+        return engine
+    return "graph" if attach or not missing_of_ros() else "local"
 
 
 def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:

@@ -122,7 +122,7 @@ search:    # on every sibling
 # sim2real: false    # or generators that translate every image
 # maxitwo_compatible: false    # true: reproduce known quirks of the authors' package
 {seed}
-# engine: graph    # local: without ROS, faster; dask: many machines; the same results
+# engine: auto     # local: without ROS, faster; dask: many machines; the same results
 # workers: 1    # drives at the same time; results do not depend on it
 # retries: 2    # further attempts after an error
 # command_timeout: 10.0    # s to wait for an answer of the network

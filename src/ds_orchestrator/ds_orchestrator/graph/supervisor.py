@@ -10,10 +10,10 @@ import sys
 import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 
 from ds_base.errors import RunError
+from ds_base.installation import missing_of_ros
 from ds_base.processes import USER_DOMAIN, ChildProcesses, last_line_of
 from ds_driver.control.autopilot import AUTOPILOT
 
@@ -28,11 +28,10 @@ def check_ros() -> None:
     Raises:
         RosMissingError: they cannot.
     """
-    missing = [name for name in ("rclpy", "ds_interfaces") if find_spec(name) is None]
-    if missing:
+    if missing := missing_of_ros():
         raise RosMissingError(
-            f"{' and '.join(missing)} not found: nodes need ROS 2 and a built checkout (make setup); "
-            "campaigns, suites and comparisons run without them by --engine local"
+            f"{' and '.join(missing)} not found: nodes need ROS 2 and a built checkout (make setup); leave out "
+            "--attach and --engine graph to drive without them"
         )
 
 
