@@ -13,6 +13,7 @@ from __future__ import annotations
 import io
 import os
 import re
+import signal
 import sys
 from collections.abc import Sequence
 
@@ -95,6 +96,7 @@ def main() -> None:
     keep_standard_output()
     from ds_orchestrator.graph import signals
 
+    signal.set_wakeup_fd(-1)  # by which a signal ends an executable of ROS while it starts
     signals.listen()
     try:
         from ds_cli.application import run
@@ -103,6 +105,7 @@ def main() -> None:
     except KeyboardInterrupt:  # while libraries are imported
         print("stopped", file=sys.stderr)
         status = signals.exit_status()
+    signals.IgnoreSignals().__enter__()  # a second one would kill the interpreter that takes down its handlers
     sys.exit(status)
 
 

@@ -5,21 +5,20 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from importlib import import_module
+from importlib.util import find_spec
+
+from ds_base.executables import start
 
 ABOVE = "ds_cli.ros.executables"
-"""Module with a function for each; `ds_bringup` depends on its package, this package cannot."""
+"""Module that runs each by its name; `ds_bringup` depends on its package, this package cannot."""
 
 
 def run_above(name: str) -> None:
     """Run an executable; ends in one line where the workspace has only this package and those below it."""
-    try:
-        module = import_module(ABOVE)
-    except ModuleNotFoundError as error:
-        if error.name != ABOVE.partition(".")[0]:
-            raise
-        sys.exit(f"{name}: {error.name} is not in this workspace. Type: colcon build --packages-up-to ds_bringup")
-    getattr(module, name)()
+    package = ABOVE.partition(".")[0]
+    if find_spec(package) is None:
+        sys.exit(f"{name}: {package} is not in this workspace. Type: colcon build --packages-up-to ds_bringup")
+    start(ABOVE, name)
 
 
 campaign = partial(run_above, "campaign")

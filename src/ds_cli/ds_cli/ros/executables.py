@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verbs of `ds` as ROS executables, for graphs started by launch files: `ros2 run ds_orchestrator campaign ...`.
 
-They take the arguments of the verb and ignore ROS arguments; all but `watch` attach to the running nodes.
+They take the arguments of the verb and ignore ROS arguments; all but `watch` attach to the running nodes. Stopped by a
+signal they end with status 0, as nodes do: `ros2 launch` reports `process has died` for any other.
 """
 
 from __future__ import annotations
@@ -10,13 +11,20 @@ import sys
 
 from rclpy.utilities import remove_ros_args
 
-from ds_base.executables import start
 from ds_cli import main as cli
+from ds_orchestrator.graph.signals import exit_status
+
+
+def main(name: str) -> None:
+    """Run an executable by its name."""
+    {"orchestrator": orchestrator, "campaign": campaign, "drive": drive, "watch": watch}[name]()
 
 
 def orchestrator() -> None:
     """Run the node that takes campaigns and tests as goals."""
-    start("ds_studies.ros.orchestrator_node")
+    from ds_studies.ros import orchestrator_node
+
+    orchestrator_node.main()
 
 
 def campaign() -> None:
@@ -40,4 +48,7 @@ def _attached(verb: list[str]) -> None:
 
 def _run(verb: list[str], *options: str) -> None:
     sys.argv = [f"ds {' '.join(verb)}", *verb, *remove_ros_args(sys.argv)[1:], *options]
-    cli.main()
+    try:
+        cli.main()
+    except SystemExit as end:
+        sys.exit(0 if end.code == exit_status() else end.code)

@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 import signal
+import time
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _received = [signal.SIGINT]
+_SAME = 1.0
+"""Time in which the same signal is no second one, s: `ros2 launch` repeats the Ctrl-C that the terminal has sent."""
+_last = float("-inf")
 
 
 def listen() -> None:
@@ -23,9 +27,12 @@ def exit_status() -> int:
     return 128 + _received[-1]
 
 
-def _interrupt(number: int, _: FrameType | None) -> NoReturn:
-    _received.append(signal.Signals(number))
-    raise KeyboardInterrupt
+def _interrupt(number: int, _: FrameType | None) -> None:
+    global _last
+    before, _last = _last, time.monotonic()
+    if number != _received[-1] or _last - before > _SAME:
+        _received.append(signal.Signals(number))
+        raise KeyboardInterrupt
 
 
 class IgnoreSignals:

@@ -36,32 +36,40 @@ SPIN_TIME = 0.1
 class Stop:
     """Handler of SIGINT and SIGTERM in the main thread.
 
-    A signal interrupts the construction of the node; later it is only noted, so that no callback ends halfway. A
-    process that is still busy after `GRACE`, in a library or in a simulator that hangs, is ended.
+    A signal ends the process at once while its nodes are being made; later it is only noted, so that no callback ends
+    halfway. A process that is still busy after a while, in a library or in a simulator that hangs, is ended. All with
+    status 0: being stopped is no error, and `ros2 launch` reports `process has died` for any other.
+
+    Args:
+        grace: time to end by itself, s.
+        last_words: called when it has passed.
+
+    Attributes:
+        making: whether the nodes are being made.
+        requested: whether a signal has come.
     """
 
-    def __init__(self) -> None:
-        self.requested = False
-        self.interrupts = True
+    def __init__(self, grace: float = GRACE, last_words: Callable[[], None] = lambda: None) -> None:
+        self.making, self.requested = True, False
+        self._grace, self._last_words = grace, last_words
         self._readable, writable = os.pipe()
         os.set_blocking(writable, False)
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
         # The C signal handler writes this, even while the main thread cannot run the Python handler.
         signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
         threading.Thread(target=self._end_in_time, name="stop", daemon=True).start()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._on_signal)
 
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
         self.requested = True
-        if self.interrupts:
-            self.interrupts = False
-            raise KeyboardInterrupt
 
     def _end_in_time(self) -> None:
-        number = os.read(self._readable, 1)[0]
-        threading.Event().wait(GRACE)
-        print(f"ended while still busy, {GRACE:g} s after the signal", file=sys.stderr, flush=True)
-        os._exit(128 + number)
+        os.read(self._readable, 1)
+        if not self.making:
+            threading.Event().wait(self._grace)
+            self._last_words()
+            print(f"ended while still busy, {self._grace:g} s after the signal", file=sys.stderr, flush=True)
+        os._exit(0)
 
 
 class LogFolderError(InputError):
@@ -189,8 +197,8 @@ def _spin_all(nodes: list[Node], stop: Stop) -> None:
 def run_node(*make_nodes: Callable[[], Node]) -> int:
     """Make nodes and spin them; the exit status is 0, or 2 when a node could not be made, or ended, for bad input.
 
-    SIGINT and SIGTERM end them within a second. A ValueError is printed in one line. Each node has a thread of its own,
-    so that one answers while another computes.
+    SIGINT and SIGTERM end them within a second, with status 0. A ValueError is printed in one line. Each node has a
+    thread of its own, so that one answers while another computes.
 
     Args:
         make_nodes: make one node each, in this order.
@@ -198,26 +206,21 @@ def run_node(*make_nodes: Callable[[], Node]) -> int:
     stop = Stop()
     nodes: list[Node] = []
     try:
-        # rclpy's own handlers would shut the context down while the node is being created.
-        try:
-            init_ros()
-            for make_node in make_nodes:
-                nodes.append(make_node())
-        except Exception:
-            if not stop.requested:
-                raise
-            # An interrupted import of an extension module, say, ends in an ImportError.
-            raise KeyboardInterrupt from None
-        stop.interrupts = False
+        init_ros()
+        for make_node in make_nodes:
+            nodes.append(make_node())
+        stop.making = False
         _spin_all(nodes, stop)
     except ValueError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except ExternalShutdownException:
         pass
     finally:
-        stop.interrupts = False  # a second Ctrl-C must not interrupt the cleanup
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
+        # `ros2 launch` repeats the terminal's Ctrl-C, which would kill an interpreter that takes down its handlers.
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
     return 0

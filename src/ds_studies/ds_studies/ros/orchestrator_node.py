@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 import time
@@ -22,12 +21,12 @@ from rclpy.utilities import try_shutdown
 
 from ds_base.extension import confirm
 from ds_orchestrator.campaign.executor import Stopped
-from ds_orchestrator.graph.signals import listen
+from ds_orchestrator.graph.signals import IgnoreSignals, listen
 from ds_sim.ros.neighbours import Presence
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.requests import GoalServer, RequestRefused
-from ds_sim.ros.runtime import init_ros
+from ds_sim.ros.runtime import Stop, init_ros
 from ds_sim.simulator import Reason
 from ds_studies.ros.campaign_view import CampaignView
 from ds_studies.ros.goals import ENGINES, Job, Work, drive_tests_goal, run_campaign_goal
@@ -35,8 +34,9 @@ from ds_studies.ros.state_listener import StateListener
 
 EVERY = 1.0
 """Seconds between two messages of state; chosen: what people follow."""
-LAST_WORDS = 0.5
-"""Time in which the result of an interrupted goal is sent, s."""
+GRACE, LAST_WORDS = 3.5, 0.5
+"""Time in which an engine that a signal interrupts may end its drives, and then that in which the result of the goal is
+sent, s: less than the 5 s after which `ros2 launch` sends SIGTERM."""
 _KEPT = "what was finished is kept, and the same goal resumes"
 
 
@@ -83,8 +83,7 @@ class OrchestratorNode(Node):
         except (Stopped, KeyboardInterrupt):
             if job.stop.is_on:
                 return self._finish(job, job.goal.canceled, CampaignState.CANCELLED, f"cancelled; {_KEPT}")
-            self._finish(job, job.goal.abort, CampaignState.BROKEN, f"a signal ended the node; {_KEPT}")
-            time.sleep(LAST_WORDS)
+            self.abandon()
             raise KeyboardInterrupt from None
         except Exception as error:  # the node outlives whatever a goal brings
             message = " ".join(str(error).split()) or type(error).__name__
@@ -93,6 +92,12 @@ class OrchestratorNode(Node):
             self._finish(job, job.goal.abort, CampaignState.BROKEN, message)
         else:
             self._finish(job, job.goal.succeed, CampaignState.FINISHED, "")
+
+    def abandon(self) -> None:
+        """Send the result of a goal that a signal has interrupted, if there is one."""
+        if (job := self._job) is not None:
+            self._finish(job, job.goal.abort, CampaignState.BROKEN, f"a signal ended the node; {_KEPT}")
+            time.sleep(LAST_WORDS)
 
     def _finish(self, job: Job, close: Callable[[], None], state: int, message: str) -> None:
         job.result.message = message
@@ -150,9 +155,8 @@ class OrchestratorNode(Node):
 
 
 def main() -> None:
-    """Run the node until a signal."""
-    signal.set_wakeup_fd(-1)  # by which a signal ends the process while it starts
-    listen()
+    """Run the node until a signal, after which it ends within 5 s whatever it does."""
+    stop = Stop(GRACE, lambda: node.abandon())
     init_ros()
     try:
         node = OrchestratorNode()
@@ -160,10 +164,12 @@ def main() -> None:
         try_shutdown()
         sys.exit(f"error: {error}")
     thread = NodeThread(node)
+    listen()
+    stop.making = False
     try:
         node.work()
     except KeyboardInterrupt:
-        pass
+        IgnoreSignals().__enter__()
     finally:
         if thread.end():
             node.destroy_node()
