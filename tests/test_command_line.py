@@ -201,11 +201,11 @@ def test_an_evaluation_is_short_unless_all_is_wanted(tmp_path: Path, capsys: pyt
         Table(name=name, title=title, columns=[Column("r", "number")], rows=[[0.5]])
         for name, title in (("rq2", "RQ2"), ("robustness_checks", "RQ2 in other ways"))
     ]
-    evaluations.tables_result(tables, tmp_path, everything=False).show()
+    evaluations.tables_result(tables, tmp_path, "ds models", everything=False).show()
     short = capsys.readouterr().out
     assert "Not shown without --all: RQ2 in other ways" in short
     assert short.count("0.500") == 1 and (tmp_path / "robustness_checks.csv").is_file()
-    evaluations.tables_result(tables, None, everything=True).show()
+    evaluations.tables_result(tables, None, "ds models", everything=True).show()
     assert capsys.readouterr().out.count("0.500") == 2
 
 

@@ -411,7 +411,7 @@ def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
 
     def run(config: CampaignConfig, out: Path, **_: object) -> Result:
         configs.append((config, out))
-        return Result(document={}, show=lambda: None)
+        return Result(document={}, show=lambda: None, next="ds models")
 
     monkeypatch.setattr("ds_cli.campaign.run.campaign", run)
     assert ds("test", "autopilot", "--sims", "bullet,donkey").returncode == 0
@@ -478,7 +478,7 @@ def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:
     folder, junit = campaign(tmp_path / "old"), tmp_path / "junit.xml"
     with closing(Store(folder / "campaign.sqlite")) as store:
         failures = sum(execution.outcome.is_failure for execution in store.executions())
-    result = Result(document=None, show=lambda: None)
+    result = Result(document=None, show=lambda: None, next="ds models")
     assert judged(result, folder, Criteria(), None) is result
     unmet = judged(result, folder, Criteria(fail_on="failure"), junit).unmet
     assert len(unmet) == 1 and unmet[0].startswith("tests fail: ")
@@ -491,7 +491,7 @@ def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:
 
 def test_an_error_prevails_over_a_criterion() -> None:
     for error, unmet, status in ((False, [], None), (False, ["a"], 3), (True, ["a"], 1), (True, [], 1)):
-        result = Result(document={}, show=lambda: None, error=error, unmet=unmet)
+        result = Result(document={}, show=lambda: None, next="ds models", error=error, unmet=unmet)
         if status is None:
             end(result, True)
             continue

@@ -70,8 +70,8 @@ def test_no_verb_imports_what_a_received_campaign_names(
 ) -> None:
     config = CampaignConfig.model_validate({**CONFIG.model_dump(), **received})
     folder = make(tmp_path / "received", config)
-    for verb, said in ((("campaign", "status"), f"next: ds campaign resume {folder}"), (("maps",), "")):
-        assert ds(*verb, folder) == (0, said)
+    for verb, following in ((("campaign", "status"), "campaign resume"), (("maps",), "report")):
+        assert ds(*verb, folder) == (0, f"next: ds {following} {folder}")
     status, said = ds("campaign", "resume", folder)
     assert status == 2 and len(said.splitlines()) == 1 and "--trust 'evilmod:" in said
     assert not evil.exists()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from decimal import Decimal
 from difflib import get_close_matches
 
 
@@ -25,6 +26,11 @@ def duration(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def multiple(ratio: float) -> str:
+    """A ratio to three digits, without an exponent: `368 times`, `0.00425 times`."""
+    return f"{Decimal(f'{ratio:.3g}'):,f} times"
 
 
 def did_you_mean(typed: str, known: Iterable[str]) -> str:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import shutil
 import tempfile
 import time
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_base.words import duration
 from ds_cli.options import (
     AttachFlag,
@@ -384,6 +384,6 @@ def drive_command(
             print(warning(whose, habit))
 
     unmet = [f"{whose} fails on the road"] if fail_on == "failure" and run.outcome.is_failure else []
-    following = f"ds test {shlex.quote('dave2' if whose in ('attached', 'autopilot') else whose)}"
+    following = ds_command("test", "dave2" if whose in ("attached", "autopilot") else whose)
     error = run.outcome.is_error
     end(Result(document=document, show=show, error=error, unmet=unmet, next=following), as_json)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag, Trust
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer
 
@@ -57,7 +58,8 @@ def evaluation(
         keep_tables(tables, folder / RQ1)
     tables += [*tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps)), *cases]
     tables += siblings.tables if (siblings := sibling_section(campaign)) else []
-    return tables_result(tables, out or folder / "evaluation", everything=everything)
+    following = ds_command("report", folder)
+    return tables_result(tables, out or folder / "evaluation", following, everything=everything)
 
 
 def _offline_tables(
@@ -92,8 +94,8 @@ def is_detail(table: Table) -> bool:
     return any(word in table.name for word in ("robustness", "variants", "densities", "sibling_"))
 
 
-def tables_result(tables: list[Table], out: Path | None, *, everything: bool) -> Result:
-    """Write tables to a folder, and print the main ones, or everything."""
+def tables_result(tables: list[Table], out: Path | None, following: str, *, everything: bool) -> Result:
+    """Write tables to a folder, and print the main ones, or everything; `following` is what a user types next."""
     from ds_base.table import document_of, write_tables
 
     document: dict[str, Any] = dict(document_of(tables))
@@ -111,7 +113,7 @@ def tables_result(tables: list[Table], out: Path | None, *, everything: bool) ->
         if out is not None:
             print(f"{out}: every table as CSV and LaTeX")
 
-    return Result(document=document, show=show)
+    return Result(document=document, show=show, next=following)
 
 
 Images = Annotated[int | None, typer.Option(min=1, help="Images of each simulator at most.")]
@@ -157,5 +159,5 @@ def evaluate_command(
     else:
         names = None if siblings is None else siblings.split(",")
         tables = _offline_tables(data, driver or "dave2", names, twin or "donkey", images, trust or [])
-        found = tables_result(tables, out, everything=everything)
+        found = tables_result(tables, out, ds_command("test", driver or "dave2"), everything=everything)
     answer(found, as_json)

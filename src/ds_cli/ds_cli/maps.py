@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ds_base.installation import ds_command
 from ds_cli.options import Folder, JsonFlag
 from ds_cli.output import Result, answer
 
@@ -187,4 +188,4 @@ def maps_command(
             further = "; ".join(",".join(other) for other in data.config.further_axes)
             console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
 
-    answer(Result(document=to_json(every), show=show), as_json)
+    answer(Result(document=to_json(every), show=show, next=ds_command("report", folder)), as_json)

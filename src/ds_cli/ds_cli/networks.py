@@ -4,16 +4,15 @@
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_base.installation import as_typed, ds_command
+from ds_base.installation import ds_command
 from ds_cli.options import (
     Camera,
     ImageRows,
@@ -26,10 +25,7 @@ from ds_cli.options import (
     rows_of,
     simulators_of,
 )
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
-
-if TYPE_CHECKING:
-    pass
+from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say, say_next
 
 app = typer.Typer()
 
@@ -73,7 +69,7 @@ def collect_command(
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
     counts = json.loads((out / "manifest.json").read_text())["images"]
     print(f"{sum(counts.values())} images of {', '.join(simulators)} are in {out}")
-    say(f"next: {as_typed(_training_of(out))}")
+    say_next(_training_of(out))
 
 
 @app.command("import")
@@ -158,12 +154,12 @@ def train_command(
         ) from None
     file = out / f"{network}.safetensors"
     print(file)
-    say(f"next: {ds_command('check', file)}")
+    say_next(ds_command("check", file))
 
 
 def _training_of(data: Path) -> str:
     """Command that trains a network on a data set."""
-    return shlex.join(["ds", "train", "--data", str(data), "--out", "networks"])
+    return ds_command("train", "--data", data, "--out", "networks")
 
 
 def _steps_of(text: str) -> tuple[int, ...]:

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag
-from ds_cli.output import Result, answer, say
+from ds_cli.output import Result, answer, say, say_next
 
 if TYPE_CHECKING:
     from ds_analysis.outcomes.columns import Columns
@@ -90,9 +90,8 @@ def outcomes_import_command(
         if few:
             print(f"fewer than {FEWEST_TESTS} tests: {', '.join(few)}; they count where they were driven")
         print(path)
-        print(f"next: {ds_command('predict', out)}")
 
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next=ds_command("predict", out)), as_json)
 
 
 def _guessed(tables: list[Path], out: Path) -> Columns:
@@ -117,7 +116,7 @@ def _guessed(tables: list[Path], out: Path) -> Columns:
     write_whole(file, guess.text(tables[0].name))
     asked = f", and fill in {' and '.join(guess.asked)}" if guess.asked else ""
     say(f"{tables[0]}: wrote {file} with what its columns seem to be: check it{asked}")
-    print(f"next: {command}")
+    say_next(command)
     raise typer.Exit(2)
 
 
@@ -133,3 +132,4 @@ def outcomes_export_command(
     study = read_study(folder) if is_study(folder) else study_of(read_table(folder))
     write_rows(out, study)
     print(f"{out}: {len(study.rows)} drives of {', '.join(study.simulators)}")
+    say_next(ds_command("predict", folder))

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import logging
+import os
+import stat
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -59,19 +61,35 @@ class Result:
         show: prints it for a person, on standard output.
         error: True if the exit status is to be 1.
         unmet: pass criteria that are not met, one sentence each; with any, the exit status is 3 unless it is 1.
-        next: command that a user types next, such as `ds report DIR`; empty if there is none.
+        next: command that a user types next, such as `ds report DIR`.
     """
 
     document: Any
     show: Callable[[], None]
+    next: str
     error: bool = False
     unmet: Sequence[str] = ()
-    next: str = ""
 
 
 def say(line: str) -> None:
     """Print a line of progress."""
     print(line, file=sys.stderr, flush=True)
+
+
+def say_next(command: str) -> None:
+    """Print the command that a user types next, after everything else."""
+    sys.stdout.flush()
+    say(f"next: {as_typed(command)}")
+
+
+def printed_to() -> str | None:
+    """The file to which the shell has redirected standard output, as a path from here if it lies below; else None."""
+    try:
+        if not stat.S_ISREG(os.fstat(sys.stdout.fileno()).st_mode):
+            return None
+        return os.path.relpath(os.readlink(f"/proc/self/fd/{sys.stdout.fileno()}"))
+    except OSError:  # no /proc, or no file at all, as where tests capture it
+        return None
 
 
 def warning(driver: str, habit: Habit) -> str:
@@ -149,15 +167,15 @@ def answer(result: Result, as_json: bool) -> None:
         print(json.dumps(result.document, allow_nan=False))
     else:
         result.show()
-    if result.next and not result.error:
-        say(f"next: {as_typed(result.next)}")
+    for sentence in result.unmet:
+        say(f"not passed: {sentence}")
+    if not result.error:
+        say_next(result.next)
 
 
 def end(result: Result, as_json: bool) -> None:
     """Print a result, and exit with status 1 if it is an error, with 3 if a pass criterion is not met."""
     answer(result, as_json)
-    for sentence in result.unmet:
-        say(f"not passed: {sentence}")
     if result.error or result.unmet:
         raise typer.Exit(1 if result.error else NOT_PASSED)
 
@@ -184,6 +202,7 @@ def of_networks(table: Table, results: Sequence[Result], out: Path | None, sort:
     return Result(
         document={**table.document(), "networks": [one.document for one in results]},
         show=show,
+        next=results[0].next,
         error=any(one.error for one in results),
         unmet=[sentence for one in results for sentence in one.unmet],
     )

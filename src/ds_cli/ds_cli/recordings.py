@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_cli.campaign.compare_results import FailOnFailure
 from ds_cli.options import Backend, DriverName, JsonFlag, Workers, driver_named, with_engine_without_ros
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
@@ -95,7 +95,7 @@ def recording_test_command(
     failures, judged = found.failures(driver, found.recording)
     unmet = [f"{driver} fails on {failures} of {judged} roads"] if fail_on and failures else []
     more = f"recording@{asked.located},bullet,softbody"
-    then = shlex.join(["ds", "siblings", "compare", "--file", str(out / ROADS), "--driver", driver, "--sims", more])
+    then = ds_command("siblings", "compare", "--file", out / ROADS, "--driver", driver, "--sims", more)
     end(Result(document=found.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then), as_json)
 
 
@@ -142,7 +142,7 @@ def locate_command(
             print(f"Motion beside the images: {summary(about)}")
         print(page)
 
-    answer(Result(document=document, show=show, next=shlex.join(["ds", "recording", "roads", str(out)])), as_json)
+    answer(Result(document=document, show=show, next=ds_command("recording", "roads", out)), as_json)
 
 
 @recording_app.command("calibrate")
@@ -179,9 +179,9 @@ def calibrate_command(
         print(f"focal lengths {across:.1f} across and {down:.1f} down, +- {camera.focal_std:.1f} px")
         lens, error = camera.lens.model, found.held_out_px
         print(f"{lens}, {found.boards} boards; corners of held-out ones are {error:.2f} px off")
-        print(out)
+        print(f"{out}: --camera of `ds recording`")
 
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next=ds_command("recording", "locate", "--help")), as_json)
 
 
 @recording_app.command("roads")
@@ -218,4 +218,6 @@ def recording_roads_command(
         print(f"{len(roads)} roads of {length:g} road metres; the recorded lane is {lane}.")
         print(out)
 
-    answer(Result(document=document, show=show), as_json)
+    sims = f"recording@{folder},bullet,softbody"
+    following = ds_command("siblings", "compare", "--file", out, "--sims", sims)
+    answer(Result(document=document, show=show, next=following), as_json)

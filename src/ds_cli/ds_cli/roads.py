@@ -12,8 +12,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag, Lane, MaxAngle, Seed
-from ds_cli.output import Result, answer, say
+from ds_cli.output import Result, answer, printed_to, say, say_next
 
 if TYPE_CHECKING:
     from ds_base.left_out import LeftOut
@@ -85,6 +86,7 @@ def road_generate_command(
 
     rng = np.random.default_rng(seed)
     print(json.dumps([ds_road.generate(rng, max_angle=max_angle).control_points for _ in range(count)]))
+    _say_next("generate", "--seed", seed, "--count", count, "--max-angle", max_angle)
 
 
 @road_app.command("check")
@@ -111,7 +113,9 @@ def road_check_command(
             )
         Console().print(table)
 
-    answer(Result(document=document, show=show), as_json)
+    usable = document and all(row["valid"] for row in document)
+    words = ("siblings", "compare", "--file", file) if usable else ("road", "generate")
+    answer(Result(document=document, show=show, next=ds_command(*words)), as_json)
 
 
 @road_app.command("show")
@@ -130,6 +134,8 @@ def road_show_command(
 
     out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle, lane))))
     print(out)
+    chosen = ("--seed", seed, "--max-angle", max_angle) if file is None else ("--road", file)
+    say_next(ds_command("drive", "--sim", "bullet", *chosen, *(("--lane", lane) if lane else ())))
 
 
 @road_app.command("export")
@@ -151,8 +157,9 @@ def road_export_command(
         one["test_id"] if isinstance(one, dict) and isinstance(one.get("test_id"), str) else f"road_{index:04d}"
         for index, one in enumerate(raw)
     ]
-    for path in export.write_all(roads, names, out, form):
-        print(path)
+    paths = export.write_all(roads, names, out, form)
+    print(*paths, sep="\n")
+    say_next(ds_command("road", "import", paths[0]))
 
 
 Files = Annotated[
@@ -179,7 +186,8 @@ def road_import_command(files: Files, lane_width: LaneWidth = None, strict: Stri
     from ds_road.importing import import_roads
 
     left_out = LeftOut("roads", strict)
-    _print_roads(left_out, ((file, import_roads(file, left_out, lane_width=lane_width)) for file in files))
+    roads = ((file, import_roads(file, left_out, lane_width=lane_width)) for file in files)
+    _print_roads(left_out, roads, ("import", *files, *_width(lane_width)))
 
 
 @road_app.command("cut")
@@ -195,10 +203,18 @@ def road_cut_command(
     from ds_road.importing import cut_roads
 
     left_out = LeftOut("roads", strict)
-    _print_roads(left_out, ((one, cut_roads(one, length, every, left_out, lane_width=lane_width)) for one in files))
+    roads = ((one, cut_roads(one, length, every, left_out, lane_width=lane_width)) for one in files)
+    words = ("cut", *files, "--length", length, "--every", every, *_width(lane_width))
+    _print_roads(left_out, roads, words)
 
 
-def _print_roads(left_out: LeftOut, roads: Iterable[tuple[Path, Sequence[ImportedRoad]]]) -> None:
+def _width(lane_width: float | None) -> tuple[object, ...]:
+    return () if lane_width is None else ("--lane-width", lane_width)
+
+
+def _print_roads(
+    left_out: LeftOut, roads: Iterable[tuple[Path, Sequence[ImportedRoad]]], words: Sequence[object]
+) -> None:
     document = []
     for file, imported in roads:
         for one in imported:
@@ -210,3 +226,10 @@ def _print_roads(left_out: LeftOut, roads: Iterable[tuple[Path, Sequence[Importe
     if left_out.items:
         say(left_out.line())
     print(json.dumps(document))
+    _say_next(*words)
+
+
+def _say_next(*words: object) -> None:
+    """What follows roads on standard output: a check of the file that it is, or the same `ds road` into a file."""
+    kept = printed_to()
+    say_next(ds_command("road", "check", kept) if kept else f"{ds_command('road', *words)} > roads.json")

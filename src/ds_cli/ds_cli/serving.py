@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_cli.options import Lane, MaxAngle, Seed, Simulator, complete_value
-from ds_cli.output import Interrupted
+from ds_cli.output import Interrupted, say_next
 
 app = typer.Typer()
 serve_app = typer.Typer(help="Serve a simulator to clients of another one's protocol.", no_args_is_help=True)
@@ -56,6 +57,7 @@ def serve_donkey_command(
 
     def listening(chosen: int) -> None:
         print(f"serving {sim} on {host}:{chosen}", flush=True)
+        say_next(ds_command("drive", "--sim", sim, "--driver", "autopilot"))
 
     try:
         asyncio.run(server.serve(host, port, listening))

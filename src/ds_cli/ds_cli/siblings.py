@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import ds_command
 from ds_cli.options import (
     ALL,
     Backend,
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
     from ds_analysis.siblings.analysis import SiblingAnalysis
     from ds_road import Road
 
+TABLES = "tables.txt"
+"""File with every table and sentence."""
 PICTURED = 6
 """Roads that a comparison draws; chosen: a minute's look."""
 TWIN = "donkey"
@@ -128,14 +130,16 @@ def siblings_compare_command(
     }
     if out is not None:
         _write(out, document, chosen, runs, table, found)
+        _write_all_tables(out, document, pairs, found)
 
     def show() -> None:
-        _show(document, pairs, found)
-        if out is not None:
-            print(out)
+        for sentence in found.answer:
+            print(sentence)
+        Console().print(_simulator_table(document))
+        print("Pairs, road features and what each sibling adds: with --out DIR" if out is None else out / TABLES)
 
     in_error = any(row["errors"] for row in document["simulators"].values())
-    following = "" if out is None else f"ds predict {shlex.quote(str(out))}"
+    following = ds_command("test", driver) if out is None else ds_command("predict", out)
     end(Result(document=document, show=show, error=in_error, next=following), as_json)
 
 
@@ -172,17 +176,22 @@ def _write(
         (out / f"most_different_{rank + 1}.png").write_bytes(png(picture))
 
 
-def _show(document: dict[str, Any], pairs: Sequence[PairComparison], found: SiblingAnalysis) -> None:
-    from ds_analysis.paper.simulator_agreement import APART
-    from ds_analysis.siblings.analysis import analysis_tables
-
+def _simulator_table(document: dict[str, Any]) -> Table:
     table = Table("simulator", "roads", "completed", "failures", "errors", "median of max |lateral|, m")
     for name, row in document["simulators"].items():
         completed = "" if row["success_rate"] is None else f"{row['success_rate']:.0%}"
         median = row["median_max_lateral_position"]
         table.add_row(name, str(row["roads"]), completed, str(row["failures"]), str(row["errors"]), number(median))
-    console = Console()
-    console.print(table)
+    return table
+
+
+def _write_all_tables(
+    out: Path, document: dict[str, Any], pairs: Sequence[PairComparison], found: SiblingAnalysis
+) -> None:
+    """Write every table and sentence as text for people."""
+    from ds_analysis.paper.simulator_agreement import APART
+    from ds_analysis.siblings.analysis import analysis_tables
+
     distances = Table("pair", "Cohen's kappa", "median apart, m", "95 %, m", f"over {APART:g} m apart", "correlation")
     for pair in pairs:
         names = f"{pair.first}, {pair.second}"
@@ -191,13 +200,15 @@ def _show(document: dict[str, Any], pairs: Sequence[PairComparison], found: Sibl
         distances.add_row(
             names, kappa, number(pair.median_apart), number(pair.apart_95), share, number(pair.correlation)
         )
-    for reason in sorted({pair.reason for pair in pairs if pair.reason}):
-        print(f"kappa undefined: {reason}")
-    console.print(distances)
-    for one in analysis_tables(found):
-        one.show(console)
-    for sentence in found.sentences:
-        print(sentence)
+    with (out / TABLES).open("w", encoding="utf-8") as file:
+        console = Console(file=file, width=140)
+        console.print(_simulator_table(document), distances)
+        for reason in sorted({pair.reason for pair in pairs if pair.reason}):
+            console.print(f"kappa undefined: {reason}")
+        for one in analysis_tables(found):
+            one.show(console)
+        for sentence in found.sentences:
+            console.print(sentence)
 
 
 def _with_interval(value: float | None, interval: tuple[float, float] | None) -> str:

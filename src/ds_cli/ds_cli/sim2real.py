@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag, Simulator
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 
@@ -75,7 +76,8 @@ def train_command(
         "losses": history,
         "epochs": str(out / EPOCHS),
     }
-    answer(Result(document=document, show=lambda: print(out / EPOCHS)), as_json)
+    following = ds_command("sim2real", "show", max((out / EPOCHS).glob("*.safetensors")), real)
+    answer(Result(document=document, show=lambda: print(out / EPOCHS), next=following), as_json)
 
 
 @sim2real_app.command("show")
@@ -97,7 +99,9 @@ def show_command(
     images = [translator.prepared(image) for image in camera_images(source, translator.generator.simulator, count)]
     out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, png(sheet([[image, translator.small(image)] for image in images])))
-    answer(Result(document={"picture": str(out), "images": len(images)}, show=lambda: print(out)), as_json)
+    document = {"picture": str(out), "images": len(images)}
+    following = ds_command("sim2real", "translate", source, "--generator", generator, "--out", "translated")
+    answer(Result(document=document, show=lambda: print(out), next=following), as_json)
 
 
 @sim2real_app.command("translate")
@@ -128,4 +132,6 @@ def translate_command(
         count = sum(translate(source, out, one, ScreenProgress(), workers=workers) for one in translators)
     except KeyboardInterrupt:
         raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
-    answer(Result(document={"out": str(out), "translated": count}, show=lambda: print(out)), as_json)
+    document = {"out": str(out), "translated": count}
+    following = ds_command("train", "--data", out, "--out", "networks")
+    answer(Result(document=document, show=lambda: print(out), next=following), as_json)

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 from ds_sim.conditions.text import format_3sf
@@ -101,4 +102,5 @@ def twin_fit_command(
         Console().print(table)
         print(f"{out}\n{picture}")
 
-    answer(Result(document=document, show=show), as_json)
+    following = ds_command("drive", "--sim", f"donkey@{out}", "--driver", "autopilot")
+    answer(Result(document=document, show=show, next=following), as_json)

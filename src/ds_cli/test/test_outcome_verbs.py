@@ -112,7 +112,7 @@ def test_what_is_guessed_is_written_and_the_next_command_works(
     assert seen.err.startswith(f"{tmp_path}/t.csv: wrote {file} ") and ("fill in failed" in seen.err) is asked
     assert not (tmp_path / "study/outcomes.parquet").exists()
     assert run(words) == 2 and "columns.yaml exists" in capsys.readouterr().err  # what somebody edited is kept
-    following = shlex.split(seen.out.removeprefix("next: "))[1:]
+    following = shlex.split(seen.err.rpartition("next: ")[2])[1:]
     if asked:  # nobody guesses a verdict
         assert run(following) == 2
         assert f"\n# {comment}\n" in file.read_text()

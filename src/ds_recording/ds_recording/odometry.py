@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 from ds_bags.clock import time_of
 from ds_bags.donkey_tub import read_tub
 from ds_bags.reader import BagReader
+from ds_base.words import multiple
 from ds_driver.data.recordings import MOTION, Recording
 from ds_recording.errors import RecordingError
 from ds_recording.hints import NOTHING, Hint
@@ -315,7 +316,7 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
     if scale <= 0.0:
         reason = f"it {'turns' if turn else 'drives'} the other way than the images: turn it around, or negate it"
     elif turn and not TURN_SCALE[0] < scale < TURN_SCALE[1]:
-        reason = f"the images turn {scale:.3g} times as much: another axis or unit"
+        reason = f"the images turn {multiple(scale)} as much: another axis or unit"
     elif not turn and not left <= MOST_LEFT and len(close := _close(steps / scale, seen)) > LEAST_CLOSE * both.sum():
         # Images that lose the floor show too short a way, so most of them may be wrong where the encoder is right.
         steps = steps / scale * (scale := float(np.median(close)))

@@ -16,6 +16,7 @@ from ds_bags.layout import BagError, printable
 from ds_bags.reader import STATE, BagReader, states_and_commands
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
+from ds_base.words import multiple
 from ds_sim.registry import simulators
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.parameters import SCALE
@@ -251,8 +252,8 @@ def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
     ratio = ratio[np.isfinite(ratio) & ((speed > _MIN_COMPARED_SPEED) | (pace > _MIN_COMPARED_SPEED))]
     if ratio.size and not 1.0 / _MAX_SPEED_RATIO < np.median(ratio) < _MAX_SPEED_RATIO:
         raise LogError(
-            f"{path}: according to its positions the car is {np.median(ratio):.3g} times as fast as its speed says: "
-            "record both in metres of the car"
+            f"{path}: according to its positions the car is {multiple(float(np.median(ratio)))} as fast as "
+            "its speed says: record both in metres of the car"
         )
 
 

@@ -14,6 +14,7 @@ from ds_analysis.siblings.added_information import AddedInformation, Baseline, S
 from ds_analysis.siblings.failure_patterns import KINDS, Departures, Nesting, departures_of, nestings
 from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
 from ds_base.table import Column, Table, styled
+from ds_base.words import listed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +59,23 @@ class SiblingAnalysis:
     def sentences(self) -> list[str]:
         """What each sibling adds, one line each."""
         return [one.sentence for one in self.information]
+
+    @property
+    def answer(self) -> list[str]:
+        """Which siblings add something, one line for each simulator that they are to predict."""
+        said = []
+        for about in dict.fromkeys(one.about for one in self.information):
+            of = [one for one in self.information if one.about == about]
+            if of[0].bits is None:
+                said.append(f"Whether a sibling adds anything about {about} is open: {of[0].caution}.")
+                continue
+            adding = [one.sibling for one in of if one.verdict == "adds information"]
+            rest = [one.sibling for one in of if one.sibling not in adding]
+            add = "adds" if len(adding) == 1 else "add"
+            parts = [f"{listed(adding)} {add} information about {about} beyond road features"] * bool(adding)
+            parts += [f"nothing is shown that {listed(rest)} would add about {about}"] * bool(rest)
+            said.append(f"{'; '.join(parts)}.")
+        return said
 
 
 def analyse(table: OutcomeTable, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:

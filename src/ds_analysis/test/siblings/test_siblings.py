@@ -18,7 +18,7 @@ from ds_analysis.common.cross_validation import auc_roc_by_ranks, best_feature, 
 from ds_analysis.common.driven_road import GRID, DrivenRoad, lateral_profile, recorded_profile
 from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable, State, table_of_runs
 from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
-from ds_analysis.siblings.analysis import analyse, analysis_tables
+from ds_analysis.siblings.analysis import SiblingAnalysis, analyse, analysis_tables
 from ds_analysis.siblings.failure_patterns import nestings
 from ds_analysis.siblings.residuals import residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
@@ -308,6 +308,22 @@ def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> No
     assert found.lateral.tolist() == [[0.25, 2.0], [0.25, 2.0]]
     np.testing.assert_array_equal(found.profiles["b"][0], np.full(59, -2.0))
     assert found.features.shape == (2, len(ROAD_FEATURES))
+
+
+def test_the_first_sentence_names_who_adds_something() -> None:
+    def adds(sibling: str, low: float) -> AddedInformation:
+        return AddedInformation(about="car", sibling=sibling, beyond=(), caution="", bits=0.1, interval=(low, 0.2))
+
+    def said(*information: AddedInformation) -> list[str]:
+        return SiblingAnalysis(departures=[], nesting=[], baselines=[], residuals=[], information=information).answer
+
+    both = said(adds("a", 0.05), adds("b", -0.1), adds("c", -0.1))
+    start = "a adds information about car beyond road features"
+    assert both == [f"{start}; nothing is shown that b and c would add about car."]
+    assert said(adds("a", 0.05)) == [f"{start}."]
+    assert said(adds("a", -0.05)) == ["nothing is shown that a would add about car."]
+    few = AddedInformation(about="car", sibling="a", beyond=(), caution="too few")
+    assert said(few) == ["Whether a sibling adds anything about car is open: too few."]
 
 
 def test_the_pictures_show_every_road_of_every_simulator() -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import ds_command
 from ds_cli.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, Trust, rows_of
 from ds_cli.output import Interrupted, Result, answer, end, say
 
@@ -68,9 +68,9 @@ def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
             table.add_row(*(Text(printable(topic[key])) for key in ("name", "type", "messages")))
         Console().print(table)
 
-    verb = "redrive" if document["facts"].get("simulator") else "drive"
-    words = ["ds", "bag", verb, str(folder), *([] if verb == "redrive" else ["--driver", "dave2"])]
-    answer(Result(document=document, show=show, next=shlex.join(words)), as_json)
+    ours, open_loop = ds_command("bag", "redrive", folder), ds_command("bag", "drive", folder, "--driver", "dave2")
+    following = ours if document["facts"].get("simulator") else open_loop
+    answer(Result(document=document, show=show, next=following), as_json)
 
 
 @bag_app.command("recover")
@@ -91,7 +91,7 @@ def recover_command(
             f"of {bag.source} could not be recovered. The damaged file is kept."
         )
 
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next=ds_command("bag", "info", bag.folder)), as_json)
 
 
 @bag_app.command("replay")
@@ -154,7 +154,9 @@ def redrive_command(
     if not same:
         no_video = "; no video was written" if video is not None else ""
         say(f"error: {found.simulator} leaves the recorded run at step {found.step}, {found.difference}{no_video}")
-    end(Result(document=document, show=show if same else lambda: None, error=not same), as_json)
+    about, shown_again = ds_command("bag", "info", folder), ds_command("bag", "redrive", folder, "--video", "run.mp4")
+    following = about if video else shown_again
+    end(Result(document=document, show=show if same else lambda: None, error=not same, next=following), as_json)
 
 
 @bag_app.command("drive")

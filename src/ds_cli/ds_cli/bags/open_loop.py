@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.atomic_files import write_json
+from ds_base.installation import ds_command
 from ds_cli.output import Interrupted, Result, ScreenProgress, say
 
 if TYPE_CHECKING:
@@ -94,7 +95,8 @@ def bag_drive(
         if out is not None:
             print(f"{out / 'errors.png'}\n{out / 'answers.csv'}")
 
-    return Result(document=document, show=show)
+    known = "dave2" if driver == "attached" else driver
+    return Result(document=document, show=show, next=ds_command("check", known))
 
 
 def _network(driver: str) -> Answer:

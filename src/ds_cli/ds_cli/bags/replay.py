@@ -20,6 +20,7 @@ from pathlib import Path
 import typer
 
 from ds_bags.player import PAUSE, QUIT, STEP
+from ds_base.installation import ds_command
 from ds_cli.output import Interrupted, Result, say
 
 KEYS = {" ": PAUSE, "s": STEP, "\x1b[C": STEP, "q": QUIT}
@@ -87,7 +88,7 @@ def bag_replay(folder: Path, rate: float, topics: list[str], wait: float) -> Res
     def show() -> None:
         print(f"{played.messages} messages of {played.seconds:.2f} s")
 
-    return Result(document=document, show=show)
+    return Result(document=document, show=show, next=ds_command("bag", "info", folder))
 
 
 def _is_wanted(topic: str, patterns: list[str]) -> bool:

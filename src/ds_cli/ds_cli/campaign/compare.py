@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_cli.campaign.compare_results import (
     FailOn,
     Junit,
@@ -310,6 +311,8 @@ def campaign_compare_command(
         found = mode_of(candidate).compare(driving)
         make_folder(out / label)
         comparisons.append(found)
-        results.append(write_comparison(found, out / label, unmet_by(criteria, found), junit=junit, markdown=markdown))
+        following = ds_command("report" if is_campaign(candidate) else "test", candidate)
+        unmet = unmet_by(criteria, found)
+        results.append(write_comparison(found, out / label, unmet, following, junit=junit, markdown=markdown))
     single = len(candidates) == 1
     end(results[0] if single else of_networks(networks_table(comparisons), results, out, sort), as_json)

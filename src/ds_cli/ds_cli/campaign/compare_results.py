@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -100,9 +99,12 @@ MOST_COLUMNS = 14
 
 
 def write_comparison(
-    found: Comparison, out: Path, unmet: Sequence[str], *, junit: Path | None, markdown: Path | None
+    found: Comparison, out: Path, unmet: Sequence[str], following: str, *, junit: Path | None, markdown: Path | None
 ) -> Result:
-    """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows."""
+    """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows.
+
+    `following` is what a user types next where no test newly fails.
+    """
     from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
     from ds_analysis.comparison.ci_results import cases_of, junit_of
     from ds_analysis.comparison.tables import (
@@ -115,7 +117,7 @@ def write_comparison(
         simulator_table,
     )
     from ds_base.atomic_files import write_json
-    from ds_base.installation import ds_command
+    from ds_base.installation import as_typed
     from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
 
@@ -151,15 +153,19 @@ def write_comparison(
         worse = drive_table(found, most=MOST_ROWS)
         if worse.rows:
             worse.show(console)
-        for drive in [one for one in found.newly_failing if one.test.name in road_files][:MOST_ROWS]:
-            words = shlex.split(command_of(drive, found.candidate.driver, road_files[drive.test.name]))
-            print(ds_command(*words[1:]))
+        for command in again[:MOST_ROWS]:
+            print(as_typed(command))
         for line in (*sentences_of(found), *cautions_of(found)):
             print(line)
         print(answer_of(found))
         print(out / "comparison.html")
 
-    return Result(document=document, show=show, error=bool(found.left_out), unmet=unmet)
+    again = [
+        command_of(drive, found.candidate.driver, road_files[drive.test.name])
+        for drive in found.newly_failing
+        if drive.test.name in road_files
+    ]
+    return Result(document=document, show=show, error=bool(found.left_out), unmet=unmet, next=[*again, following][0])
 
 
 def write_roads(found: Comparison, folder: Path) -> dict[str, str]:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -15,8 +14,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ds_base.installation import ds_command
 from ds_cli.options import Folder, JsonFlag, Trust
-from ds_cli.output import Result, answer, say, warning
+from ds_cli.output import Result, answer, printed_to, say, say_next, warning
 
 app = typer.Typer()
 campaign_app = typer.Typer()
@@ -74,8 +74,9 @@ def status(folder: Path) -> Result:
         if document["errors"]:
             print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
 
-    verb = "report" if all(stage.state == "done" for stage in stages) else "campaign resume"
-    return Result(document=document, show=show, next=f"ds {verb} {shlex.quote(str(folder))}")
+    done = all(stage.state == "done" for stage in stages)
+    following = ds_command("report", folder) if done else ds_command("campaign", "resume", folder)
+    return Result(document=document, show=show, next=following)
 
 
 @campaign_app.command("status")
@@ -113,6 +114,8 @@ def campaign_roads_command(
         out.write_text(text + "\n", "utf-8")
         print(out)
     say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
+    kept = out or printed_to()
+    say_next(ds_command("report", folder) if kept is None else ds_command("road", "check", kept))
 
 
 @app.command("report")
@@ -128,8 +131,9 @@ def report_command(folder: Folder, trust: Trust = None) -> None:
 
     if is_study(folder):
         print(write_study_page(folder, read_study(folder)))
-        return
-    print(rebuild_report(folder, StageLines(), trusted=trust or []))
+    else:
+        print(rebuild_report(folder, StageLines(), trusted=trust or []))
+    say_next(ds_command("predict", folder))
 
 
 @campaign_app.command("export")
@@ -153,6 +157,7 @@ def campaign_export_command(
     print(write_study(out, study_of(table_of_campaign(data))))
     if frames:
         print(write_frames(out, data))
+    say_next(ds_command("maps", out))
 
 
 @app.command("runs")
@@ -189,7 +194,8 @@ def runs_command(
             console.width = max(console.width, 140)
         console.print(table)
 
-    answer(Result(document=document, show=show), as_json)
+    following = ds_command("campaign", "status", rows[0].folder) if rows else ds_command("test", "dave2")
+    answer(Result(document=document, show=show, next=following), as_json)
 
 
 @app.command("watch")
@@ -212,5 +218,6 @@ def watch_command(
     def ready(address: str) -> None:
         print(address, flush=True)
         say(f"shows {folder}, until Ctrl-C")
+        say_next(ds_command("report", folder))
 
     asyncio.run(serve(folder, port=port, trusted=trust or (), ready=ready))

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_base.words import duration
 from ds_cli.campaign.compare_results import (
     FailOnFailure,
@@ -42,7 +43,7 @@ from ds_cli.options import (
     usual_workers,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, end, of_networks, say, warning
+from ds_cli.output import Interrupted, Result, end, of_networks, say, say_next, warning
 from ds_sim import registry
 
 if TYPE_CHECKING:
@@ -162,8 +163,6 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
 
 
 def _kept(out: Path, done: int) -> str:
-    from ds_base.installation import ds_command
-
     finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
     return f"{finished}`{ds_command('campaign', 'resume', out)}` continues"
 
@@ -200,7 +199,6 @@ def campaign_init_command(
 
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
-    from ds_base.installation import ds_command
     from ds_orchestrator.campaign.config import ConfigError
 
     ask = sys.stdin.isatty()
@@ -213,7 +211,7 @@ def campaign_init_command(
     angles = {name: angle for name, angle in given.items() if angle is not None}
     file.write_text(_template_of(driver, sims, size, sensitivity, file, angles), "utf-8")
     print(file)
-    say(f"next: {ds_command('campaign', 'run', file, '--out', file.stem, '--dry-run')}")
+    say_next(ds_command("campaign", "run", file, "--out", file.stem, "--dry-run"))
 
 
 def _template_of(
@@ -333,7 +331,8 @@ def campaign_run_command(
             check_driver(network, changed.simulators)
             changed = changed.model_copy(update={"driver": network})
         if dry_run:
-            return _dry_run(changed, folder, cluster_of(cluster))
+            following = ds_command("campaign", "run", config, "--out", folder)
+            return _dry_run(changed, folder, cluster_of(cluster), following)
         result = campaign(changed, folder, attach=attach, cluster=cluster_of(cluster))
         return judged(result, folder, criteria, junit, videos)
 
@@ -366,7 +365,7 @@ def campaign_resume_command(
     )
 
 
-def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Result:
+def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions, following: str) -> Result:
     """Forecast a campaign from one drive on every simulator; nothing is written.
 
     Raises:
@@ -410,7 +409,7 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions) -> Resu
         if found.disk > found.free:
             print("That does not fit: free some space, or set record: none.")
 
-    return Result(document=document, show=show)
+    return Result(document=document, show=show, next=following)
 
 
 def _size(count: int) -> str:

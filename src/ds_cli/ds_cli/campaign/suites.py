@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 from contextlib import closing
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.installation import ds_command
 from ds_cli.campaign.compare import network_named
 from ds_cli.campaign.compare_results import (
     FailOn,
@@ -88,7 +88,7 @@ def suite_make_command(
         print(f"{sizes}, with the margins of {suite.driver}; below 0 it fails.")
         print(out)
 
-    following = shlex.join(["ds", "suite", "run", str(out), suite.driver])
+    following = ds_command("suite", "run", out, suite.driver)
     answer(Result(document=document, show=show, next=following), as_json)
 
 
@@ -168,7 +168,8 @@ def suite_run_command(
     if update is not None and not found.left_out:
         write_suite(with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {driver}")
-    result = write_comparison(found, out, unmet_by(criteria, found), junit=junit, markdown=markdown)
+    following = ds_command("test", driver)
+    result = write_comparison(found, out, unmet_by(criteria, found), following, junit=junit, markdown=markdown)
     if videos is not None:
         lost = [one for one in found.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]

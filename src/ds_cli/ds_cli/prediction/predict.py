@@ -54,9 +54,9 @@ def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result
         for name, (failures, tests) in counts.items():
             low, high = jeffreys_interval(failures, tests) if tests else (0.0, 1.0)
             print(f"{name} fails {failures} of {tests} tests (95 % of its failure rate: {low:.0%} to {high:.0%})")
-        print(f"next: {ds_command('maps', folder)}")
 
-    return Result(document={"verdicts": None, "reason": reason, "simulators": rows}, show=show)
+    document = {"verdicts": None, "reason": reason, "simulators": rows}
+    return Result(document=document, show=show, next=ds_command("maps", folder))
 
 
 @app.command("predict")
@@ -102,7 +102,7 @@ def predict_command(
         verdicts, title, said = car.verdicts, "Predicted failures on a car", car.help.sentence
         sentence, document = car.sentence, car.document()
         drives = "" if said else "Nobody knows yet whether these simulators know your car; a few drives tell."
-        following = str(ds_command("real", "propose", folder, "--drives", 6))
+        following = ds_command("real", "propose", folder, "--drives", 6)
         alone = predict(table) if table.twin else car.undriven
     else:
         say(f"{len(table)} tests on {', '.join(table.siblings)}: predicting {twin} as if it had never been driven")
@@ -112,7 +112,7 @@ def predict_command(
         title, said, drives = f"Predicted failures on {twin}, never driven", "", ""
         sentence = f"On {twin}, never driven, {expected:.0f} of {len(verdicts.tests)} tests are expected to fail."
         document = {"sentence": sentence, "siblings": list(table.siblings), "verdicts": verdicts.document()}
-        following = str(ds_command("predict", folder, "--twin", twin, "--tables"))
+        following = ds_command("predict", folder, "--twin", twin, "--tables")
     cells = cell_table(verdicts, cell_labels(verdicts))
     tables, missing = [cells], ""
     document |= {"twin": table.twin, "tests_left_out": table.left_out, "comparison": None}
@@ -145,8 +145,8 @@ def predict_command(
             titled = f"The {len(rows)} of {len(cells.rows)} cells with the highest predicted failure rates"
             replace(cells, rows=rows, title=titled).show(console)
         written = str(out / "prediction.json") if out else ""
-        for line in (said, drives, table.sample_note, f"next: {following}", written):
+        for line in (said, drives, table.sample_note, written):
             if line:
                 print(line)
 
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next=following), as_json)

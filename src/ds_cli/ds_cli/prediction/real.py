@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -84,10 +85,11 @@ def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
         if any(one.tests for one in of.cells):
             picture = png(draw_verdicts(of, f"The car, {name} {len(car.drives)} real drives"))
             write_whole(path.with_name(f"{name}.png"), picture)
-    return Result(document=document, show=lambda: _show(folder, car, path))
+    following = ds_command("real", "propose", folder, "--drives", 6)
+    return Result(document=document, show=lambda: _show(car, path), next=following)
 
 
-def _show(folder: Path, car: CarPrediction, path: Path) -> None:
+def _show(car: CarPrediction, path: Path) -> None:
     print(car.sentence)
     print(car.help.sentence)
     if car.certificate is not None:
@@ -99,7 +101,6 @@ def _show(folder: Path, car: CarPrediction, path: Path) -> None:
     if changed:
         shown = "; ".join(changed[:6])
         print(f"The drives changed the verdict of {len(changed)} cells: {shown}{'; ...' if len(changed) > 6 else ''}")
-    print(f"next: {ds_command('real', 'propose', folder, '--drives', 6)}")
     print(path)
 
 
@@ -165,7 +166,7 @@ def propose_command(
     )
     tests = len(car.proposed.population) or len(candidates_of(car.table))
     sure = None if certify is None else drives_until(certify, tests)
-    following = ds_command("real", "record", folder, place / TO_FILL, "--who", "NAME", "--when", "DATE")
+    following = ds_command("real", "record", folder, place / TO_FILL, "--who", "me", "--when", date.today())
 
     def show() -> None:
         if car.open:
@@ -176,7 +177,7 @@ def propose_command(
             most = f"{sure} drives without a failure certify that the car fails on at most {certify:.0%} of tests"
             print(never if sure is None else most)
         print(place)
-        print(f"next: drive them in this order, fill in {TO_FILL}, then {following}")
+        print(f"Drive them in this order, and fill in {TO_FILL}.")
 
     document = {
         "drives": [one.document() for one in found],
@@ -184,7 +185,7 @@ def propose_command(
         "drawn_drives_to_certify": sure,
         "folder": str(place),
     }
-    answer(Result(document=document, show=show), as_json)
+    answer(Result(document=document, show=show, next=following), as_json)
 
 
 @real_app.command("record")

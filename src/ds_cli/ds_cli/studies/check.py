@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import time
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_cli.options import ALL, JsonFlag, Seed, Simulators, every_or_named
 from ds_cli.output import Result, ScreenProgress, end, say
 
@@ -100,7 +100,7 @@ def check_command(
 
     document = {**found.document(), "picture": str(picture)}
     unmet = [] if not found.findings else [f"{network} needs another description or training"]
-    following = "" if unmet else f"ds test {shlex.quote(network)}"
+    following = ds_command("check" if unmet else "test", network)
     end(Result(document=document, show=show, unmet=unmet, next=following), as_json)
 
 

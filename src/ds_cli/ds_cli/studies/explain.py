@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import shlex
 from contextlib import closing, nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,6 +12,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from ds_base.installation import ds_command
 from ds_cli.options import Cluster, EngineName, Folder, JsonFlag, Trust, Workers, with_engine_without_ros
 from ds_cli.output import Result, end, stopped_in
 
@@ -101,6 +101,6 @@ def explain_command(
         if out is not None:
             print(out)
 
-    following = f"ds campaign roads {shlex.quote(str(folder))} --failed --out failures.json"
+    following = ds_command("campaign", "roads", folder, "--failed", "--out", "failures.json")
     error = not all(one.repeats for one in explained)
     end(Result(document=document, show=show, error=error, next=following), as_json)

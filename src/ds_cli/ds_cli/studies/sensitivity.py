@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
 
+from ds_base.installation import ds_command
 from ds_cli.options import (
     ALL,
     Backend,
@@ -132,7 +132,7 @@ def sensitivity_command(
             if page is not None:
                 print(page.path)
 
-        following = "" if out is None else shlex.join(["ds", "test", driver, "--sensitivity", str(out)])
+        following = ds_command("test", driver, *(("--sensitivity", out) if out else ()))
         return found, Result(document=document, show=show, error=bool(found.errors), next=following)
 
     if len(drivers) == 1:

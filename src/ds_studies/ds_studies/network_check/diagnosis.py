@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.progress import SILENT
+from ds_base.words import multiple
 from ds_driver.control.command_habits import command_habits
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import DescribedNetwork, InputSpec, OutputSpec
@@ -382,7 +383,7 @@ def findings_of(
     if kind is not None:
         side = "weakly" if size < 1.0 else "strongly"
         unit = "" if kind == "scale" else f", as in {kind}"
-        texts.append((kind, f"It answers too {side}{unit}: {size:.2g} times the autopilot's steering ({agree})"))
+        texts.append((kind, f"It answers too {side}{unit}: {multiple(size)} the autopilot's steering ({agree})"))
     if fit.slope < 0.0:
         texts.append(("sign", f"It steers right where the autopilot steers left ({agree})"))
     if shift:
