@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import BagError, plain_name, printable, regular_file
+from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 
 MAX_FILE = 64 * 2**20
@@ -105,7 +105,7 @@ def read_tub(folder: Path) -> Tub:
             records += (_record(folder, row) for row in rows if row["_index"] not in deleted)
             if len(records) > MAX_RECORDS:
                 raise ValueError(f"more than {MAX_RECORDS} records")
-    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         reason = printable(" ".join(str(error).split()))
         raise TubError(f"{folder}: not a tub of version 2 ({type(error).__name__}: {reason}): copy it again") from None
     return Tub(records=tuple(records), files=files)
@@ -118,7 +118,7 @@ def _text(file: Path) -> str:
 
 
 def _object(line: str) -> dict[str, Any]:
-    value = json.loads(line)
+    value = load_json(line)
     if not isinstance(value, dict):
         raise ValueError(f"a line is a {type(value).__name__}, expected an object")
     return value

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sqlite3
 from collections.abc import Collection, Iterator
@@ -29,6 +28,7 @@ from ds_bags.layout import (
     printable,
     regular_file,
 )
+from ds_base.bounded_json import load_json
 from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.conditions.text import parse_conditions
@@ -357,10 +357,7 @@ def _completed(bag: BagReader, simulator: str | None, seed: int | None) -> dict[
 def _road(bag: BagReader, facts: dict[str, str]) -> Road:
     """Read the road from the custom data, or else from the first road message."""
     if "road" in facts:
-        try:
-            return road_from_json(json.loads(facts["road"]))
-        except RecursionError:
-            raise RoadError("its road is nested too deeply") from None
+        return road_from_json(load_json(facts["road"]))
     for _, _, message in bag.decoded(bag.of_type(ROAD)):
         # Road messages of version 0.1 have control points only, those of 0.2 no lane.
         return road_from_fields(

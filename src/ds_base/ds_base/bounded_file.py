@@ -10,6 +10,9 @@ from typing import BinaryIO
 
 from ds_base.errors import InputError
 
+LARGEST_FILE = 16 * 2**20
+"""Bytes of a file that is read at once; chosen: a hundred times the usual one."""
+
 
 class FileError(InputError):
     """File that is not read; the message is one line without the file's name."""
@@ -37,7 +40,7 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
     return file
 
 
-def read_regular(path: Path, largest: int, *, follow_links: bool = True) -> bytes:
+def read_regular(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = True) -> bytes:
     """Read a regular file of at most so many bytes; arguments and errors as in `open_regular`.
 
     Raises:
@@ -48,3 +51,15 @@ def read_regular(path: Path, largest: int, *, follow_links: bool = True) -> byte
     if len(content) > largest:
         raise FileError(f"longer than {largest / 2**20:g} MiB, the limit for such a file")
     return content
+
+
+def read_words(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = True) -> str:
+    """Read a regular file of UTF-8 text; arguments and errors as in `read_regular`.
+
+    Raises:
+        FileError: it is no such text.
+    """
+    try:
+        return read_regular(path, largest, follow_links=follow_links).decode()
+    except UnicodeDecodeError as error:
+        raise FileError(f"not UTF-8 text (byte {error.start})") from None

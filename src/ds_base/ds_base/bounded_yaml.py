@@ -19,11 +19,10 @@ from typing import Any
 import yaml
 
 from ds_base.bounded_file import FileError, read_regular
-from ds_base.errors import InputError
+from ds_base.bounded_json import LARGEST_INTEGER
 
 _Loader: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """The C library's parser is ten times faster; a wheel without it has the other."""
-_LARGEST_INTEGER = 2**64
 _CONTROL = re.compile(r"[^\t\n\r -~\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -46,7 +45,7 @@ DEFAULT_LIMITS = YamlLimits()
 """Chosen: a hundred times the longest configuration in the documentation, read within a second."""
 
 
-class BoundedYamlError(InputError):
+class BoundedYamlError(FileError):
     """Text that is not YAML, or beyond the limits; the message is one line without the file's name.
 
     Attributes:
@@ -157,8 +156,8 @@ class _Json(_Loader):  # type: ignore[misc, valid-type]
 
     def construct_json_int(self, node: yaml.ScalarNode) -> int:
         digits = len(node.value)
-        value = self.construct_yaml_int(node) if digits <= 100 else _LARGEST_INTEGER
-        if abs(value) >= _LARGEST_INTEGER:
+        value = self.construct_yaml_int(node) if digits <= 100 else LARGEST_INTEGER
+        if abs(value) >= LARGEST_INTEGER:
             raise BoundedYamlError(f"a whole number of {digits} digits, expected one of 64 bits", node.start_mark)
         return int(value)
 

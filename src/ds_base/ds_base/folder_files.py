@@ -15,11 +15,9 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path, PurePath
 
-from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_file import LARGEST_FILE, FileError, read_regular
 from ds_base.errors import InputError, RunError
 
-LARGEST_FILE = 16 * 2**20
-"""Bytes of a file beside the store that is read at once; chosen: a hundred times the usual one."""
 MOST_ENTRIES = 5_000_000
 """Files and folders; chosen: bags of a million executions, looked at within a minute."""
 _OURS = re.compile(

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.bounded_json import read_json
 from ds_base.installation import ds_command
 from ds_cli.options import (
     Camera,
@@ -67,7 +67,7 @@ def collect_command(
         drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
         raise Interrupted(f"{drives} in {out} are kept; the same command continues" if files else "") from None
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
-    counts = json.loads((out / "manifest.json").read_text())["images"]
+    counts = read_json(out / "manifest.json")["images"]
     print(f"{sum(counts.values())} images of {', '.join(simulators)} are in {out}")
     say_next(_training_of(out))
 
@@ -177,7 +177,7 @@ def models_command(as_json: JsonFlag = False) -> None:
 
     document = []
     for name, path in shipped_networks().items():
-        card = json.loads(path.with_suffix(".json").read_text())
+        card = read_json(path.with_suffix(".json"))
         size = next(SHIPPED.glob(f"{name}.[so][an]*")).stat().st_size  # .safetensors, or .onnx
         document.append({"name": name, "parameters": card["parameters"], "bytes": size, "card": card})
 

@@ -8,7 +8,6 @@ lanes, to the right positive, as `ds_sim.oracle.LaneTracker` has it for whatever
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_json
+from ds_base.bounded_json import read_json
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
@@ -76,7 +76,7 @@ def read_located(folder: Path) -> Located:
         RecordingError: a file is missing, damaged or of another form.
     """
     try:
-        about = json.loads(read_bounded(folder / ABOUT, MAX_FILE))
+        about = read_json(folder / ABOUT, MAX_FILE)
         header, *rows = read_bounded(folder / LOCATED, MAX_FILE).decode().splitlines()
         if tuple(header.split(",")) != COLUMNS:
             raise ValueError(f"{LOCATED} has the columns {header[:80]}, expected {','.join(COLUMNS)}")
@@ -88,7 +88,7 @@ def read_located(folder: Path) -> Located:
         width = about.get("lane_width_m")
         if isinstance(width, bool) or not isinstance(width, int | float) or not 0.0 < width < 1e3:
             raise ValueError(f"lane_width_m in {ABOUT} is {abbreviated(width)}, expected metres")
-    except (OSError, ValueError, BoundedYamlError, RecursionError) as error:
+    except (OSError, ValueError, BoundedYamlError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{folder}: {reason!s:.200}: give a folder that `ds recording locate` wrote") from None
     track, _ = read_track(folder / TRACK)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_json import load_json
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side, abbreviated
 
 LARGEST_FILE = 16 * 2**20
@@ -105,9 +106,9 @@ def parse_roads(text: str, source: str) -> list[Any]:
         RoadError: the text is not JSON, or not a list.
     """
     try:
-        raw = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise RoadError(f"{source}: not JSON ({error}): expected a list of roads") from None
+        raw = load_json(text)
+    except FileError as error:
+        raise RoadError(f"{source}: {error}: expected a list of roads") from None
     if _is_one_road(raw):
         return [raw]
     if not isinstance(raw, list):

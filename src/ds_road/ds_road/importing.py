@@ -7,7 +7,6 @@ its middle, without turning it.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import splev, splprep
 
 from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_json import load_json
 from ds_base.bounded_xml import parse_xml
 from ds_base.left_out import LeftOut
 from ds_road.centre_lines import CentreLine, in_box
@@ -162,9 +162,9 @@ def _track(track: Track, name: str, lane_width: float | None) -> CentreLine:
 
 def _read_sbft(content: bytes, stem: str, left_out: LeftOut) -> list[CentreLine]:
     try:
-        raw = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise RoadError(f"not JSON ({str(error)[:100]})") from None
+        raw = load_json(content)
+    except FileError as error:
+        raise RoadError(str(error)) from None
     tests = raw if isinstance(raw, list) else [raw]
     if not tests or not all(isinstance(test, dict) for test in tests):
         raise RoadError("JSON without tests: expected objects with road_points")

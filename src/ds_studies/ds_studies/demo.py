@@ -6,7 +6,6 @@ Every constant but `MOST_SEARCHED` was chosen before a result was seen. A stoppe
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from itertools import islice
 from pathlib import Path
@@ -17,6 +16,7 @@ import numpy as np
 from ds_analysis.sensitivity.factors import factors_named
 from ds_analysis.sensitivity.result import Sensitivity
 from ds_base.atomic_files import write_json
+from ds_base.bounded_json import read_json
 from ds_base.folder_files import make_folder
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import drive_road, make_driver
@@ -71,7 +71,7 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
     """
     result = folder / "fog.json"
     if result.is_file() and (folder / "fog.mp4").is_file():
-        known: dict[str, Any] = json.loads(result.read_text("utf-8"))
+        known: dict[str, Any] = read_json(result)
         return known
     simulator = make_simulator(TWIN)
     driver, road = make_driver(DRIVER, simulator.spec), _road()

@@ -8,7 +8,6 @@ inputs give the same bytes.
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -20,7 +19,8 @@ import yaml
 
 from ds_analysis.siblings.track_answer import AUTOPILOT, TrackAnswer
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_file import FileError
+from ds_base.bounded_json import read_json
 from ds_base.errors import InputError
 from ds_base.folder_files import make_folder
 from ds_base.progress import SILENT, Progress, logger_of
@@ -163,7 +163,7 @@ def run_track_test(
     if not (folder / TWIN).exists():
         LOG.info("step 2 of 4: the twin of the car")
         _fit_twin(folder, progress())
-    twin = json.loads(read_regular(folder / TWIN, LARGEST))
+    twin = read_json(folder / TWIN, LARGEST)
     chosen = {"crop_top": test.crop} | ({"car": CAR} if twin["fitted"] else {})
     write_whole(folder / SETTINGS, yaml.safe_dump(chosen))
     LOG.info("step 3 of 4: roads of the track")
@@ -193,9 +193,9 @@ def _check_inputs(test: TrackTest) -> None:
         write_json(path, inputs)
         return
     try:
-        known = json.loads(read_regular(path, LARGEST))
+        known = read_json(path, LARGEST)
         differ = [name for name, value in inputs.items() if known[name] != value]
-    except (ValueError, KeyError, TypeError, RecursionError, FileError):
+    except (ValueError, KeyError, TypeError, FileError):
         differ = [INPUTS]
     if differ:
         raise TrackTestError(f"{test.out} was begun with another {', '.join(differ)}: choose another --out")

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_json
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_json import read_json
+from ds_base.bounded_yaml import BoundedYamlError
 from ds_twin_donkey.logs import CHANNELS, Drive
 from ds_twin_donkey.windows import UNKNOWNS
 
@@ -57,7 +57,7 @@ class Kept:
         """State after which a fit of these inputs goes on; None if it starts."""
         self._digest = digest
         try:
-            raw = json.loads(read_bounded(self._path, MAX_STATE)) if self._path is not None else None
+            raw = read_json(self._path, MAX_STATE) if self._path is not None else None
             if raw is None or raw["inputs"] != digest:
                 return None
             theta, eta, sigma = (np.array(raw[name], dtype=np.float64) for name in ("theta", "eta", "sigma"))
@@ -71,7 +71,7 @@ class Kept:
                 eta=eta,
                 sigma=sigma,
             )
-        except (OSError, ValueError, KeyError, TypeError, BoundedYamlError, RecursionError):
+        except (OSError, ValueError, KeyError, TypeError, BoundedYamlError):
             return None  # none, or one that this program has not written
 
     def keep(self, state: FitState) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 import ds_road
 from ds_analysis.common.driven_road import DrivenRoad, recorded_profile
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
+from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 from ds_base.folder_files import StoreError, read_file
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature, cell_of, feature_of
@@ -338,7 +338,7 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
         OutcomeTableError: the folder holds no comparison, or one without a verdict.
     """
     try:
-        document = json.loads(read_file(folder, siblings_file(folder)))
+        document = load_json(read_file(folder, siblings_file(folder)))
         if document.get("version", SIBLINGS_VERSION) != SIBLINGS_VERSION:
             raise OutcomeTableError(f"{folder} was written by another version of ds: compare the siblings again")
         rows, names = document["outcomes"], tuple(document["simulators"])
@@ -354,7 +354,7 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
         table = OutcomeTable.of([roads[row["road_id"]] for row in rows], states, lateral, siblings=names)
     except (StoreError, OutcomeTableError):
         raise
-    except (OSError, ValueError, KeyError, AttributeError, TypeError, ArithmeticError, RecursionError):
+    except (OSError, ValueError, KeyError, AttributeError, TypeError, ArithmeticError):
         raise OutcomeTableError(f"{folder} holds no comparison: expected the --out of `ds siblings compare`") from None
     return _with_verdicts(table).with_twin(twin)
 

@@ -9,7 +9,6 @@ Equal road points are the same test, whatever the folder; ERROR and invalid road
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from ds_analysis.common.outcome_table import OutcomeTableError
+from ds_base.bounded_json import read_json
 from ds_base.left_out import LeftOut
 
 LARGEST_FILE, MOST_FILES = 2**26, 100_000
@@ -62,17 +62,13 @@ def _row(path: Path) -> dict[str, Any] | None:
     """The test of a file; None if it has no verdict."""
     bad = f"{path} is no test file of SBFT's competition"
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise OutcomeTableError(f"{path}: more than {LARGEST_FILE // 2**20} MiB")
-        found = json.loads(path.read_text("utf-8"))
+        found = read_json(path, LARGEST_FILE)
         outcome = str(found["test_outcome"]).upper()
         if outcome not in ("PASS", "FAIL") or found.get("is_valid", True) is False:
             return None
         given = np.array([[float(value) for value in point[:2]] for point in found["road_points"]])
         points = np.array([point[:2] for point in found.get("interpolated_points") or given], np.float64)
-    except (OSError, ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-        if isinstance(error, OutcomeTableError):
-            raise
+    except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError):
         raise OutcomeTableError(f"{bad}: expected test_outcome and road_points") from None
     if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3 or not np.isfinite([*given, *points]).all():
         raise OutcomeTableError(f"{bad}: expected three or more finite road_points")

@@ -4,10 +4,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -31,17 +31,18 @@ from ds_analysis.outcomes.columns import (
 )
 from ds_analysis.outcomes.known_before import ImportNotes, features_of
 from ds_analysis.outcomes.sbft import read_competition
-from ds_base.atomic_files import whole_file
+from ds_base.atomic_files import whole_file, write_whole
+from ds_base.bounded_file import FileError
+from ds_base.bounded_json import load_json
+from ds_base.bounded_tables import plain_cell, read_csv, read_parquet
 from ds_orchestrator.search.features import column_axis
 from ds_sim.conditions.model import FIELDS
 
 FILE = "outcomes.parquet"
 KEY = b"digital siblings study 1"
 """Key of the metadata of that file."""
-LARGEST_FILE = 2**29
-MOST_ROWS = 2_000_000
-BINS, MOST_BINS = 10, 200
-"""Bins of an axis whose width nobody gave, and of any axis."""
+BINS, MOST_BINS, MOST_REPEATS = 10, 200, 2**31
+"""Bins of an axis whose width nobody gave, and of any axis; number of a repetition."""
 LONG = ("test_id", "repeat", "simulator", "failed", "margin", "limit", "family")
 """Columns of the file, then the features."""
 CONDITIONS = {f"condition_{name}": name for name in FIELDS}
@@ -250,27 +251,18 @@ def read_frame(path: Path) -> pd.DataFrame:
     Raises:
         OutcomeTableError: it cannot be read, or is too large.
     """
+    if path.suffix.lower() in (".parquet", ".pq"):
+        return cast(pd.DataFrame, _read(read_parquet, path).to_pandas(ignore_metadata=True))
+    return cast(pd.DataFrame, _read(read_csv, path))
+
+
+def _read(read: Callable[[Path], Any], path: Path) -> Any:
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise OutcomeTableError(f"{path}: more than {LARGEST_FILE // 2**20} MiB: import a part of it")
-        if path.suffix.lower() in (".parquet", ".pq"):
-            if pq.read_metadata(path).num_rows > MOST_ROWS:
-                raise OutcomeTableError(f"{path}: more than {MOST_ROWS} rows: import a part of it")
-            frame = pq.read_table(path).to_pandas(ignore_metadata=True)
-            return frame
-        with path.open("rb") as file:
-            header = file.readline(2**16) if path.suffix.lower() in (".csv", ".tsv", ".txt") else b""  # or compressed
-        separator = next((one for one in ";\t" if b"," not in header and one.encode() in header), ",")
-        frame = pd.read_csv(path, sep=separator, nrows=MOST_ROWS, skip_blank_lines=False)
-        frame.index = pd.RangeIndex(2, 2 + len(frame), name="line")  # the first has the names
-        return frame.dropna(how="all")
+        return read(path)
     except OSError as error:
         raise OutcomeTableError(f"{path}: cannot be read ({error.strerror or error}): check the path") from None
-    except (ValueError, pa.ArrowException) as error:
-        if isinstance(error, OutcomeTableError):
-            raise
-        text = " ".join(str(error).split())[:150]
-        raise OutcomeTableError(f"{path}: neither CSV nor Parquet ({text}): expected a table with a header") from None
+    except FileError as error:
+        raise OutcomeTableError(f"{path}: {error}") from None
 
 
 def _outcomes(
@@ -303,7 +295,9 @@ def _outcomes(
             unread |= untold
             rules = [failed] if isinstance(failed, Rule) else failed
             outcomes |= {rules} if isinstance(rules, str) else {rule.column for rule in rules}
-        unread |= dict.fromkeys(np.flatnonzero(np.isnan(repeat)).tolist(), f"{columns.repeat} is no finite number")
+        counts = (repeat >= 0.0) & (repeat < MOST_REPEATS) & (repeat == np.floor(repeat))
+        of_repeat = f"{columns.repeat} is no whole number from 0 to {MOST_REPEATS}"
+        unread |= dict.fromkeys(np.flatnonzero(~counts).tolist(), of_repeat)
         for texts, named in ((simulators, columns.simulator), (tests, columns.test)):
             unread |= {row: f"{', '.join(listed(named))} is empty" for row, text in enumerate(texts) if not text}
         notes.rows.total += len(frame)
@@ -315,7 +309,7 @@ def _outcomes(
         rows = pd.DataFrame(
             {
                 "test_id": tests,
-                "repeat": np.nan_to_num(repeat).astype(np.int64),
+                "repeat": np.where(counts, repeat, 0).astype(np.int64),
                 "simulator": simulators,
                 "failed": is_failure,
                 "margin": margin,
@@ -379,11 +373,12 @@ def write_rows(path: Path, study: Study) -> None:
     """
     if path.suffix not in (".csv", ".parquet"):
         raise OutcomeTableError(f"{path}: expected a name that ends in .csv or .parquet")
+    if path.suffix == ".csv":
+        rows = study.rows.assign(**{n: study.rows[n].map(plain_cell) for n in ("test_id", "simulator", "family")})
+        write_whole(path, rows.to_csv(index=False))
+        return
     with whole_file(path) as partial:
-        if path.suffix == ".csv":
-            study.rows.to_csv(partial, index=False)
-        else:
-            study.rows.to_parquet(partial, index=False)
+        pq.write_table(pa.Table.from_pandas(study.rows, preserve_index=False), partial)
 
 
 def write_study(folder: Path, study: Study) -> Path:
@@ -409,10 +404,11 @@ def read_study(folder: Path) -> Study:
         OutcomeTableError: it is damaged, or not one.
     """
     path = folder / FILE
-    frame = read_frame(path)
+    table: pa.Table = _read(read_parquet, path)
+    frame = table.to_pandas(ignore_metadata=True)
     damaged = OutcomeTableError(f"{path} is no study: make it again with `ds outcomes import`")
     try:
-        about = json.loads((pq.read_schema(path).metadata or {})[KEY])
+        about = load_json((table.schema.metadata or {})[KEY])
         study = Study(
             rows=frame,
             features=tuple(map(str, about["features"])),
@@ -429,15 +425,23 @@ def read_study(folder: Path) -> Study:
         features = numbers[:, 2:]
         if not (whole and len(frame) and np.isfinite(features).all() and not np.isinf(numbers).any()):
             raise damaged
-        wide = all(float(np.ptp(frame[name])) <= MOST_BINS * width for name, width in study.axes.items())
+        wrong = (numbers[:, 0] < 0.0) | (numbers[:, 1] <= 0.0) | (frame["repeat"] < 0).to_numpy()
+        wrong |= frame[["test_id", "simulator", "family"]].isna().any(axis=1).to_numpy()
+        if wrong.any():
+            row = row_of(frame, int(np.flatnonzero(wrong)[0]), str(path))
+            raise OutcomeTableError(f"{row}: an id is missing, or margin or repeat below 0, or limit not above 0")
+        wide = all(
+            0.0 < width < np.inf and float(np.ptp(frame[name])) <= MOST_BINS * width
+            for name, width in study.axes.items()
+        )
         if frame["failed"].dtype != np.bool_ or not wide or not 2 <= len(study.axes) <= 3:
             raise damaged
         if study.twin is not None and study.twin not in study.simulators:
             raise damaged
         if not study.simulators or (study.car is not None and not (frame["simulator"] == study.car).any()):
             raise damaged
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise damaged from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise (error if isinstance(error, OutcomeTableError) else damaged) from None
     return study
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -23,6 +22,7 @@ from ds_analysis.paper.paper_tables import (
     robustness_table,
 )
 from ds_base.atomic_files import write_json
+from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, read_file
 from ds_base.installation import ds_command
 from ds_base.table import Table
@@ -60,14 +60,14 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
     by_name = {map_id.name: map_id for map_id in map_ids(config.siblings, config.twin)}
     known = {field.name for field in fields(Correlation)}
     try:
-        rows: list[dict[str, Any]] = json.loads(read_file(folder, CORRELATIONS))
+        rows: list[dict[str, Any]] = load_json(read_file(folder, CORRELATIONS))
         found = []
         for row in rows:
             values = {key: value for key, value in row.items() if key in known}
             value = _RENAMED_VALUES.get(row["value"], row["value"])
             found.append({**values, "map": by_name[row["name"]], "value": value})
         return TypeAdapter(list[Correlation]).validate_python(found)
-    except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
         raise StoreError(
             f"{folder / CORRELATIONS} cannot be read: `{ds_command('report', folder)}` writes it again"
         ) from None

@@ -157,8 +157,8 @@ def test_needed_margins_and_second_tables_with_gaps(tmp_path: Path) -> None:
     notes = ImportNotes(rows=LeftOut("rows"))
     study = import_outcomes([tmp_path / "t.csv", tmp_path / "w.csv"], columns, notes)
     assert notes.rows.line() == (
-        "3 of 24 rows left out: line 5 (run is no finite number); line 10 (xte or its limit is not a finite number); "
-        "line 11 (xte or its limit is not a finite number)"
+        "3 of 24 rows left out: line 5 (run is no whole number from 0 to 2147483648); line 10 (xte or its limit is not "
+        "a finite number); line 11 (xte or its limit is not a finite number)"
     )
     assert set(study.rows[study.rows.failed].test_id) == {f"t{k}" for k in range(6, 12)}
     of_test = study.rows.drop_duplicates("test_id").set_index("test_id")

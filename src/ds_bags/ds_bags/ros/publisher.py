@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterable
 from importlib import import_module
@@ -20,6 +19,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, QosDurability, 
 from rosgraph_msgs.msg import Clock
 
 from ds_bags.layout import printable
+from ds_base.bounded_json import read_json
 from ds_base.installation import share_folders
 from ds_sim.ros.runtime import init_ros
 
@@ -132,7 +132,7 @@ def _installed_digest(package: str, kind: str) -> str:
     """Return the RIHS01 hash of an installed type, or "" if it is unknown."""
     for file in (share / "msg" / f"{kind}.json" for share in share_folders(package)):
         if file.is_file():
-            hashes = json.loads(file.read_text()).get("type_hashes", [])
+            hashes = read_json(file).get("type_hashes", [])
             name = f"{package}/msg/{kind}"
             return next((str(entry["hash_string"]) for entry in hashes if entry["type_name"] == name), "")
     return ""

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED
 from ds_base.atomic_files import whole_file, write_json, write_whole
+from ds_base.bounded_file import FileError
+from ds_base.bounded_json import read_json
+from ds_base.bounded_tables import read_parquet
 from ds_base.errors import InputError
 from ds_base.installation import ds_command
 from ds_driver.networks.images import Crop, ImageError, rgb_of_file
@@ -43,12 +46,8 @@ SCHEMA = pa.schema(
 )
 """image: JPEG of (160, 320, 3) RGB; steering: label of the autopilot in [-1, 1], or recorded; speed: m/s;
 lateral_position: m; recordings have neither throttle nor lateral position."""
-LARGEST_FILE = 2**30
-"""Largest file of a drive, bytes; chosen: a drive of 2000 frames has 20 MiB."""
 LARGEST_DATASET = 8 * 2**30
 """Largest size of all images, which training holds in memory, bytes; chosen: five times the paper's data."""
-MOST_ROWS = 1_000_000
-"""Largest number of rows of a drive."""
 LONGEST_NAME = 4096
 """Longest name of a simulator, which may contain a path, or road id, characters."""
 GENERATOR = "generator.safetensors"
@@ -166,18 +165,11 @@ def read_drive(file: Path) -> pa.Table:
     Raises:
         DatasetError: see `read_samples`.
     """
-    if not file.is_file():
-        raise DatasetError(f"{file} is not a regular file: remove it")
     try:
-        with pq.ParquetFile(file) as parquet:
-            _check_schema(file, parquet)
-            table = parquet.read()
-            table.validate(full=True)
-    except DatasetError:
-        raise
-    except Exception as error:  # damaged files make the reader raise arbitrary errors
-        text = (" ".join(str(error).split()) or type(error).__name__)[:200]
-        raise DatasetError(f"{file} cannot be read ({text}): collect it again") from None
+        table = read_parquet(file)
+    except (FileError, OSError) as error:
+        raise DatasetError(f"{file} cannot be read ({error}): collect it again") from None
+    _check_schema(file, table.schema)
     for name in ("steering", "throttle", "speed", "lateral_position"):
         if name in table.column_names and not np.isfinite(table[name].drop_null().to_numpy()).all():
             if name == "steering":
@@ -214,9 +206,8 @@ def _is_like(found: pa.DataType, expected: pa.DataType) -> bool:
     return any(any(is_kind(found) for is_kind in kind) and any(is_kind(expected) for is_kind in kind) for kind in kinds)
 
 
-def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
-    """Check columns, types and sizes before anything is decompressed."""
-    found = parquet.schema_arrow
+def _check_schema(file: Path, found: pa.Schema) -> None:
+    """Check columns and types."""
     for name in ("image", "steering", "simulator", "road_id"):
         if found.names.count(name) != 1:
             raise DatasetError(f"{file} has no column {name}: collect it again")
@@ -227,12 +218,6 @@ def _check_schema(file: Path, parquet: pq.ParquetFile) -> None:
         if not _is_like(field.type, expected):
             kind = f"{field.type}"[:60]
             raise DatasetError(f"{file} has {kind} in the column {field.name}, expected {expected}: collect it again")
-    about = parquet.metadata
-    size = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
-    if about.num_rows > MOST_ROWS or not 0 <= size <= LARGEST_FILE:
-        raise DatasetError(
-            f"{file} has {about.num_rows} rows and {size} bytes, expected at most {MOST_ROWS} and {LARGEST_FILE}"
-        )
 
 
 def check_equal(samples: list[Sample]) -> None:
@@ -268,7 +253,7 @@ def write_manifest(folder: Path, about: dict[str, object]) -> None:
     counts: dict[str, int] = {}
     histograms: dict[str, list[int]] = {}
     for path in sorted(folder.glob("*/*.parquet")):
-        steering = pq.read_table(path, columns=["steering"])["steering"].to_numpy()
+        steering = read_parquet(path, ["steering"])["steering"].to_numpy()
         name = path.parent.name
         counts[name] = counts.get(name, 0) + len(steering)
         histogram = np.histogram(steering, edges)[0]
@@ -310,9 +295,9 @@ def copy_generators(data: Path, digests: Mapping[str, str], folder: Path) -> Non
 
 def _digest(mark: Path) -> str:
     try:
-        about = json.loads(mark.read_text())
+        about = read_json(mark)
         return str(about.get(TRANSLATED, ""))
-    except (OSError, ValueError, AttributeError, RecursionError):
+    except (OSError, ValueError, AttributeError):
         raise DatasetError(f"{mark} is damaged: import or translate these images again") from None
 
 

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import json
-
+from ds_base.bounded_json import read_json
 from ds_driver.networks.images import Crop, rgb_of_file
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.weights import SHIPPED
@@ -16,7 +15,7 @@ FOLDER = SHIPPED / "calibration"
 
 def calibration_frames() -> list[Frame]:
     """Return frames of drives on every shipped simulator, in a fixed order."""
-    crops = json.loads((FOLDER / "crops.json").read_text())
+    crops = read_json(FOLDER / "crops.json")
     found = []
     for name, (top, bottom) in sorted(crops.items()):
         pixels = rgb_of_file((FOLDER / f"{name}.jpg").read_bytes())

@@ -6,6 +6,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_memory import limited_memory
 from ds_driver.networks.backends import BackendError, NetworkInput
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.description import DescribedNetwork, OutputSpec, PathSpec, Rows, file_of, read_description
 from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.memory import GivenInput, RunMemory
-from ds_driver.networks.network_file import limited_memory, runner_of
+from ds_driver.networks.network_file import NETWORK_MEMORY, runner_of
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_sim.camera.spec import IMAGE_HEIGHT
 
@@ -42,7 +44,7 @@ class DescribedNetworkPilot(Pilot):
         self.has_memory = self.description.has_memory
         file = file_of(path, self.description)
         # The address space does not reflect the memory used on a GPU.
-        self._bounded = nullcontext if device == "cuda" else limited_memory
+        self._bounded = nullcontext if device == "cuda" else partial(limited_memory, NETWORK_MEMORY)
         try:
             with self._bounded():
                 self._runner = runner_of(file, backend, device, self._samples)

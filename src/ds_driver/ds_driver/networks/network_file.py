@@ -1,12 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loads network files of known formats, within a limit on memory."""
+"""Loads network files of known formats."""
 
 from __future__ import annotations
 
-import resource
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
@@ -16,10 +12,8 @@ from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.quantisation import Samples, for_backend
 
 NETWORK_MEMORY = 4 * 2**30
-"""Bytes beyond what the process has already mapped; chosen: 40 times the largest shipped network."""
-_lock = threading.Lock()
-_inside = 0
-_before = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+"""Bytes that a network may map beyond what the process has; chosen: 40 times the largest shipped one. A graph of three
+nodes can ask for terabytes, and the runtimes set no limit."""
 KINDS = {
     ".onnx": "onnx",
     ".pt": "torchscript",
@@ -35,31 +29,6 @@ _BACKENDS_OF = {
     "tflite": ("openvino", "openvino-bf16"),
 }
 """Format -> backends that can run it; the first one is `auto`."""
-
-
-@contextmanager
-def limited_memory() -> Iterator[None]:
-    """Make allocations fail beyond the present address space plus `NETWORK_MEMORY`.
-
-    A graph of three nodes can ask for terabytes, and the runtimes set no limit. The limit applies to the whole process,
-    other threads included; nested and concurrent uses keep the first limit.
-    """
-    global _inside, _before
-    with _lock:
-        _inside += 1
-        if _inside == 1:
-            _before = resource.getrlimit(resource.RLIMIT_AS)
-            pages = int(Path("/proc/self/statm").read_text().split()[0])
-            wanted = pages * resource.getpagesize() + NETWORK_MEMORY
-            limits = [limit for limit in (*_before, wanted) if limit != resource.RLIM_INFINITY]
-            resource.setrlimit(resource.RLIMIT_AS, (min(limits), _before[1]))
-    try:
-        yield
-    finally:
-        with _lock:
-            _inside -= 1
-            if _inside == 0:
-                resource.setrlimit(resource.RLIMIT_AS, _before)
 
 
 def runner_of(file: Path, backend: str = "auto", device: str = "cpu", samples: Samples = lambda: []) -> Runner:

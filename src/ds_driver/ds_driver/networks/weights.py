@@ -19,6 +19,7 @@ from safetensors import deserialize, safe_open
 from safetensors.numpy import save_file
 
 from ds_base.atomic_files import whole_file
+from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
 
@@ -117,7 +118,7 @@ def _about(path: Path) -> tuple[str, dict[str, str]]:
 def _read_metadata(metadata: dict[str, str]) -> tuple[str, dict[str, str]]:
     if TRANSLATED not in metadata:
         return str(metadata.get("architecture", "")), {}
-    about: dict[str, Any] = json.loads(metadata[TRANSLATED])
+    about: dict[str, Any] = load_json(metadata[TRANSLATED])
     return str(about["architecture"]), {str(name): str(digest) for name, digest in about["generators"].items()}
 
 

@@ -16,6 +16,7 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from ds_base.atomic_files import write_whole
+from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 
 EPSILON = 1e-5
@@ -160,7 +161,7 @@ def load_generator(path: Path) -> StoredGenerator:
             metadata = file.metadata() or {}
             if KIND not in metadata:
                 raise Sim2RealError(f"{path} is no generator: expected a file of `ds sim2real train`")
-            about: dict[str, Any] = json.loads(metadata[KIND])
+            about: dict[str, Any] = load_json(metadata[KIND])
             shape = GeneratorShape(**{name: _whole(value) for name, value in about["shape"].items()})
             window, real_window = (
                 Window(**{name: _whole(value) for name, value in about[key].items()})

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ds_bags.copying import rewrite_bag
@@ -20,6 +18,8 @@ from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_json import read_json
+from ds_base.bounded_tables import read_parquet
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
@@ -92,7 +92,7 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
 def _translate_drive(translator: Translator, out: Path, file: Path) -> Path:
     if not (out / file.name).exists():
         read_drive(file)
-        rows: list[dict[str, Any]] = pq.read_table(file).to_pylist()
+        rows: list[dict[str, Any]] = read_parquet(file).to_pylist()
         for row in rows:
             row["image"] = jpeg(translator.translate(decode(row["image"])))
         write_drive(out / file.name, rows)
@@ -114,9 +114,9 @@ def _translator(generator: Path, backend: str) -> Translator:
 def _facts(manifest: Path) -> dict[str, Any]:
     """Return how a data set was collected; its counts are those of the whole, of which not all may be translated."""
     try:
-        known = json.loads(manifest.read_text())
+        known = read_json(manifest)
         return {name: value for name, value in known.items() if name not in ("images", "steering_bins", "steering")}
-    except (ValueError, AttributeError, RecursionError):
+    except (ValueError, AttributeError):
         raise Sim2RealError(f"{manifest} is damaged: collect the data set again, the drives are kept") from None
 
 
@@ -197,8 +197,8 @@ def _claim(mark: Path, translator: Translator) -> None:
             raise Sim2RealError(f"{mark.parent} holds drives that are no translations: choose another --out")
         return
     try:
-        found = json.loads(mark.read_text()).get(MARK)
-    except (ValueError, AttributeError, RecursionError):
+        found = read_json(mark).get(MARK)
+    except (ValueError, AttributeError):
         found = None
     if found != translator.generator.sha256:
         raise Sim2RealError(f"{mark.parent} holds translations by another generator: choose another --out")

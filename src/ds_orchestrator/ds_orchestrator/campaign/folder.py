@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import get_args
 
 from ds_base.atomic_files import write_whole
+from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount
@@ -88,9 +89,9 @@ def keep_engine(folder: Path, config: CampaignConfig) -> None:
 def with_kept_engine(folder: Path, config: CampaignConfig) -> CampaignConfig:
     """Let a campaign be driven by what drove it last; unchanged if that is not known."""
     try:
-        kept = json.loads(read_file(folder, ENGINE, _ENGINE_BYTES))
+        kept = load_json(read_file(folder, ENGINE, _ENGINE_BYTES))
         engine, workers = kept["engine"], kept["workers"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError):
         return config
     if engine not in get_args(EngineName) or type(workers) is not int or not 1 <= workers <= MOST_WORKERS:
         return config
@@ -106,8 +107,8 @@ def config_of(store: Store) -> CampaignConfig:
     """
     text, source = store.config, "the configuration in campaign.sqlite"
     try:
-        raw = json.loads(text)
-    except (ValueError, RecursionError):
+        raw = load_json(text)
+    except ValueError:
         raise ConfigError(f"{source} is not JSON: restore the file from a copy") from None
     config = parse_config(raw, source, received=True)
     _check(store, config)

@@ -11,6 +11,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_file import FileError
+from ds_base.bounded_json import load_json
 from ds_orchestrator.search.features import Drive
 from ds_orchestrator.store.rows import (
     ExecutionRow,
@@ -170,8 +172,8 @@ def test_of(row: TestRow) -> Test:
         if not row.test_id.endswith(f"-{row.run}-{row.number:04d}") and origin != NO_ORIGIN:
             raise RowError(f"test_id does not end in -{row.run}-{row.number:04d}")
         try:
-            road = road_from_json(json.loads(row.road))
-        except (RecursionError, json.JSONDecodeError):
+            road = road_from_json(load_json(row.road))
+        except FileError:
             raise RowError("road is not JSON") from None
         if road.road_id != row.road_id:
             raise RowError("road_id does not match the road")

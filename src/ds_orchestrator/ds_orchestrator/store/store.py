@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
+from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError
 from ds_base.intervals import FailureCount
 from ds_orchestrator.store.model import Execution, Test, execution_of, row_of, test_of
@@ -64,7 +64,7 @@ class Store:
         if config is not None and self.config != config:
             try:
                 different = _differences(self.config, config)
-            except (ValueError, RecursionError, AttributeError):
+            except (ValueError, AttributeError):
                 different = "the stored text is not a configuration"
             self.close()
             raise StoreError(
@@ -374,7 +374,7 @@ def seconds_of(notes: Mapping[str, str]) -> dict[str, float]:
 
 def _differences(known: str, given: str) -> str:
     """Describe the keys in which two configurations, as JSON text, differ, with both values."""
-    old, new = _flat(json.loads(known)), _flat(json.loads(given))
+    old, new = _flat(load_json(known)), _flat(load_json(given))
     unset = "the default"
     keys = [key for key in new | old if old.get(key) != new.get(key)]
     return "; ".join(f"{key}: {old.get(key, unset)} there, {new.get(key, unset)} now" for key in keys)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_file import FileError
+from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 from ds_sim.camera.encodings import jpeg, png
 from ds_sim.simulator import Command, Observation, Outcome
@@ -78,9 +79,9 @@ class MessageSplitter:
 
 def _parse(text: bytes) -> dict[str, Any]:
     try:
-        message = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ProtocolError(f"a message is not JSON ({error})") from None
+        message = load_json(text)
+    except FileError as error:
+        raise ProtocolError(f"a message is {error}") from None
     if not isinstance(message, dict) or not isinstance(message.get("msg_type"), str):
         raise ProtocolError("a message has no msg_type: expected such as control")
     return message

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from ds_base.bounded_memory import limited_memory
 from ds_base.installation import ds_command
 from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.described_network import DescribedNetworkPilot, sizes
 from ds_driver.networks.description import GUIDE, DescribedNetwork
-from ds_driver.networks.network_file import limited_memory, runner_of
+from ds_driver.networks.network_file import NETWORK_MEMORY, runner_of
 from ds_driver.networks.pilot import DriverError
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement, agreement
@@ -66,7 +67,7 @@ def forms_of(file: Path) -> list[DescribedNetwork]:
     described = file.with_suffix(".yaml")
     if described.exists():
         raise DriverError(f"{described} describes {file.name} already: `{ds_command('check', described)}` checks it")
-    with limited_memory():
+    with limited_memory(NETWORK_MEMORY):
         runner = runner_of(file)
     known = list(runner.inputs) or [NetworkInput(shape=(None,) * 4)]
     images = {place: found for place, one in enumerate(known) if (found := _images(one))}

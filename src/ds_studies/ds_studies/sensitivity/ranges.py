@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 from ds_analysis.sensitivity.factors import COMPANIONS
+from ds_base.bounded_json import read_json
 from ds_sim.conditions.model import FIELDS, ConditionsError
 
 MILDEST = {"visibility": 1000.0}
@@ -24,8 +24,8 @@ def read_ranges(folder: Path) -> dict[str, tuple[float, float]]:
     """
     path = folder / RESULT
     try:
-        return ranges_of(json.loads(path.read_text("utf-8")))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return ranges_of(read_json(path))
+    except (OSError, ValueError, KeyError, TypeError):
         raise ConditionsError(f"{path} is no result: expected a folder of `ds sensitivity --out`") from None
 
 

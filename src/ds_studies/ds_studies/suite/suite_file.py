@@ -16,7 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError
+from ds_base.bounded_json import read_json
 from ds_base.config_errors import problems
 from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, rebase_paths
@@ -176,13 +177,11 @@ def read_suite(path: Path) -> Suite:
         SuiteError: the file is no suite, of another version, or was changed; one line says which.
     """
     try:
-        raw: Any = json.loads(read_bounded(path, LARGEST_FILE))
+        raw: Any = read_json(path, LARGEST_FILE)
     except OSError as error:
         raise SuiteError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
-        raise SuiteError(f"{path}: {error}") from None
-    except (ValueError, RecursionError):
-        raise SuiteError(f"{path}: not JSON, expected a suite of `ds suite make`") from None
+    except FileError as error:
+        raise SuiteError(f"{path}: {error}: expected a suite of `ds suite make`") from None
     if not isinstance(raw, dict) or raw.get("format") != FORMAT:
         raise SuiteError(f"{path}: no suite, expected a file of `ds suite make`")
     version = raw.get("version")

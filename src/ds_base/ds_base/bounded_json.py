@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""JSON that a stranger may have sent: nested as deep as Python reads it, with integers of 64 bits."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ds_base.bounded_file import LARGEST_FILE, FileError, read_regular
+
+LARGEST_INTEGER = 2**64
+"""Integers of JSON and YAML are smaller, so that each is a `float`, too."""
+
+
+def load_json(text: str | bytes) -> Any:
+    """Build the value of a document.
+
+    Raises:
+        FileError: not JSON, nested too deep, or with a number beyond the limits; one line.
+    """
+    try:
+        return json.loads(text, parse_int=_integer)
+    except FileError:
+        raise
+    except RecursionError:
+        raise FileError("not JSON (nested too deeply)") from None
+    except ValueError as error:
+        raise FileError(f"not JSON ({' '.join(str(error).split())[:150]})") from None
+
+
+def read_json(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = True) -> Any:
+    """Read a file; arguments as in `read_regular`, errors as in `load_json`, too.
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    return load_json(read_regular(path, largest, follow_links=follow_links))
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > 20 or abs(int(digits)) >= LARGEST_INTEGER:
+        raise FileError(f"a whole number of {len(digits)} digits, expected one of 64 bits")
+    return int(digits)
