@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import re
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.replication.drive import NETWORKS, title_of
 from pydantic import BaseModel
 from tests.python_api_page import short_script
 
@@ -43,3 +45,17 @@ def keys(model: BaseModel, prefix: str = "") -> dict[str, Any]:
 def test_the_configuration_page_has_every_key_with_its_default() -> None:
     rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \|", (DOCS / "configuration.md").read_text(), re.MULTILINE)
     assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig())
+
+
+def test_the_page_of_the_replication_counts_what_its_table_holds() -> None:
+    with (ROOT / "docs/data/replication.csv").open(newline="") as file:
+        ours = {(row["network"], row["measure"], row["who"]): row["ours"] for row in csv.DictReader(file)}
+    pages = {title_of(network): network for network in NETWORKS}
+    row = re.compile(r"^\| `(\w+)` \| ([\d,]+) \| (\d+) .*\| ([\d,]+) \| (\d+) .*\| (\d+) \|$", re.MULTILINE)
+    rows = row.findall((DOCS / "results.md").read_text())
+    assert {name for name, *_ in rows} == set(pages)
+    for name, *counts in rows:
+        agreed = [(who, of) for who in ("all siblings", "no sibling") for of in ("tests", "fail on the twin")]
+        kinds = [(f"{who} fail{'s' * who.startswith('no ')}", of) for who, of in agreed]
+        expected = [ours[pages[name], *kind] for kind in (*kinds, ("tests failed", "donkey"))]
+        assert [count.replace(",", "") for count in counts] == expected

@@ -20,10 +20,17 @@ from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_studies.whole_campaign import run_campaign
 
 NETWORKS = ("dave2", "chauffeur", "epoch", "dave2_real", "chauffeur_real", "epoch_real")
+STEPS = {"dave2": 283, "chauffeur": 283, "epoch": 565, "dave2_real": 400, "chauffeur_real": 565}
+"""Batches after which a checkpoint was taken; `epoch_real` is the end of its training."""
 WEIGHTS = Path("benchmarks/replication/networks")
 TABLES = Path("docs/data/replication")
 BACKEND = "openvino-bf16"
 """As `paper.yaml`: the same verdicts as single precision (docs/speed.md) in 0.7 of its processor time."""
+
+
+def title_of(network: str) -> str:
+    """Name of a network on pages and in pictures, where a shipped one has the same name: with its batches."""
+    return f"{network}_{STEPS[network]}" if network in STEPS else network
 
 
 def config_of(network: str, backend: str, workers: int) -> CampaignConfig:

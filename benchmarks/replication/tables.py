@@ -2,8 +2,7 @@
 """Computes every number on the page of the paper's campaign from the stored tables of outcomes, without driving.
 
 `python -m benchmarks.replication.tables [--out docs/data/replication.csv]`: the paper's claims, case by case, with an
-interval over the five runs, which are five independent searches; then counts, maps and alarms. Prints the tables of the
-page, and draws its pictures.
+interval over the five runs, which are five independent searches; then counts, maps and alarms. Draws the pictures.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from benchmarks.replication.drive import NETWORKS, TABLES
+from benchmarks.replication.drive import NETWORKS, TABLES, title_of
 from benchmarks.replication.stored import read
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -37,8 +36,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_sim.camera.encodings import png
 
-NAMES = {"DS1": "bullet", "DS2": "softbody", "DSS": "merged"}
-ROLES = tuple(NAMES)
+ROLES = ("DS1", "DS2", "DSS")
 QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
 RUNS = 5
 REAL_TESTS = 120
@@ -59,18 +57,6 @@ CLAIMS = (
     ("RQ3", "auc", BETTER),
 )
 """Question, measure and comparison of what the paper claims of the merged map."""
-OTHERWISE = (
-    ("RQ2", "r"),
-    ("RQ2", "r: all cells of the bounds, empty ones as -2 (maxitwo)"),
-    ("RQ2", "r: only cells above 0 in both (maxitwo)"),
-    ("RQ2", "r: only the elites of each run (maxitwo)"),
-    ("RQ2", "r: merged by mean", "r: merged by maximum"),
-    ("RQ2", "auc"),
-    ("RQ2", "auc: AUC-PRC by trapezoids", "auc: AUC of ROC (maxitwo)"),
-    ("RQ3", "r"),
-    ("RQ3", "r: quality as mean over a union's tests (maxitwo)"),
-)
-"""Question and ways of computing in each row of the page's table of deviations."""
 
 
 class Score(NamedTuple):
@@ -230,12 +216,13 @@ def draw_maps(networks: Mapping[str, Driven]) -> NDArray[np.uint8]:
                 extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
                 image = axes.imshow(grid, scale, vmin=0.0, vmax=1.0, origin="lower", aspect="auto", extent=extent)
                 title = maps[id_].title.removeprefix("All tests on ").lower()
-                axes.set(title=f"{network}: {title}", xlim=(0.5, None), ylim=(0.01, None))
+                title = {"siblings merged": "merged", "twin donkey": "twin"}.get(title, title)
+                axes.set(title=f"{title_of(network)}: {title}", xlim=(0.5, None), ylim=(0.01, None))
                 axes.grid(visible=False)
             row[0].set_ylabel("curvature, 1/m")
         for axes in panels[-1]:
             axes.set_xlabel("turns count")
-        figure.colorbar(image, ax=panels, label="failure probability", aspect=60, pad=0.01)
+        figure.colorbar(image, ax=panels, label="failure probability; white cells have no test", aspect=60, pad=0.01)
 
     return draw_figure(WIDTH, 60 + 260 * len(networks), draw)
 
@@ -244,17 +231,20 @@ def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
     """Draw what merging gains over a sibling: a claim in each panel, a network in each row."""
 
     def draw(figure: Figure) -> None:
+        figure.suptitle("Merging minus a sibling: below 0, the merged map predicts the twin worse", x=0.01, ha="left")
         panels = figure.subplots(1, len(CLAIMS), sharey=True)
         for (question, measure, who), axes in zip(CLAIMS, panels, strict=True):
             found = np.array([cells[network, question, measure, who] for network in networks])
             paper, ours, _, low, high = found.T
             places = np.arange(len(networks))
             axes.axvline(0.0, color="black", linewidth=0.8)
-            axes.hlines(places, low, high, color=GROUPS[0], linewidth=2.0, label="over five runs, 95 %")
+            axes.hlines(places, low, high, color=GROUPS[0], linewidth=2.0, label="95% interval over five runs")
             axes.plot(ours, places, "o", color=GROUPS[0], label="ours, all tests")
             axes.plot(paper, places, "D", color=GROUPS[1], markersize=5, label="the paper")
-            title = f"{question}, {'r' if measure == 'r' else 'AUC-PRC'}"
-            axes.set(title=title, xlabel=who.replace("DSS", "merged"), yticks=places, yticklabels=networks)
+            what = "failures" if question == "RQ2" else "quality"
+            title = f"{question}, {what}: {'r' if measure == 'r' else 'AUC-PRC'}"
+            names = [title_of(network) for network in networks]
+            axes.set(title=title, xlabel=who.replace("DSS", "merged"), yticks=places, yticklabels=names)
         panels[0].set_ylim(len(networks) - 0.5, -0.5)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
@@ -262,52 +252,8 @@ def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
     return draw_figure(WIDTH, 130 + 28 * len(networks), draw)
 
 
-def page_tables(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[float, ...]]) -> Iterator[str]:
-    """Lines of the page's tables: of claims, of what agreement is worth, of scores, and of deviations."""
-
-    def number(value: float, sign: str = "") -> str:
-        if np.isnan(value):
-            return "undefined"
-        return f"{value:{sign}.3f}".replace("-0.000", "0.000").replace("+0.000", "0.000")
-
-    for network in dict.fromkeys(key[0] for key in cells if key[1:] == CLAIMS[0]):
-        row = [f"`{network}`"]
-        for claim in CLAIMS:
-            paper, ours, _, low, high = cells[network, *claim]
-            interval = "in every run" if low == high == ours else f"{number(low)} to {number(high)}"
-            interval = "no interval" if np.isnan(low) else interval
-            row.append(f"{number(paper, '+')}; **{number(ours, '+')}** ({interval})")
-        yield f"| {' | '.join(row)} |"
-    for network in dict.fromkeys(key[0] for key in cells):
-        counts = {key[2:]: values for key, values in cells.items() if key[:2] == (network, "counts")}
-        row = [f"`{network}`"]
-        for agreed in AGREED:
-            _, failing, _, low, high = counts[agreed, "fail on the twin"]
-            interval = "no interval" if np.isnan(low) else f"{100 * low:.1f} to {100 * high:.1f} %"
-            row.append(f"{failing} of {counts[agreed, 'tests'][1]} ({interval})")
-        alarms, false, failing = (counts["cells", who][1] for who in ("alarms", "false alarms", "failing on the twin"))
-        row += [f"{alarms}, {false} false", f"{failing - alarms + false} of {failing}"]
-        yield f"| {' | '.join(row)} |"
-    for network, who in product(networks, ROLES):
-        measures = list(product(QUESTIONS, Score._fields))
-        scores = {one: [cells[network, *one, role][:2] for role in ROLES] for one in measures}
-        row = [f"`{network}`, {NAMES[who]}"]
-        for ours_or_paper in (1, 0):
-            for one, of_roles in scores.items():
-                value = cells[network, *one, who][ours_or_paper]
-                best = round(value, 3) >= max(round(score[ours_or_paper], 3) for score in of_roles)
-                row.append(f"**{number(value)}**" if best else number(value))
-        yield f"| {' | '.join(row)} |"
-    for question, *ways in OTHERWISE:
-        row = [f"{question}, {'; '.join(ways)}"]
-        for network in networks:
-            values = (cells.get((network, question, way, BETTER), (np.nan, np.nan))[1] for way in ways)
-            row.append("; ".join(number(value, "+") for value in values))
-        yield f"| {' | '.join(row)} |"
-
-
 def main() -> None:
-    """Write the table and the pictures, and print the page's tables."""
+    """Write the table and the pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("docs/data/replication.csv"))
     parser.add_argument("--pictures", type=Path, default=Path("docs/images"))
@@ -339,7 +285,6 @@ def main() -> None:
             )
     (arguments.pictures / "replication_maps.png").write_bytes(png(draw_maps(drawn)))
     (arguments.pictures / "replication_claims.png").write_bytes(png(draw_claims(list(drawn), cells)))
-    print(*page_tables(list(drawn), cells), sep="\n")
 
 
 if __name__ == "__main__":
