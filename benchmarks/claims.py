@@ -28,6 +28,7 @@ from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Net
 from ds_analysis.paper.correlation import evaluate, paired_differences
 from ds_base.atomic_files import write_whole
 from ds_base.table import Column, Table, Value
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
@@ -242,7 +243,7 @@ def _outcome(failed: bool) -> DriveOutcome:
 def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
     """Rates at which `ds compare` calls a network worse or better somewhere, and at which it names a kind of road."""
     rng, found = np.random.default_rng([size, int(10 * worse)]), np.zeros(2)
-    old, new = Network(driver="old"), Network(driver="new")
+    old, new = Network(driver=DriverName("old")), Network(driver=DriverName("new"))
     bank(size, 2)
     gc.freeze()  # statsmodels collects garbage with each adjustment
     for k in range(number):

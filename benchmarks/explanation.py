@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
@@ -235,7 +236,9 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (os.getcwd(), os.environ.get("PYTHONPATH"))))
-    settings = DriveSettings(siblings=(), driver=options.driver, gates="none", workers=options.workers)
+    settings = DriveSettings(
+        siblings=(), driver=DriverName.parse(options.driver), gates="none", workers=options.workers
+    )
     chosen = pairs(options.roads, settings, options.out / "made_cars")
     experiments = [pair.experiment for pair in chosen]
     found = drive_experiments(experiments, settings, options.out / "exchanges", Callbacks())

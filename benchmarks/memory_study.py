@@ -36,6 +36,7 @@ from ds_base.table import Column, Table, Value, write_tables
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.data.collection import unseen_roads
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, Key, drive_tests
 from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
@@ -76,7 +77,7 @@ def drive(
     for name in simulators:
         say(f"{driver} on {name}")
         settings = DriveSettings(
-            siblings=(name,), driver=driver, gates="none" if gates is None else "all", workers=workers
+            siblings=(name,), driver=DriverName.parse(driver), gates="none" if gates is None else "all", workers=workers
         )
         known = None if gates is None else gates.get(name)
         found = drive_tests(settings, {name: tests}, out / driver / name, Callbacks(listen=ScreenListener), gates=known)

@@ -115,7 +115,7 @@ def main() -> None:
     for network in NETWORKS:
         found = []
         for backend in (SINGLE, arguments.backend):
-            driver, folder = str(DriverName.parse(network).on(backend)), arguments.out / f"{network}-{backend}"
+            driver, folder = DriverName.parse(network).on(backend), arguments.out / f"{network}-{backend}"
             settings = DriveSettings(siblings=tuple(STANDARD), driver=driver, gates="none", workers=arguments.workers)
             found.append(drive_tests(settings, work, folder))
         holds.append(compare(network, arguments.backend, found[0], found[1], console))

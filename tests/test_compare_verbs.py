@@ -26,6 +26,7 @@ from ds_base.folder_files import locked
 from ds_cli.campaign.run import judged
 from ds_cli.output import Result, end
 from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Listener
@@ -42,9 +43,9 @@ from ds_sim.session import RunRecord
 class OfDriver(MadeUpEngine):
     """Drives that depend on the driver: that of the campaigns, and one that another seed tells apart."""
 
-    def __init__(self, driver: str, *, runs: int = 10_000) -> None:
+    def __init__(self, driver: DriverName, *, runs: int = 10_000) -> None:
         super().__init__(runs=runs)
-        self.offset = 0 if driver == "autopilot" else 1
+        self.offset = 0 if driver == AUTOPILOT else 1
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
         moved = replace(request.scenario, seed=request.seed + self.offset)
@@ -63,7 +64,7 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
     use_engines(monkeypatch, start)
     monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_: None)
     monkeypatch.setattr(
-        "ds_driver.networks.network_driver.driver_sha256", lambda name: name.encode().hex().ljust(64, "0")
+        "ds_driver.networks.network_driver.driver_sha256", lambda name: str(name).encode().hex().ljust(64, "0")
     )
     return started
 
@@ -77,7 +78,7 @@ def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path
     folder.mkdir()
     with locked(folder):
         store = store_of(folder, config)
-        Campaign(config, folder, store, OfDriver(driver), Listener()).run()
+        Campaign(config, folder, store, OfDriver(config.driver), Listener()).run()
         if driver != "autopilot":
             store.note("sha256 of the driver's weights", driver.encode().hex().ljust(64, "0"))
         store.close()
@@ -354,7 +355,7 @@ def test_the_template_names_every_key_and_is_what_was_asked_for(
     text = template("my nets/a: b.yaml", ["bullet", "panda"], "donkey", size)
     path = Path("campaign.yaml")
     path.write_text(text)
-    asked = CampaignConfig(driver="my nets/a: b.yaml", siblings=["bullet", "panda"], search=SIZES[size])
+    asked = CampaignConfig(driver=DriverName("my nets/a: b.yaml"), siblings=["bullet", "panda"], search=SIZES[size])
     assert read_config(path) == asked
     assert all(f"{key}:" in text for key in CampaignConfig.model_fields)
     assert all(f"{key}:" in text for key in type(asked.search).model_fields)
@@ -376,7 +377,7 @@ def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: P
         for number, factor in enumerate(factors)
         for name, level in zip("abc", levels[factor.name], strict=True)
     }  # fmt: skip
-    found = Sensitivity(driver="", simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
+    found = Sensitivity(driver=AUTOPILOT, simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
     (tmp_path / "sensitivity.json").write_text(json.dumps(found.document()))
     file = tmp_path / "campaign.yaml"
     options = ("--driver", "autopilot", "--sims", "bullet,donkey", "--sensitivity", tmp_path)
@@ -515,7 +516,7 @@ def test_init_asks_three_questions_at_a_terminal(
     file = tmp_path / "campaign.yaml"
     assert ds("campaign", "init", file).returncode == 0
     config = read_config(file)
-    assert (config.driver, config.siblings, config.twin) == ("mine.yaml", ["softbody", "panda"], "donkey")
+    assert (str(config.driver), config.siblings, config.twin) == ("mine.yaml", ["softbody", "panda"], "donkey")
     assert config.search == SIZES["medium"] and [default for _, default in asked][0] == "dave2"
 
 

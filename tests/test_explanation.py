@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 from ds_cli.studies.explain import app
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.campaign.folder import open_store, read_campaign

@@ -11,6 +11,7 @@ import pytest
 from tests.command_line import ds
 
 from ds_analysis.common.next_campaign import GENTLE, WINDING, proposal
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, parse_config, read_config
 
 SMALL = {"population": 4, "iterations": 8, "runs": 1}
@@ -18,7 +19,7 @@ PASS, FAIL = {"bullet": (0, 24), "donkey": (0, 24)}, {"bullet": (24, 24), "donke
 
 
 def config(**search: Any) -> CampaignConfig:
-    return CampaignConfig(driver="autopilot", siblings=["bullet"], search=SearchConfig(**{**SMALL, **search}))
+    return CampaignConfig(driver=AUTOPILOT, siblings=["bullet"], search=SearchConfig(**{**SMALL, **search}))
 
 
 def pasted(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> CampaignConfig:

@@ -15,6 +15,7 @@ from tests.command_line import ds
 
 from ds_base.progress import SILENT
 from ds_driver.data.recordings import Reading
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.engines.drive_tests import Callbacks
@@ -29,7 +30,7 @@ from ds_studies.track_test import Recording, TrackTest, TrackTestError, _fit_twi
 from ds_twin_donkey.parameters import SCALE
 
 LANE = line_distance(spec_of("donkey")) / SCALE
-SETTINGS = DriveSettings(siblings=(), driver="autopilot")
+SETTINGS = DriveSettings(siblings=(), driver=AUTOPILOT)
 
 
 class Stops(ProgressLines):
@@ -65,7 +66,7 @@ def asked(folder: Path, **changed: float) -> TrackTest:
         lane_width=changed.get("lane_width", LANE),
         reading=Reading(whole=True),
     )
-    return TrackTest(recording=recording, out=folder / "out", driver="autopilot", roads=2)
+    return TrackTest(recording=recording, out=folder / "out", driver=AUTOPILOT, roads=2)
 
 
 def stopped(folder: Path, progress: Callable[[], ProgressLines], listener: type[Listener] = Listener) -> None:

@@ -27,6 +27,7 @@ from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.description import file_of, read_description
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.weights import GENERATORS, SHIPPED, compress, generators_in, load_weights
 from ds_driver.sim2real.image_translation import shipped_set_of
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -59,7 +60,7 @@ def main() -> None:
         sys.exit(f"roads {', '.join(overlap)} were trained on: choose another --seed, or another offline set")
     card |= {
         "sha256": hashlib.sha256(files[0].read_bytes()).hexdigest(),
-        "offline": _offline(predict(arguments.offline, driver, ScreenProgress())),
+        "offline": _offline(predict(arguments.offline, DriverName(driver), ScreenProgress())),
         "roads": {"count": arguments.roads, "max_angle": 270, "note": "random roads not seen in training, both ways"},
         "success": _success_rates(driver, roads, arguments.seed),
         "versions": manifest["versions"],
@@ -166,7 +167,7 @@ def _offline(found: Mapping[str, Answers]) -> dict[str, dict[str, float]]:
 
 def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[str, float]]:
     """Share of the roads that a driver completes on each simulator, by direction (paper 4.2.2)."""
-    settings = DriveSettings(siblings=STANDARD, driver=driver, gates="none")
+    settings = DriveSettings(siblings=STANDARD, driver=DriverName(driver), gates="none")
     rates: dict[str, dict[str, float]] = {name: {} for name in STANDARD}
     for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
         for name, found in drive_same_roads(settings, driven, seed, None, Callbacks()).items():

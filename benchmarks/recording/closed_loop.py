@@ -25,6 +25,7 @@ from ds_analysis.common.driven_road import DrivenRoad
 from ds_cli.output import ScreenProgress, say
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.recordings import Reading
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
@@ -145,7 +146,10 @@ def main() -> None:
                 for of, test in zip(names, tests, strict=True):
                     work.setdefault(of, []).append(test)
                 settings = DriveSettings(
-                    siblings=tuple(work), driver=f"{network}@onnx", gates="none", workers=arguments.workers
+                    siblings=tuple(work),
+                    driver=DriverName.parse(f"{network}@onnx"),
+                    gates="none",
+                    workers=arguments.workers,
                 )
                 place = out / "drives" / network / label.replace(" ", "_") / name.replace(" ", "_")
                 driven = drive_tests(settings, work, place, Callbacks())

@@ -15,6 +15,7 @@ from pathlib import Path
 from benchmarks.replication.stored import write_table
 
 from ds_cli.progress import ScreenListener
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, read_config
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_studies.whole_campaign import run_campaign
@@ -36,7 +37,7 @@ def title_of(network: str) -> str:
 def config_of(network: str, backend: str, workers: int) -> CampaignConfig:
     """The paper's campaign for one network, without bags."""
     paper = read_config(Path("src/ds_bringup/config/paper.yaml"))
-    driver = f"{WEIGHTS / network}.safetensors@{backend}"
+    driver = DriverName.parse(f"{WEIGHTS / network}.safetensors@{backend}")
     return paper.model_copy(update={"driver": driver, "engine": "local", "workers": workers, "record": "none"})
 
 

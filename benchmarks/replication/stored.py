@@ -75,7 +75,7 @@ def write_table(data: CampaignData, path: Path) -> None:
         if execution is None and (gate is None or gate.is_valid):
             continue
         row = {name: getattr(test, name) for name in _TEST} | {name: getattr(test.road, name) for name in _ROAD}
-        row |= {"driver": data.config.driver, "simulator": simulator, "is_twin": simulator == data.config.twin}
+        row |= {"driver": str(data.config.driver), "simulator": simulator, "is_twin": simulator == data.config.twin}
         row |= {"conditions": format_conditions(test.conditions), "road": json.dumps(road_to_json(test.road))}
         row["cell"] = data.cells.get(test.test_id)
         if gate is not None:

@@ -20,7 +20,7 @@ from tests.campaign.engines import EngineHere, MadeUpEngine
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.folder_files import LockError, StoreError, locked
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import Engine, Watch
 from ds_orchestrator.campaign.executor import CampaignError, Listener, Stopped
@@ -41,7 +41,7 @@ from ds_sim.simulator import Outcome
 
 DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
 CONFIG = CampaignConfig(
-    siblings=DONKEYS, twin=None, driver="autopilot", seed=7, record="none", retries=1,
+    siblings=DONKEYS, twin=None, driver=AUTOPILOT, seed=7, record="none", retries=1,
     search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
 )  # fmt: skip
 
@@ -277,10 +277,10 @@ def test_the_shipped_configurations_are_what_they_say() -> None:
     assert (search.method, search.population, search.iterations, search.runs) == ("deephyperion", 20, 150, 5)
     assert set(yaml.safe_load((folder / "paper.yaml").read_text())) == set(CampaignConfig.model_fields)
     plain = paper.operators.model_copy(update={"compare": []})
-    assert paper.driver == "dave2@openvino-bf16"  # allowed by benchmarks.precision
-    assert paper.model_copy(update={"operators": plain, "driver": "dave2"}) == CampaignConfig()
+    assert str(paper.driver) == "dave2@openvino-bf16"  # allowed by benchmarks.precision
+    assert paper.model_copy(update={"operators": plain, "driver": DriverName("dave2")}) == CampaignConfig()
     assert paper.operators.compare == ["minimum", "maximum", "mean", "weighted_mean"]
-    smaller = {"search": search.model_copy(update={"runs": 2}), "driver": "dave2_short"}
+    smaller = {"search": search.model_copy(update={"runs": 2}), "driver": DriverName("dave2_short")}
     assert first_run == paper.model_copy(update=smaller)
     drives = [config.executions_at_most for config in (demo, first_run, paper)]
     assert drives == [2 * 1 * 20 * 3, 2 * 2 * 170 * 3, 2 * 5 * 170 * 3]
@@ -349,7 +349,8 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
     pool = GraphEngine(workers, ["donkey"], lambda: probing)
     road = Road([(125.0, 25.0 * i) for i in range(9)])
     with ThreadPoolExecutor(2) as threads:
-        list(threads.map(lambda seed: pool.drive(DriveRequest(Scenario(road, seed=seed), "dave2", "donkey")), range(6)))
+        asked = [DriveRequest(Scenario(road, seed=seed), DriverName("dave2"), "donkey") for seed in range(6)]
+        list(threads.map(pool.drive, asked))
     assert sum(w.runs for w in workers) == 6
     pool.drive(DriveRequest(Scenario(road, seed=6), AUTOPILOT, "donkey", probed=True))
     assert sum(w.runs for w in workers) == 6 and len(probing.roads) == 1

@@ -13,7 +13,7 @@ from ds_bags.reader import BagReader, read_run
 from ds_bags.verification import verify_bag
 from ds_cli.campaign.run import stored_config
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.campaign.folder import ENGINE, CampaignData, open_store, read_campaign

@@ -19,7 +19,7 @@ from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_base.folder_files import StoreError
 from ds_cli.campaign.inspection import status
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError, parse_config
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener, Stopped

@@ -22,13 +22,14 @@ from ds_analysis.real.records import RecordError, read_csv, read_drives
 from ds_base import folder_files
 from ds_base.atomic_files import write_whole
 from ds_base.folder_files import StoreError, check_folder, locked, read_file
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import open_store, read_campaign, with_kept_engine
 from ds_orchestrator.store.store import Store
 
 __all__ = ["ds"]  # a fixture
 CONFIG = CampaignConfig(
-    siblings=["bullet", "softbody"], twin="donkey", driver="autopilot", record="none",
+    siblings=["bullet", "softbody"], twin="donkey", driver=AUTOPILOT, record="none",
     search=SearchConfig(population=2, iterations=2, runs=1),
 )  # fmt: skip
 READING: dict[str, tuple[object, ...]] = {

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from report_campaigns import make_campaign
 
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 
 BUDGET = 100
@@ -32,7 +33,7 @@ def large_campaign(folder: Path, runs: int) -> Path:
     """Create a finished campaign whose executions are copies of a few."""
     folder.mkdir()
     config = CampaignConfig(
-        siblings=list(SIMULATORS[:2]), twin=SIMULATORS[2], driver="autopilot", record="none",
+        siblings=list(SIMULATORS[:2]), twin=SIMULATORS[2], driver=AUTOPILOT, record="none",
         search=SearchConfig(population=BUDGET, iterations=0, runs=runs),
     )  # fmt: skip
     make_campaign(folder, config, 1).close()

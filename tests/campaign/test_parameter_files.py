@@ -11,6 +11,7 @@ import pytest
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import Autopilot
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener, Stopped
@@ -27,7 +28,7 @@ CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}
 
 def config_with(file: Path) -> CampaignConfig:
     return CampaignConfig(
-        siblings=["donkey"], twin=f"donkey@{file}", driver="autopilot", seed=7, record="telemetry", retries=0,
+        siblings=["donkey"], twin=f"donkey@{file}", driver=AUTOPILOT, seed=7, record="telemetry", retries=0,
         search=SearchConfig(population=2, iterations=1, runs=1, min_angle=40, max_angle=90),
     )  # fmt: skip
 

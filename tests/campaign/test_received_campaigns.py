@@ -19,7 +19,8 @@ from report_campaigns import make_tests
 from tests.campaign.damaged_stores import change_store, write_as_version_4
 from tests.campaign.test_unusable_folders import content, ds
 
-from ds_driver.networks.driver_name import received_driver
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_driver.networks.received_driver import received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.rows import trajectory_sha256
@@ -29,7 +30,7 @@ from ds_road import Side
 Ds = Callable[..., tuple[int, str]]
 __all__ = ["ds"]  # a fixture
 SEARCH = SearchConfig(population=1, iterations=1, runs=1)
-CONFIG = CampaignConfig(siblings=["donkey"], twin=None, driver="autopilot", record="none", search=SEARCH)
+CONFIG = CampaignConfig(siblings=["donkey"], twin=None, driver=AUTOPILOT, record="none", search=SEARCH)
 BAG = "bags/donkey-0-0001-on-donkey"
 
 
@@ -96,11 +97,11 @@ def test_a_received_driver_may_hold_numbers_and_no_program(tmp_path: Path) -> No
         (tmp_path / f"net{suffix}.yaml").write_text(f"file: net{suffix}\ninput: {{size: [160, 320]}}\n")
     onnx, program = (f"{tmp_path}/net{suffix}.yaml" for suffix in (".onnx", ".pt"))
     for name in ("autopilot", "dave2", "dave2@onnx", "weights.safetensors", onnx, f"{onnx}@openvino"):
-        assert received_driver(name) == name
+        assert received_driver(DriverName.parse(name)) == DriverName.parse(name)
     for name in ("evilmod:D", program, f"{program}@cuda"):
         with pytest.raises(ValueError, match="must not run code: if you trust it, name it yourself with --trust"):
-            received_driver(name)
-        assert received_driver(name, confirmed=[name]) == name
+            received_driver(DriverName.parse(name))
+        received_driver(DriverName.parse(name), confirmed=[name])
 
 
 def packed(*numbers: float) -> bytes:

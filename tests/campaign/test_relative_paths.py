@@ -11,7 +11,6 @@ import yaml
 from tests.command_line import ds
 
 from ds_driver.networks.description import file_of, read_description
-from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.engines.cluster import read_cluster
 from ds_sim.registry import make_simulator
@@ -39,19 +38,19 @@ def test_a_campaign_names_network_car_and_generators_beside_it(project: Path) ->
     raw = {"driver": "nets/mine.yaml@onnx", "siblings": ["bullet", "donkey@car.yaml"], "twin": "donkey"}
     file.write_text(yaml.safe_dump(raw))
     config = read_config(file)
-    assert config.driver == "../my project/nets/mine.yaml@onnx" and config.siblings[0] == "bullet"
+    assert str(config.driver) == "../my project/nets/mine.yaml@onnx" and config.siblings[0] == "bullet"
     assert config.siblings[1] == "donkey@../my project/car.yaml" and config.twin == "donkey"
     make_simulator(config.siblings[1]).close()
-    network = Path(DriverName.parse(config.driver).network)
+    network = Path(config.driver.network)
     assert file_of(network, read_description(network)).is_file()
     for generators, seen in (("looks", "../my project/looks"), ("none", "none"), ("indoor_track", "indoor_track")):
         file.write_text(f"{{driver: dave2, sim2real: {generators}, twin: 'donkey@{Path.cwd()}/car.yaml'}}")
         config = read_config(file)
-        assert config.driver == f"dave2+{seen}" and config.twin == f"donkey@{Path.cwd()}/car.yaml"
+        assert str(config.driver) == f"dave2+{seen}" and config.twin == f"donkey@{Path.cwd()}/car.yaml"
     # A name, a class and the autopilot are no files.
     for driver in ("dave2", "dave2@auto", "module:Class", "autopilot"):
         file.write_text(f"driver: '{driver}'")
-        assert read_config(file).driver == driver
+        assert str(read_config(file).driver) == driver
 
 
 def test_keys_of_a_cluster_lie_beside_its_file(project: Path) -> None:
@@ -67,7 +66,7 @@ def test_init_writes_a_file_that_is_read_as_what_was_typed(project: Path, monkey
         file.parent.mkdir(exist_ok=True)
         assert ds("campaign", "init", file, *typed).returncode == 0
         config = read_config(file)
-        assert (config.driver, config.twin) == ("../my project/nets/mine.yaml", "donkey@../my project/car.yaml")
+        assert (str(config.driver), config.twin) == ("../my project/nets/mine.yaml", "donkey@../my project/car.yaml")
     assert "driver: ../nets/mine.yaml " in (project / "runs/deep.yaml").read_text()
 
 

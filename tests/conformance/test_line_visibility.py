@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import Road
 from ds_sim.camera.painted_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions

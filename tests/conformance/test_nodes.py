@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_road import Road
 from ds_sim.registry import make_simulator
@@ -32,7 +33,7 @@ def graph(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     names = request.getfixturevalue("all_simulator_names")
     spaces = {name: f"/sim{index}" for index, name in enumerate(names)}
     logs: Path = tmp_path_factory.mktemp("logs")
-    with running_graph(spaces, "autopilot", command_timeout=10.0, logs=logs) as executor:
+    with running_graph(spaces, AUTOPILOT, command_timeout=10.0, logs=logs) as executor:
         yield executor, spaces
 
 

@@ -20,6 +20,7 @@ from tests.engines.dask_processes import DaskProcesses, wait_until
 from ds_base.progress import LOGGER
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines import membership
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, TlsFiles, connect, read_cluster
@@ -51,7 +52,7 @@ class Lines(list[str]):
 def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW) -> Iterator[DaskEngine]:
     settings = DriveSettings(
         siblings=(simulator,),
-        driver="autopilot",
+        driver=AUTOPILOT,
         command_timeout=20.0,
         cluster=ClusterOptions(scheduler=cluster.address),
     )
@@ -68,11 +69,11 @@ def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str =
 
 def expected(folder: Path, count: int) -> list[bytes]:
     """The runs of one worker process of this machine; the slow simulator gives the numbers of the quick one."""
-    process = WorkerProcess("autopilot", command_timeout=20.0, log=folder / "here.log")
+    process = WorkerProcess(AUTOPILOT, command_timeout=20.0, log=folder / "here.log")
     try:
         with ThreadPoolExecutor(8) as pool:
             runs = pool.map(
-                lambda seed: process.drive(DriveRequest(Scenario(ROADS[seed % 3], seed=seed), "autopilot", QUICK)),
+                lambda seed: process.drive(DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, QUICK)),
                 range(count),
             )
             return [encode_run(run) for run in runs]
@@ -86,7 +87,7 @@ class Drives:
     def __init__(self, engine: DaskEngine, simulator: str, count: int) -> None:
         self._pool = ThreadPoolExecutor(16)
         self._futures: list[Future[RunRecord]] = [
-            self._pool.submit(engine.drive, DriveRequest(Scenario(ROADS[seed % 3], seed=seed), "autopilot", simulator))
+            self._pool.submit(engine.drive, DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, simulator))
             for seed in range(count)
         ]
 
@@ -186,7 +187,7 @@ def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses,
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_an_own_cluster_of_any_size_gives_the_same_bytes(tmp_path: Path, count: int) -> None:
-    settings = DriveSettings(siblings=(QUICK,), driver="autopilot", workers=count, command_timeout=20.0)
+    settings = DriveSettings(siblings=(QUICK,), driver=AUTOPILOT, workers=count, command_timeout=20.0)
     with running_dask(settings, folder=tmp_path / "own") as engine:
         assert Drives(engine, QUICK, 60).encoded() == expected(tmp_path, 60)
 
@@ -227,7 +228,7 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
         file = tmp_path / "cluster.yaml"
         file.write_text(f"scheduler: {cluster.address}\ntls: {{ca: {cert}, cert: {cert}, key: {key}}}\n")
         right = read_cluster(file)
-        settings = DriveSettings(siblings=(QUICK,), driver="autopilot", command_timeout=20.0, cluster=right)
+        settings = DriveSettings(siblings=(QUICK,), driver=AUTOPILOT, command_timeout=20.0, cluster=right)
         with running_dask(settings, folder=tmp_path) as engine:
             assert len(Drives(engine, QUICK, 5).encoded()) == 5
         other = ClusterOptions(scheduler=cluster.address, tls=TlsFiles(ca=wrong, cert=wrong, key=wrong_key))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from ds_driver.networks import backends
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.engines.preflight import faster_choice
 
 
@@ -25,12 +26,12 @@ def test_advice_is_for_networks_that_another_back_end_computes_faster(
     monkeypatch: pytest.MonkeyPatch, driver: str, engine: str, advice: str
 ) -> None:
     monkeypatch.setattr(backends, "has_bfloat16", lambda: True)
-    assert faster_choice(driver, engine).startswith(advice)
-    assert bool(faster_choice(driver, engine)) is bool(advice)
+    assert faster_choice(DriverName.parse(driver), engine).startswith(advice)
+    assert bool(faster_choice(DriverName.parse(driver), engine)) is bool(advice)
 
 
 def test_no_advice_without_bfloat16(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "cpuinfo").write_text("flags\t\t: fpu avx2 fma\n")
     assert not backends.has_bfloat16(tmp_path / "cpuinfo")
     monkeypatch.setattr(backends, "has_bfloat16", lambda: False)
-    assert faster_choice("dave2", "graph") == ""
+    assert faster_choice(DriverName("dave2"), "graph") == ""

@@ -19,7 +19,7 @@ from ds_driver.closed_loop import worker_process
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import make_simulator
@@ -42,7 +42,7 @@ class Processes:
 
     def __call__(self, driver: str = "autopilot", timeout: float = 20.0) -> WorkerProcess:
         log = self._folder / f"worker_{len(self.made)}.log"
-        self.made.append(WorkerProcess(driver, command_timeout=timeout, log=log))
+        self.made.append(WorkerProcess(DriverName.parse(driver), command_timeout=timeout, log=log))
         return self.made[-1]
 
 
@@ -71,7 +71,7 @@ def drive_all(process: WorkerProcess, drives: Sequence[DriveRequest]) -> list[Ru
 )
 def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes, driver: str) -> None:
     drives = [
-        DriveRequest(Scenario(SHORT, seed=seed), driver, name)
+        DriveRequest(Scenario(SHORT, seed=seed), DriverName.parse(driver), name)
         for seed in (5, 6)
         for name in ("bullet", "softbody", "donkey")
     ]
@@ -142,7 +142,9 @@ def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
 
 def test_a_driver_that_hangs_is_silent(worker: Processes) -> None:
     hanging = f"{QUICK}:HangingDriver"
-    run = worker(hanging, timeout=2.0).drive(DriveRequest(Scenario(ROAD, seed=1), hanging, f"{QUICK}:QuickSimulator"))
+    run = worker(hanging, timeout=2.0).drive(
+        DriveRequest(Scenario(ROAD, seed=1), DriverName(hanging), f"{QUICK}:QuickSimulator")
+    )
     assert (run.outcome, run.message) == (Outcome.DRIVER_SILENT, "no command within 2 s")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from tests.fuzz.damage import damaged_file
 from tests.fuzz.harness import Kind
 
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError
 from ds_road import generate
 from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
@@ -39,7 +40,7 @@ def _write(folder: Path) -> Path:
 def _read(path: Path) -> object:
     """Read a suite as `ds suite run` does before it drives."""
     suite = read_suite(path)
-    return settings_of_suite(suite, "autopilot"), [suite.scenario_of(test).road.points for test in suite.tests]
+    return settings_of_suite(suite, AUTOPILOT), [suite.scenario_of(test).road.points for test in suite.tests]
 
 
 KINDS = [Kind("suite", _write, damaged_file, _read, (ConfigError,))]

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from ds_driver.networks.driver_name import DriverName
 from ds_road import Road
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
@@ -49,7 +50,7 @@ def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
         with running_graph(
-            {"donkey": "/ds1"}, "ordered_driver:Ordered", command_timeout=LIMIT, logs=folder / "logs"
+            {"donkey": "/ds1"}, DriverName("ordered_driver:Ordered"), command_timeout=LIMIT, logs=folder / "logs"
         ) as executor:
             yield executor, folder / "order"
 
@@ -73,7 +74,7 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
     top = simulator.spec.crop_top
     simulator.close()
     spaces = {"donkey": "/ds1"}
-    with running_graph(spaces, "dave2_short", command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+    with running_graph(spaces, DriverName("dave2_short"), command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
         unseen = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
         node = Node("viewer", context=executor.context)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.executor import trajectory_sha256 as digest
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_road import Road
@@ -40,7 +41,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(session, "processes_of", with_conditions)
         logs = tmp_path_factory.mktemp("logs")
-        with session.running_graph(SPACES, "autopilot", command_timeout=10.0, logs=logs) as executor:
+        with session.running_graph(SPACES, AUTOPILOT, command_timeout=10.0, logs=logs) as executor:
             yield executor
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from benchmarks.kill import stored
 
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import generate
 
 pytestmark = pytest.mark.graph
@@ -90,7 +91,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 
     domain, root = RosDomain(), tmp_path_factory.mktemp("root")
     specs = [
-        *closed_loop_processes("autopilot", {"bullet": "/ds1", "donkey": "/twin"}, 10.0),
+        *closed_loop_processes(AUTOPILOT, {"bullet": "/ds1", "donkey": "/twin"}, 10.0),
         ProcessSpec(name="orchestrator", module=MODULE, parameters={"root": str(root)}),
     ]
     supervisor = Supervisor(specs, domain=domain.number, logs=tmp_path_factory.mktemp("logs"))

@@ -19,6 +19,7 @@ import yaml
 
 from ds_base.processes import ChildProcesses
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.scenario import Scenario
@@ -193,7 +194,7 @@ def test_the_graph_of_the_command_line_drives_it(foreign: str, tmp_path: Path) -
     """The graph of the command line has a ROS domain of its own; the simulator is looked for in the user's."""
     from ds_orchestrator.graph.session import running_graph
 
-    with running_graph({foreign: "/ds1"}, "autopilot", command_timeout=10.0, logs=tmp_path) as executor:
+    with running_graph({foreign: "/ds1"}, AUTOPILOT, command_timeout=10.0, logs=tmp_path) as executor:
         run = executor.execute(foreign, Scenario(BENDS, seed=1))
     assert run.outcome is Outcome.COMPLETED, run.message
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from ds_base.processes import ChildProcesses
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate
 from ds_sim.registry import spec_of
 from ds_sim.ros import conversions as messages
@@ -34,7 +35,7 @@ def shared_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     from ds_orchestrator.graph.session import running_graph
 
     logs = tmp_path_factory.mktemp("logs")
-    with running_graph(SPACE, "autopilot", command_timeout=5.0, logs=logs) as executor:
+    with running_graph(SPACE, AUTOPILOT, command_timeout=5.0, logs=logs) as executor:
         yield executor
 
 
@@ -201,7 +202,7 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
         "class Late:\n    def drive(self, seen):\n        return float('nan') if seen.step == 5 else 0.0\n"
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    with running_graph(SPACE, "late:Late", command_timeout=6.0, logs=logs) as executor:
+    with running_graph(SPACE, DriverName("late:Late"), command_timeout=6.0, logs=logs) as executor:
         run = executor.execute("donkey", Scenario(ROAD, seed=1))
     assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 5
     assert "no command within 6 s" in run.message and "steering is nan" in run.message
@@ -220,7 +221,7 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
     from ds_orchestrator.graph.supervisor import Supervisor, driver_process
 
     domain = RosDomain()
-    driver = driver_process("dave2", SPACE)
+    driver = driver_process(DriverName("dave2"), SPACE)
     supervisor = Supervisor([driver], domain=domain.number, logs=logs)
     rclpy.init(domain_id=domain.number)
     node = Node("camera")

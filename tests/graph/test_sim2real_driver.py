@@ -12,6 +12,7 @@ import pytest
 import torch
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.translator import Translator
@@ -40,7 +41,7 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
     path = tmp_path / "set" / "donkey.safetensors"
     path.parent.mkdir()
     save_generator(path, tensors, simulator="donkey", shape=shape, window=window, real_window=window)
-    driver = f"dave2_short+{path.parent}"
+    driver = DriverName("dave2_short", str(path.parent))
     simulator = make_simulator("donkey")
     here = drive_road(simulator, make_driver(driver, simulator.spec), STRAIGHT, 1)
     first = simulator.load(STRAIGHT, seed=1).image

@@ -10,6 +10,7 @@ from functools import cache
 import numpy as np
 
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
+from ds_driver.networks.driver_name import DriverName
 from ds_road import Road, generate
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
@@ -21,7 +22,7 @@ def road(number: int) -> Road:
     return generate(np.random.default_rng(number))
 
 
-OLD, NEW = Network(driver="old", sha256="a" * 64), Network(driver="new", sha256="b" * 64)
+OLD, NEW = Network(driver=DriverName("old"), sha256="a" * 64), Network(driver=DriverName("new"), sha256="b" * 64)
 
 
 def outcome(failed: bool, *, key: str = "", fitness: float | None = None) -> DriveOutcome:

@@ -11,6 +11,7 @@ from made_executions import made_execution
 
 from ds_analysis.common.statistics import Array
 from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of, where
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
@@ -119,7 +120,7 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     # The same road under the same conditions would count once.
     tests = [replace(made_test(RIGHT, visibility=50.0 + k), test_id=f"bullet-0-{k:04d}") for k in range(9)]
     executions = [replace(straight if k == 0 else wide, test_id=test.test_id) for k, test in enumerate(tests)]
-    config = CampaignConfig(siblings=["bullet"], driver="autopilot")
+    config = CampaignConfig(siblings=["bullet"], driver=AUTOPILOT)
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
     assert [where(group) for group in groups.values()] == ["8 on bullet", "1 on bullet"]

@@ -16,6 +16,7 @@ from ds_analysis.paper.paper_tables import error_tables
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_base.progress import SILENT
 from ds_driver.data.dataset import write_drive
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_sim.camera.encodings import jpeg
@@ -127,17 +128,14 @@ def test_predictions_over_a_data_set(tmp_path: Path) -> None:
         ]
         write_drive(tmp_path / "data" / simulator / "r-forward.parquet", rows)
     told = ProgressLines()
-    found = predict(
-        tmp_path / "data",
-        str(tmp_path / "biased.safetensors"),
-        told,
-    )
+    biased = DriverName(str(tmp_path / "biased.safetensors"))
+    found = predict(tmp_path / "data", biased, told)
     assert found["bullet"].absolute_errors == pytest.approx([0.75, 0.25, 0.5], abs=1e-3)
     assert found["donkey"].recorded == pytest.approx([1.0, 0.9]) and (told.done, told.total) == (5, 5)
-    few = predict(tmp_path / "data", str(tmp_path / "biased.safetensors"), SILENT, images=2)
+    few = predict(tmp_path / "data", biased, SILENT, images=2)
     assert few["bullet"].recorded == pytest.approx([0.5, 0.75])
     with pytest.raises(OpenLoopError, match="name a network"):
-        predict(tmp_path / "data", "autopilot", SILENT)
+        predict(tmp_path / "data", AUTOPILOT, SILENT)
 
 
 class Summing:
@@ -161,7 +159,7 @@ def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_p
             write_drive(folder / "bullet" / f"r-{direction}.parquet", rows)
         return folder
 
-    name = f"{__name__}:Summing"
+    name = DriverName(f"{__name__}:Summing")
     each = 100 / 25500 + 0.1
     whole = predict(written(tmp_path / "whole", [0, 1, 2]), name, SILENT)["bullet"]
     assert whole.answered == pytest.approx([each, 2 * each, 3 * each] * 2, abs=1e-3)
@@ -173,9 +171,11 @@ def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_p
 
 def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:
     save_weights(make_network("chauffeur"), tmp_path / "mine.safetensors", architecture="chauffeur")
-    assert architecture_of(str(tmp_path / "mine.safetensors")) == "chauffeur"
-    assert {architecture_of(name) for name in ("dave2", "dave2_short", "dave2_short@onnx")} == {"dave2"}
-    assert {architecture_of(name) for name in ("autopilot", "missing.safetensors", "my_driver:Driver")} == {""}
+    assert architecture_of(DriverName.parse(str(tmp_path / "mine.safetensors"))) == "chauffeur"
+    names = [DriverName.parse(name) for name in ("dave2", "dave2_short", "dave2_short@onnx")]
+    assert {architecture_of(name) for name in names} == {"dave2"}
+    others = [DriverName.parse(name) for name in ("autopilot", "missing.safetensors", "my_driver:Driver")]
+    assert {architecture_of(name) for name in others} == {""}
 
 
 def test_the_table_stands_beside_the_papers() -> None:

@@ -21,7 +21,7 @@ from ds_cli.options import (
     AttachFlag,
     Backend,
     Device,
-    DriverName,
+    DriverText,
     JsonFlag,
     Lane,
     MaxAngle,
@@ -36,6 +36,7 @@ from ds_sim.scenario import OfScenario, Scenario
 
 if TYPE_CHECKING:
     from ds_bags.ros.image_recorder import ImageRecorder
+    from ds_driver.networks.driver_name import DriverName
     from ds_driver.networks.network_driver import Translation
     from ds_orchestrator.campaign.engine import EngineName
     from ds_orchestrator.graph.client import GraphClient
@@ -71,7 +72,7 @@ class DriveOptions(OfScenario):
     """
 
     sim: str
-    driver: str
+    driver: DriverName
     scenario: Scenario
     bag: Path | None
     level: Level
@@ -268,7 +269,7 @@ def _test_in(road: Path | None) -> dict[str, Any]:
 @app.command("drive")
 def drive_command(
     sim: Simulator,
-    driver: DriverName = "dave2",
+    driver: DriverText = "dave2",
     backend: Backend = "auto",
     device: Device = "cpu",
     road: Annotated[
@@ -324,10 +325,10 @@ def drive_command(
     from ds_sim.video import write_video
 
     chosen = seed if seed is not None else seed_of(road)
-    driver = driver_named(driver, backend, device)
+    network = driver_named(driver, backend, device)
     under = conditions_in(road) if conditions is None else parse_conditions(conditions)
     request = DriveOptions(
-        sim=sim, driver=driver, scenario=Scenario(one_road(road, chosen, max_angle, lane), under, seed=chosen),
+        sim=sim, driver=network, scenario=Scenario(one_road(road, chosen, max_angle, lane), under, seed=chosen),
         bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
         engine=engine_here(engine, attach=attach),
     )  # fmt: skip
@@ -335,7 +336,7 @@ def drive_command(
     started = time.monotonic()
     try:
         run, seen = _run(request)
-        whose = "attached" if attach else driver
+        whose = "attached" if attach else str(network)
         if bag is not None:
             _keep_bag(request, run, whose, seen=seen)
         if video is not None:

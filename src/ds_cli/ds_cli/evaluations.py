@@ -12,11 +12,12 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag, Trust
+from ds_cli.options import JsonFlag, Trust, driver_named
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer
 
 if TYPE_CHECKING:
     from ds_base.table import Table
+    from ds_driver.networks.driver_name import DriverName
 
 app = typer.Typer()
 
@@ -51,7 +52,7 @@ def evaluation(
         raise OpenLoopError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
     tables: list[Table] = []
     if data is not None and config.twin is not None:
-        from ds_driver.networks.driver_name import received_driver
+        from ds_driver.networks.received_driver import received_driver
 
         received_driver(config.driver, confirmed=trusted)
         tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
@@ -64,7 +65,7 @@ def evaluation(
 
 def _offline_tables(
     data: Path,
-    driver: str,
+    driver: DriverName,
     siblings: list[str] | None,
     twin: str,
     images: int | None,
@@ -158,6 +159,7 @@ def evaluate_command(
         raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
     else:
         names = None if siblings is None else siblings.split(",")
-        tables = _offline_tables(data, driver or "dave2", names, twin or "donkey", images, trust or [])
-        found = tables_result(tables, out, ds_command("test", driver or "dave2"), everything=everything)
+        network = driver_named(driver or "dave2")
+        tables = _offline_tables(data, network, names, twin or "donkey", images, trust or [])
+        found = tables_result(tables, out, ds_command("test", network), everything=everything)
     answer(found, as_json)

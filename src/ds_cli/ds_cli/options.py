@@ -14,6 +14,7 @@ from ds_base.extension import confirm
 from ds_sim.registry import simulators
 
 if TYPE_CHECKING:
+    from ds_driver.networks.driver_name import DriverName
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.campaign.engine import EngineName as Engines
@@ -98,7 +99,7 @@ Cluster = Annotated[
     ),
 ]
 
-DriverName = Annotated[
+DriverText = Annotated[
     str,
     typer.Option(
         help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.",
@@ -197,21 +198,21 @@ def several(drivers: str) -> list[str]:
     return names if len(names) > 1 else []
 
 
-def driver_named(driver: str, backend: str, device: str) -> str:
-    """Join a driver's name and its backend, as in `dave2@onnx`.
+def driver_named(text: str, backend: str = "auto", device: str = "cpu") -> DriverName:
+    """The driver that a word of the command line names, on a backend, as in `dave2@onnx`.
 
     Raises:
         ds_driver.networks.backends.BackendError: backend or device are unknown, do not go together, or are given for
             the autopilot, which runs no network.
     """
-    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.backends import BackendError
-    from ds_driver.networks.driver_name import DriverName
+    from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 
-    named = str(DriverName.parse(driver).on(backend, device))
-    if driver == AUTOPILOT and named != driver:
+    name = DriverName.parse(text)
+    driver = name.on(backend, device)
+    if name == AUTOPILOT and driver != name:
         raise BackendError("the autopilot runs no network: leave out --backend and --device")
-    return named
+    return driver
 
 
 def with_engine(config: CampaignConfig, workers: int | None, engine: str | None) -> CampaignConfig:

@@ -10,7 +10,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli.campaign.compare_results import FailOnFailure
-from ds_cli.options import Backend, DriverName, JsonFlag, Workers, driver_named, with_engine_without_ros
+from ds_cli.options import Backend, DriverText, JsonFlag, Workers, driver_named, with_engine_without_ros
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
 
 app = typer.Typer()
@@ -40,7 +40,7 @@ def recording_test_command(
     lane_width: LaneWidth,
     camera: CameraFile,
     out: Annotated[Path, typer.Option(help="Folder for the result; a stopped test goes on there.")],
-    driver: DriverName = "dave2",
+    driver: DriverText = "dave2",
     backend: Backend = "auto",
     roads: Annotated[int, typer.Option(min=1, max=200, help="Roads to cut at most.")] = 20,
     crop_top: Annotated[
@@ -73,14 +73,14 @@ def recording_test_command(
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.track_test import PAGE, ROADS, Recording, TrackTest, run_track_test
 
-    driver = driver_named(driver, backend, "cpu")
-    check_driver(driver, [])
-    settings = with_engine_without_ros(DriveSettings(siblings=(), driver=driver), workers, None, None)
+    network = driver_named(driver, backend)
+    check_driver(network, [])
+    settings = with_engine_without_ros(DriveSettings(siblings=(), driver=network), workers, None, None)
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     recording = Recording(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
-    asked = TrackTest(recording=recording, out=out, driver=driver, roads=roads, crop_top=crop_top)
+    asked = TrackTest(recording=recording, out=out, driver=network, roads=roads, crop_top=crop_top)
     try:
         found = run_track_test(asked, settings, Callbacks(listen=ScreenListener), lambda: ScreenProgress(every=EVERY))
     except (KeyboardInterrupt, Stopped):
@@ -92,10 +92,10 @@ def recording_test_command(
         print(found.sentence)
         print(out / PAGE)
 
-    failures, judged = found.failures(driver, found.recording)
-    unmet = [f"{driver} fails on {failures} of {judged} roads"] if fail_on and failures else []
+    failures, judged = found.failures(network, found.recording)
+    unmet = [f"{network} fails on {failures} of {judged} roads"] if fail_on and failures else []
     more = f"recording@{asked.located},bullet,softbody"
-    then = ds_command("siblings", "compare", "--file", out / ROADS, "--driver", driver, "--sims", more)
+    then = ds_command("siblings", "compare", "--file", out / ROADS, "--driver", network, "--sims", more)
     end(Result(document=found.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then), as_json)
 
 

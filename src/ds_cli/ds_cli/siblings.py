@@ -17,7 +17,7 @@ from ds_cli.options import (
     ALL,
     Backend,
     Cluster,
-    DriverName,
+    DriverText,
     EngineName,
     JsonFlag,
     Lane,
@@ -52,7 +52,7 @@ app.add_typer(siblings_app, name="siblings")
 
 @siblings_app.command("compare")
 def siblings_compare_command(
-    driver: DriverName = "dave2",
+    driver: DriverText = "dave2",
     backend: Backend = "auto",
     roads: Annotated[int, typer.Option(min=1, help="Random roads.")] = 40,
     file: Annotated[
@@ -95,12 +95,12 @@ def siblings_compare_command(
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.same_roads import drive_same_roads
 
-    driver, names = driver_named(driver, backend, "cpu"), every_or_named(sims)
+    network, names = driver_named(driver, backend), every_or_named(sims)
     if len(names) < 2:
         raise ConfigError(f"simulators {', '.join(names)}: expected at least two, as --sims a,b")
     if twin is not None and twin not in names:
         raise ConfigError(f"twin {twin} is not among the simulators {', '.join(names)}: add it to --sims")
-    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster)
+    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster)
     chosen = roads_of(file, lane, count=roads, seed=seed, max_angle=max_angle)
     if out is not None:
         make_folder(out)
@@ -113,7 +113,7 @@ def siblings_compare_command(
     about = twin or (TWIN if TWIN in names else None)
     found = analyse(judged, names if about is None else [about])
     document: dict[str, Any] = {
-        "driver": driver,
+        "driver": str(network),
         "roads": len(chosen),
         "file": None if file is None else str(file),
         "seed": seed,

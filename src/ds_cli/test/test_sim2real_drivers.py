@@ -13,6 +13,7 @@ from ds_analysis.paper.campaign_evaluation import network_of
 from ds_analysis.paper.open_loop import predict
 from ds_base.progress import SILENT
 from ds_driver.data.dataset import drive_path, keep_import, write_drive
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
@@ -42,17 +43,19 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_simulator_without_a_generator_is_noticed_before_anything_is_driven(weights: Path) -> None:
-    check_driver(str(weights), ["bullet"])
+    driver = DriverName(str(weights))
+    check_driver(driver, ["bullet"])
     with pytest.raises(DriverError, match="no generator for images of donkey"):
-        check_driver(str(weights), ["bullet", "donkey"])
-    check_driver(f"{weights}+none", ["bullet", "donkey"])
+        check_driver(driver, ["bullet", "donkey"])
+    check_driver(driver.seeing("none"), ["bullet", "donkey"])
 
 
 def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
     short = CampaignConfig(driver="dave2@onnx", sim2real="some/folder")  # type: ignore[arg-type]
-    assert short == CampaignConfig(driver="dave2+some/folder@onnx") and short.identity() != CampaignConfig().identity()
-    assert network_of(short.driver) == ("dave2", "real") == network_of(str(weights))
-    assert network_of(CampaignConfig().driver) == ("dave2", "sim") == network_of("dave2+none")
+    long, plain = CampaignConfig(driver=DriverName.parse("dave2+some/folder@onnx")), CampaignConfig()
+    assert short == long and short.identity() != plain.identity()
+    assert network_of(short.driver) == ("dave2", "real") == network_of(DriverName(str(weights)))
+    assert network_of(plain.driver) == ("dave2", "sim") == network_of(plain.driver.seeing("none"))
     for driver in ("autopilot", "dave2+other"):
         with pytest.raises(ValueError, match="leave sim2real out"):
             CampaignConfig(driver=driver, sim2real="some/folder")  # type: ignore[arg-type]
@@ -60,13 +63,13 @@ def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
 
 @pytest.mark.parametrize("driver", ["{0}", "{0}@onnx", "dave2+{1}", "{0}+none", "dave2_short+{1}@onnx"])
 def test_another_machine_gets_the_generators_of_a_driver(weights: Path, tmp_path: Path, driver: str) -> None:
-    name = driver.format(weights, weights.parent / "sim2real")
+    name = DriverName.parse(driver.format(weights, weights.parent / "sim2real"))
     parcel = parcel_of(name, ["bullet"])
     parcel.unpack(tmp_path)
-    there = parcel.name_there(name, tmp_path)
-    assert there != name and str(weights.parent) not in there
+    there = parcel.driver_there(name, tmp_path)
+    assert there != name and str(weights.parent) not in str(there)
     assert driver_sha256(there) == driver_sha256(name) == parcel.driver_sha256
-    assert there.endswith("@onnx") == name.endswith("@onnx") and there.endswith("+none") == name.endswith("+none")
+    assert there.backend == name.backend and (there.generators == "none") == (name.generators == "none")
 
 
 def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Path, tmp_path: Path) -> None:
@@ -80,7 +83,7 @@ def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Pa
         write_drive(drive_path(tmp_path / folder, "bullet", "r", "forward"), [row])
     keep_import(tmp_path / "translated", "bullet", {"sim2real": "0"})
     found = {
-        name: float(predict(tmp_path / name, str(weights), SILENT)["bullet"].answered[0])
+        name: float(predict(tmp_path / name, DriverName(str(weights)), SILENT)["bullet"].answered[0])
         for name in ("plain", "translated")
     }
     from ds_driver.data.dataset import decode

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 from .closed_loop.simulation import drive_road, make_driver
-from .control.autopilot import AUTOPILOT, Autopilot, throttle
+from .control.autopilot import Autopilot, throttle
 from .control.other_stacks import SpeedController, StampMatcher
 from .data.collection import CollectionPlan, collect
 from .data.dataset import DatasetError, Sample, read_samples
 from .data.recordings import Reading, RecordedFrame, Recording, open_recording
 from .networks.architectures import UnknownNetworkError
 from .networks.backends import BackendError
+from .networks.driver_name import AUTOPILOT, DriverName
 from .networks.images import Crop, ImageError, prepare
 from .networks.network_driver import NetworkDriver, load_pilot
 from .networks.pilot import DriverError, Frame, Pilot, Prediction
@@ -26,6 +27,7 @@ __all__ = [
     "Crop",
     "DatasetError",
     "DriverError",
+    "DriverName",
     "Frame",
     "ImageError",
     "NetworkDriver",

@@ -22,10 +22,11 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import DescribedNetwork, Outputs
-from ds_driver.networks.driver_name import received_driver
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import DriverError, Frame
+from ds_driver.networks.received_driver import received_driver
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome
@@ -356,7 +357,8 @@ def test_the_driver_of_an_installed_package_goes_by_its_name(
     installed.cache_clear()
     try:
         assert NetworkDriver("left").steering(np.zeros((160, 320, 3), np.uint8), Crop()) == -0.5
-        assert driver_sha256("left") == driver_sha256(f"{name}:Left") and received_driver("left") == "left"
+        driver = DriverName("left")
+        assert driver_sha256(driver) == driver_sha256(DriverName(f"{name}:Left")) and received_driver(driver) == driver
     finally:
         installed.cache_clear()
 
@@ -412,11 +414,12 @@ def test_a_drivers_hash_covers_description_file_and_class(
 
     def hash_with(content: str) -> str:
         path.write_text(content)
-        return driver_sha256(f"{path}@openvino")
+        return driver_sha256(DriverName.parse(f"{path}@openvino"))
 
     first, other, again = hash_with(text), hash_with(text + "\n# changed"), hash_with(text)
     assert first == again != other
     with (tmp_path / "mypilot.onnx").open("ab") as file:
         file.write(b"\0")
     assert hash_with(text) != first
-    assert driver_sha256(f"{module(COUNTER)}:Counter") != driver_sha256(f"{module(FAULTY)}:Late")
+    counter, late = DriverName(f"{module(COUNTER)}:Counter"), DriverName(f"{module(FAULTY)}:Late")
+    assert driver_sha256(counter) != driver_sha256(late)

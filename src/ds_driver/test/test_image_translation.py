@@ -21,11 +21,12 @@ from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks import weights
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.driver_name import DriverName, received_driver
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256, generators_of, load_pilot, translation_of
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.quantisation import has_vnni
+from ds_driver.networks.received_driver import received_driver
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import GENERATORS, architecture_in, generators_in, load_weights
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
@@ -110,7 +111,7 @@ def test_frames_of_several_simulators_are_answered_with_the_bits_of_each_alone(f
 
 
 def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
-    road, driver = generate(np.random.default_rng(5)), str(folder / "real.safetensors")
+    road, driver = generate(np.random.default_rng(5)), DriverName(str(folder / "real.safetensors"))
     drives = InterleavedDrives(driver)
     runs: dict[int, RunRecord] = {}
     for key, name in enumerate(WINDOWS):
@@ -126,7 +127,7 @@ def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
 
 def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> None:
     def check(driver: str, simulators: tuple[str, ...]) -> None:
-        generators = generators_of(driver)
+        generators = generators_of(DriverName.parse(driver))
         assert generators is not None
         for simulator in simulators:
             generators.generator(simulator)
@@ -163,18 +164,19 @@ def test_a_shipped_set_is_found_by_its_name_and_by_a_networks_generators(
     assert shipped_set_of(digests) is None
     shutil.copytree(folder / GENERATORS, tmp_path / "models" / GENERATORS / "track")
     assert shipped_set_of(digests) == "track" and list(weights.shipped_sets()) == ["track"]
-    by_name, by_network = generators_of("dave2+track"), generators_of(str(network))
+    by_name, by_network = generators_of(DriverName.parse("dave2+track")), generators_of(DriverName.parse(str(network)))
     assert by_name is not None and by_network is not None and by_name.files == by_network.files
     assert all(by_network.generator(name).simulator == name for name in WINDOWS)
 
 
 def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> None:
     write_generator(tmp_path, "bullet", 7)
-    first = driver_sha256(f"dave2+{folder / GENERATORS}")
-    assert first == driver_sha256(f"dave2+{folder / GENERATORS}@torch")
+    first = driver_sha256(DriverName.parse(f"dave2+{folder / GENERATORS}"))
+    assert first == driver_sha256(DriverName.parse(f"dave2+{folder / GENERATORS}@torch"))
     others = [f"dave2+{tmp_path}", "dave2", "dave2+none", f"dave2_short+{tmp_path}"]
-    assert len({first, *map(driver_sha256, others)}) == 5
-    assert driver_sha256(str(folder / "real.safetensors")) != driver_sha256(str(folder / "plain.safetensors"))
+    assert len({first, *(driver_sha256(DriverName.parse(name)) for name in others)}) == 5
+    translated, plain = (DriverName(str(folder / f"{name}.safetensors")) for name in ("real", "plain"))
+    assert driver_sha256(translated) != driver_sha256(plain)
 
 
 def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Path, tmp_path: Path) -> None:
@@ -224,8 +226,8 @@ def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path
     run = RunRecord(
         scenario=Scenario(road, seed=1), outcome=Outcome.CANCELLED, observations=seen, commands=[Command(0.0, 1.0)]
     )
-    translate = translation_of(driver, "bullet")
-    assert translate is not None and translation_of("dave2", "bullet") is None
+    translate = translation_of(DriverName.parse(driver), "bullet")
+    assert translate is not None and translation_of(DriverName("dave2"), "bullet") is None
     for name, how in (("plain", None), ("real", translate)):
         write_bag(tmp_path / name, "/ds1", "bullet", run, {"driver": driver}, "raw", seen, how)
     plain, real = (open_recording(tmp_path / name, Reading()) for name in ("plain", "real"))
@@ -258,9 +260,9 @@ def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:
         assert DriverName.parse(text) == DriverName(network, generators) and str(DriverName.parse(text)) == text
     assert str(DriverName.parse("dave2@onnx").seeing("c")) == "dave2+c@onnx"
     assert str(DriverName.parse("dave2@onnx").seeing("")) == "dave2@onnx"
-    assert received_driver("dave2+c@onnx") == "dave2+c@onnx"
+    assert str(received_driver(DriverName.parse("dave2+c@onnx"))) == "dave2+c@onnx"
     with pytest.raises(DriverError, match="Python code"):
-        received_driver("mine:Class+c")
+        received_driver(DriverName.parse("mine:Class+c"))
     real = folder / "real.safetensors"
     assert architecture_in(real) == "dave2" and list(generators_in(str(real))) == list(WINDOWS)
     assert load_weights(str(real)).architecture is NETWORKS["dave2"]

@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_driver.control.autopilot import AUTOPILOT, Autopilot
+from ds_driver.control.autopilot import Autopilot
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.network_driver import Translation, generators_of, translation_of
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution, Test
@@ -219,13 +220,13 @@ def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test 
 
 
 def camera_pictures(
-    names: Sequence[str], scenario: Scenario, trusted: Collection[str] = (), driver: str = AUTOPILOT
+    names: Sequence[str], scenario: Scenario, trusted: Collection[str] = (), driver: DriverName = AUTOPILOT
 ) -> list[CameraPicture]:
     """Render the same place of one road on every simulator, driven by the autopilot; below it what a driver sees."""
     return [_camera_picture(name, scenario, trusted, driver) for name in names]
 
 
-def translates(driver: str) -> bool:
+def translates(driver: DriverName) -> bool:
     """Return whether a driver sees translated images, and its generators are there."""
     try:
         return generators_of(driver) is not None
@@ -233,13 +234,13 @@ def translates(driver: str) -> bool:
         return False
 
 
-def _paired(image: NDArray[np.uint8], driver: str, simulator: str) -> NDArray[np.uint8]:
+def _paired(image: NDArray[np.uint8], driver: DriverName, simulator: str) -> NDArray[np.uint8]:
     """Put the image that the driver sees below the camera's, if it sees another one."""
     translate = translation_of(driver, simulator) if translates(driver) else None
     return image if translate is None else np.vstack((image, translate(image)))
 
 
-def _camera_picture(name: str, scenario: Scenario, trusted: Collection[str], driver: str) -> CameraPicture:
+def _camera_picture(name: str, scenario: Scenario, trusted: Collection[str], driver: DriverName) -> CameraPicture:
     try:
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         try:
@@ -280,7 +281,7 @@ def drive_pictures(
     tests: Sequence[Test],
     executions: Sequence[Execution],
     trusted: Collection[str] = (),
-    driver: str = AUTOPILOT,
+    driver: DriverName = AUTOPILOT,
     *,
     frames: Mapping[tuple[str, str], Sequence[int]],
     one_by_one: bool = False,
@@ -328,7 +329,7 @@ def drive_pictures(
 
 
 def render_drive(
-    simulator: Simulator, name: str, test: Test, execution: Execution, steps: Sequence[int], driver: str
+    simulator: Simulator, name: str, test: Test, execution: Execution, steps: Sequence[int], driver: DriverName
 ) -> PicturedDrive:
     """Render frames of one drive, with what the driver sees.
 

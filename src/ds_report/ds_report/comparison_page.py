@@ -12,7 +12,6 @@ from ds_analysis.comparison.paired_drives import PairedDrive
 from ds_analysis.comparison.tables import cell_table, command_of, drive_table, simulator_table
 from ds_base.palette import FAIL, PASS, ink_on, rgb
 from ds_base.table import p_in_words
-from ds_driver.networks.driver_name import DriverName
 from ds_report.pages import data_address, write_page
 from ds_road import draw
 from ds_sim.registry import SimulatorName, path_moved
@@ -146,5 +145,5 @@ def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str
         return ""
     here = Path()
     simulator = str(SimulatorName.parse(drive.simulator).moved(here, folder))
-    driver = str(DriverName.parse(comparison.candidate.driver).moved(here, folder))
+    driver = comparison.candidate.driver.moved(here, folder)
     return command_of(replace(drive, simulator=simulator), driver, path_moved(file, here, folder))

@@ -31,6 +31,7 @@ from ds_analysis.common.statistics import Indices, families_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
 from ds_base.words import count, listed
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import sees_translated
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
@@ -213,7 +214,7 @@ def summarise(
     return Findings(headline=headline, limits=_limits(config.driver, outcomes), details=details)
 
 
-def where_it_fails(driver: str, outcomes: RoadOutcomes) -> str:
+def where_it_fails(driver: DriverName, outcomes: RoadOutcomes) -> str:
     """State where the driver fails and how sure that is, by the rule of this module."""
     thing = "test" if outcomes.varied_conditions else "road"
     if not outcomes.tests:
@@ -287,7 +288,7 @@ def _percent(share: Share) -> str:
     return f"{100 * share.failures / share.tests:.0f} % (95 % interval {low:.0f} to {high:.0f} %)"
 
 
-def _limits(driver: str, outcomes: RoadOutcomes) -> str:
+def _limits(driver: DriverName, outcomes: RoadOutcomes) -> str:
     """State which roads were tested, and what was not tested."""
     if not outcomes.tests:
         return f"{NOT_TESTED}."

@@ -84,7 +84,7 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         "simulators": simulator_rows(config),
         "axes": _axes(config, maps, places),
         "groups": _groups(maps),
-        "driver": config.driver,
+        "driver": str(config.driver),
         "maps": {map_id.name: _map(config, feature_map) for map_id, feature_map in maps.items()},
         "tests": [
             [

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_base.figures import WIDTH, draw_figure
 from ds_base.palette import ASPHALT, CENTRE_LINE, EDGE_LINE, FAIL, INK, SERIES
+from ds_driver.networks.driver_name import DriverName
 from ds_recording.sibling.recorded_drive import RecordedDrive
 from ds_report.pages import data_address, write_page
 from ds_sim.registry import SimulatorName
@@ -64,7 +65,7 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
     )
 
 
-def _words(answer: TrackAnswer, key: tuple[str, str], index: int) -> str:
+def _words(answer: TrackAnswer, key: tuple[DriverName, str], index: int) -> str:
     one = answer.drives[key][index]
     return "no verdict" if one is None else one.outcome.words
 

@@ -23,6 +23,7 @@ from report_campaigns import EVIL, make_campaign, make_execution, make_tests, ro
 
 from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener
@@ -240,7 +241,8 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -
         live.stage("search")
         live.finished(store.tests()[0], "bullet", None, fresh=True)
         observed = ObservedEngine(GraphEngine([slow], ["bullet"], SlowEngine), live)
-        thread = threading.Thread(target=observed.drive, args=(DriveRequest(test.scenario, "dave2", "bullet"),))
+        asked = DriveRequest(test.scenario, DriverName("dave2"), "bullet")
+        thread = threading.Thread(target=observed.drive, args=(asked,))
         thread.daemon = True
         thread.start()
         time.sleep(2.5 * EVERY)

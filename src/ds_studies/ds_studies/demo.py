@@ -20,6 +20,7 @@ from ds_base.bounded_json import read_json
 from ds_base.folder_files import make_folder
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_road import Road
@@ -34,7 +35,7 @@ from ds_sim.video import write_together
 from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity
 from ds_studies.sensitivity.ranges import ranges_of
 
-DRIVER = "dave2"
+DRIVER = DriverName("dave2")
 SIMULATORS, SIBLINGS, TWIN = ("bullet", "softbody", "panda"), ("bullet", "panda"), "donkey"
 """Siblings whose sensitivity is measured; those that search; the twin."""
 ROAD_SEED, MAX_ANGLE = 3, 200
@@ -89,7 +90,7 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
         simulator.close()
     left = run is not clear and run.outcome.is_failure
     document = {
-        "driver": DRIVER,
+        "driver": str(DRIVER),
         "simulator": TWIN,
         "road_id": road.road_id,
         "completes_clear": clear.outcome is Outcome.COMPLETED,

@@ -12,6 +12,7 @@ from ds_base.errors import DsError
 from ds_base.folder_files import make_folder
 from ds_base.progress import logger_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import translation_of
 from ds_sim.registry import label_of, make_simulator
 from ds_sim.resimulation import resimulate
@@ -39,7 +40,7 @@ class FailedDrive(OfScenario):
     scenario: Scenario
 
 
-def write_failure_videos(driver: str, failed: Sequence[FailedDrive], folder: Path) -> list[Path]:
+def write_failure_videos(driver: DriverName, failed: Sequence[FailedDrive], folder: Path) -> list[Path]:
     """Drive failed tests once more, which gives the same drives, and write a video of each.
 
     Args:
@@ -69,7 +70,7 @@ def write_failure_videos(driver: str, failed: Sequence[FailedDrive], folder: Pat
     return videos
 
 
-def _write_video(driver: str, drive: FailedDrive, video: Path) -> None:
+def _write_video(driver: DriverName, drive: FailedDrive, video: Path) -> None:
     simulator = make_simulator(drive.simulator)
     try:
         run = drive_road(simulator, make_driver(driver, simulator.spec), drive.road, drive.seed, drive.conditions)
@@ -77,7 +78,7 @@ def _write_video(driver: str, drive: FailedDrive, video: Path) -> None:
         simulator.close()
     write_video(
         video,
-        f"{drive.simulator}, {Path(driver).name}",
+        f"{drive.simulator}, {Path(str(driver)).name}",
         drive.road,
         resimulate(drive.simulator, run),
         run.commands,

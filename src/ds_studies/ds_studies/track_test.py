@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ds_analysis.siblings.track_answer import AUTOPILOT, TrackAnswer
+from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_file import FileError
 from ds_base.bounded_json import read_json
@@ -26,7 +26,7 @@ from ds_base.folder_files import make_folder
 from ds_base.progress import SILENT, Progress, logger_of
 from ds_base.words import count
 from ds_driver.data.recordings import Reading
-from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.weights import shipped_networks
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, Unfinished, drive_tests
@@ -104,7 +104,7 @@ class TrackTest:
 
     recording: Recording
     out: Path
-    driver: str
+    driver: DriverName
     roads: int = 20
     crop_top: int | None = None
 
@@ -118,7 +118,7 @@ class TrackTest:
         """Image rows that are cut off above."""
         if self.crop_top is not None:
             return self.crop_top
-        return SHIPPED_CROP if DriverName.parse(self.driver).network in shipped_networks() else 0
+        return SHIPPED_CROP if self.driver.network in shipped_networks() else 0
 
 
 def locate_recording(of: Recording, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
@@ -264,7 +264,13 @@ def _driven(
     drives, undecided = {}, {}
     for driver in dict.fromkeys((test.driver, AUTOPILOT)):
         # A folder of drives belongs to its driver, car and roads.
-        what = [driver, *names, drive.sha256, (test.located / SETTINGS).read_text(), *(one.test_id for one in tests)]
+        what = [
+            str(driver),
+            *names,
+            drive.sha256,
+            (test.located / SETTINGS).read_text(),
+            *(one.test_id for one in tests),
+        ]
         place = test.out / "drives" / hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
         chosen = replace(settings, driver=driver, siblings=names, twin=None)
         LOG.info("%s drives", driver)

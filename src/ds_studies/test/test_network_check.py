@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from ds_base.progress import SILENT
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_studies.network_check import recording
 from ds_studies.network_check.agreement import agreement
 from ds_studies.network_check.description import describe, forms_of
-from ds_studies.network_check.diagnosis import ask_open_loop, check_network
+from ds_studies.network_check.diagnosis import NetworkCheck, ask_open_loop, check_network
 from ds_studies.network_check.recording import FEWEST, Recording, TooSlowError, affordable, record
 
 ROWS, COLUMNS = 20, 80
@@ -123,12 +124,17 @@ def made(tmp_path: Path, drives: list[Recording]) -> Made:
     return make
 
 
+def check(description: Path, drives: list[Recording]) -> NetworkCheck:
+    """Check the network of a description."""
+    return check_network(DriverName(str(description)), drives, 1)
+
+
 def kinds(path: Path, drives: list[Recording]) -> list[str]:
-    return [finding.kind for finding in check_network(str(path), drives, 1).findings]
+    return [finding.kind for finding in check(path, drives).findings]
 
 
 def test_a_rightly_described_network_passes(made: Made, drives: list[Recording]) -> None:
-    found = check_network(str(made()), drives, 1)
+    found = check(made(), drives)
 
     assert found.findings == [] and "is connected correctly" in found.verdict and found.correlation > 0.9
     assert [one.simulator for one in found.answers] == ["softbody", "donkey"]
@@ -156,7 +162,7 @@ def test_names_a_planted_fault_and_the_line_that_repairs_it(
 ) -> None:
     path = made(**fault)
 
-    found = check_network(str(path), drives, 1)
+    found = check(path, drives)
 
     assert [finding.kind for finding in found.findings] == expected
     described = yaml.safe_load(path.read_text())
@@ -171,7 +177,7 @@ def test_names_a_planted_fault_and_the_line_that_repairs_it(
 def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[Recording]) -> None:
     assert kinds(made(times=0.0, plus=0.1), drives) == ["constant"]
     count = sum(len(one.frames) for one in drives)
-    found = check_network(str(made(steering=np.random.default_rng(3).normal(0.0, 0.3, count))), drives, 1)
+    found = check(made(steering=np.random.default_rng(3).normal(0.0, 0.3, count)), drives)
     (finding,) = found.findings
     assert finding.kind == "unrelated" and finding.line == "" and "not with the road: correlation" in finding.text
 
@@ -186,7 +192,7 @@ def test_a_network_that_answers_weakly_has_not_passed(
     noise -= np.polyval(np.polyfit(wanted, noise, 1), wanted)
     mixed = wanted + noise * wanted.std() / noise.std() * np.sqrt(1.0 / share**2 - 1.0)
 
-    found = check_network(str(made(steering=mixed)), drives, 1)
+    found = check(made(steering=mixed), drives)
 
     assert [one.kind for one in found.findings] == expected and found.correlation == pytest.approx(share, abs=0.06)
     weak = "is not connected, or was trained on another world: correlation 0.5"
@@ -308,7 +314,7 @@ def test_what_evidence_does_not_decide_is_as_the_maker_has_it(
     written = yaml.safe_load(file.with_suffix(".yaml").read_text())["input"]
     assert (written["colour"], written["crop"], written["subtract"], written["divide"]) == ("rgb", "none", 0, 255)
     assert "undecided, so as in Donkey Car" in file.with_suffix(".yaml").read_text()
-    found = check_network(str(file.with_suffix(".yaml")), drives, 1)
+    found = check(file.with_suffix(".yaml"), drives)
     assert [one.kind for one in found.findings] == ["unrelated"]
     assert "is not connected, or was trained on another world" in found.verdict
 
@@ -341,7 +347,7 @@ def test_an_offset_that_another_lane_takes_away_is_a_lane(
     wanted = [np.concatenate([one.steering for one in part]) for part in (drives, left)]
     path = made(of=[*drives, *left], steering=np.concatenate([wanted[0] - 0.25, wanted[1] + there]))
 
-    (finding,) = check_network(str(path), drives, 1).findings
+    (finding,) = check(path, drives).findings
 
     assert finding.kind == "lane" and said in finding.text and "--lane left" in finding.text and not finding.line
 
@@ -383,6 +389,6 @@ def test_drives_decide_by_their_number(more_drives: list[Recording]) -> None:
 def test_says_which_way_a_scale_is_wrong(
     made: Made, drives: list[Recording], times: float, said: str, factor: float
 ) -> None:
-    (finding,) = check_network(str(made(times=times)), drives, 1).findings
+    (finding,) = check(made(times=times), drives).findings
     assert f"It answers {said}" in finding.text
     assert yaml.safe_load(finding.line)["outputs"]["steering"]["scale"] == pytest.approx(factor, rel=0.05)

@@ -15,6 +15,7 @@ import pytest
 from ds_base.folder_files import StoreError
 from ds_base.progress import LOGGER
 from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Stopped
@@ -30,7 +31,7 @@ ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(4))
 OUTCOMES = dict(
     zip(ROADS, (Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS, Outcome.SIM_ERROR, Outcome.COMPLETED), strict=True)
 )
-SETTINGS = DriveSettings(siblings=("bullet", "donkey"), driver="autopilot", retries=0)
+SETTINGS = DriveSettings(siblings=("bullet", "donkey"), driver=AUTOPILOT, retries=0)
 
 
 class MadeUpEngine:
@@ -110,7 +111,7 @@ def test_drives_of_another_driver_or_of_other_weights_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
 ) -> None:
     use(MadeUpEngine())
-    network = replace(SETTINGS, driver="dave2_short")
+    network = replace(SETTINGS, driver=DriverName("dave2_short"))
     drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Callbacks())
     with pytest.raises(StoreError, match=r"driver.*choose another --out"):
         drive_same_roads(SETTINGS, ROADS[:1], 7, tmp_path / "drives", Callbacks())

@@ -19,7 +19,7 @@ from ds_analysis.sensitivity.result import RoadResult, Sensitivity, coverage, ne
 from ds_base.table import TableError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines.start import ENGINES
 from ds_report.sensitivity_picture import draw_sensitivity
@@ -245,7 +245,7 @@ def test_an_analysis_goes_on_where_it_stopped(
         engine = MadeUpEngine()
         engines.append(engine)
         found = analysis.analyse_sensitivity(
-            DriveSettings(siblings=("bullet", "softbody", "panda"), driver=driver, retries=0),
+            DriveSettings(siblings=("bullet", "softbody", "panda"), driver=DriverName.parse(driver), retries=0),
             factors,
             roads=3,
             seed=1,
@@ -272,7 +272,9 @@ def test_an_analysis_goes_on_where_it_stopped(
 
 def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
     engines.append(MadeUpEngine(fails_by_default=True))
-    found = analysis.analyse_sensitivity(DriveSettings(siblings=("bullet",), driver="dave2"), [LAG], roads=1, seed=1)
+    found = analysis.analyse_sensitivity(
+        DriveSettings(siblings=("bullet",), driver=DriverName("dave2")), [LAG], roads=1, seed=1
+    )
     assert found.thresholds[0, "bullet"].text == "fails by default"
     assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
 
@@ -282,7 +284,9 @@ def test_thresholds_of_translated_images_say_what_they_are_not(
     driver: str, translated: bool, engines: list[MadeUpEngine]
 ) -> None:
     engines.append(MadeUpEngine())
-    found = analysis.analyse_sensitivity(DriveSettings(siblings=("bullet",), driver=driver), [LAG], roads=1, seed=1)
+    found = analysis.analyse_sensitivity(
+        DriveSettings(siblings=("bullet",), driver=DriverName.parse(driver)), [LAG], roads=1, seed=1
+    )
     assert found.document()["translated_images"] == translated
     assert any("sees translated images" in note for note in found.table().notes) == translated
 
@@ -310,7 +314,7 @@ def test_several_networks_come_in_one_sorted_table(engines: list[MadeUpEngine]) 
     found = []
     for driver in ("dave2", "chauffeur"):
         engines.append(MadeUpEngine())
-        settings = DriveSettings(siblings=("bullet",), driver=driver)
+        settings = DriveSettings(siblings=("bullet",), driver=DriverName.parse(driver))
         found.append(analysis.analyse_sensitivity(settings, [lines, lag], roads=1, seed=1))
     table = networks_table(found)
     assert list(table.rows[1]) == ["chauffeur", 1, (5 / 16 + 1) / 2, lag.title, 1.0, 5 / 16]

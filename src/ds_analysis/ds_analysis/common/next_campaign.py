@@ -69,7 +69,7 @@ def proposal(
             )
         return Proposal(
             sentence=f"{passed}, even on winding roads: find the conditions that break it.",
-            command=f"ds sensitivity --driver {shlex.quote(config.driver)} "
+            command=f"ds sensitivity --driver {shlex.quote(str(config.driver))} "
             f"--sims {shlex.quote(','.join(config.simulators))} --out sensitivity",
         )
     failed = (
@@ -83,7 +83,7 @@ def proposal(
         return Proposal(sentence=f"{failed}, test gentler roads.", command=_campaign("gentler", config, GENTLE))
     return Proposal(
         sentence=f"{failed}, look at one drive, its camera and its commands: even gentle roads are too hard.",
-        command=f"ds drive --sim {shlex.quote(config.siblings[0])} --driver {shlex.quote(config.driver)} "
+        command=f"ds drive --sim {shlex.quote(config.siblings[0])} --driver {shlex.quote(str(config.driver))} "
         f"--seed 1 --max-angle {GENTLE[0]}",
     )
 
@@ -98,7 +98,7 @@ def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int], sensit
     under = f"--sensitivity {shlex.quote(sensitivity)} " if sensitivity else ""
     return " ".join(
         [
-            f"ds campaign init {name}.yaml --driver {shlex.quote(config.driver)} --sims {_simulators(config)}",
+            f"ds campaign init {name}.yaml --driver {shlex.quote(str(config.driver))} --sims {_simulators(config)}",
             f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
             f"{under}&& ds campaign run {name}.yaml --out {name} --engine local",
         ]

@@ -16,6 +16,7 @@ from ds_analysis.common.selection import ALPHA, p_of_difference
 from ds_analysis.common.statistics import Array, are_alone, families_of
 from ds_analysis.comparison.sequential import sequential_evidence
 from ds_base.errors import InputError
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.maps.algebra import DRAWS
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution
@@ -45,13 +46,17 @@ class Network:
         sha256: digest of its files; "" for the autopilot, or if it is not known.
     """
 
-    driver: str
+    driver: DriverName
     sha256: str = ""
 
     @property
     def label(self) -> str:
         """Name with the first digits of the digest."""
-        return f"{self.driver} ({self.sha256[:8]})" if self.sha256 else self.driver
+        return f"{self.driver} ({self.sha256[:8]})" if self.sha256 else str(self.driver)
+
+    def document(self) -> dict[str, str]:
+        """As JSON value."""
+        return {"driver": str(self.driver), "sha256": self.sha256}
 
 
 @dataclass(frozen=True, kw_only=True)

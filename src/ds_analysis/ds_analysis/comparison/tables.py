@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from typing import Any
 
 from ds_analysis.common.selection import ALPHA
 from ds_analysis.comparison.analysis import Comparison, advice_of, answer_of, cautions_of, sentences_of
 from ds_analysis.comparison.paired_drives import PairedCounts, PairedDrive
 from ds_base.table import Column, Table, Value, p_in_words, styled
+from ds_driver.networks.driver_name import DriverName
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import label_of
 
@@ -160,10 +160,10 @@ def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
     )
 
 
-def command_of(drive: PairedDrive, driver: str, road_file: str) -> str:
+def command_of(drive: PairedDrive, driver: DriverName, road_file: str) -> str:
     """The command that drives a test again, and shows it as a video."""
     video = f"{drive.test.name}-{label_of(drive.simulator)}.mp4"
-    parts = ["ds", "drive", "--sim", drive.simulator, "--driver", driver, "--road", road_file, "--video", video]
+    parts = ["ds", "drive", "--sim", drive.simulator, "--driver", str(driver), "--road", road_file, "--video", video]
     return shlex.join(parts)
 
 
@@ -179,8 +179,8 @@ def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[s
         "answer": answer_of(comparison),
         "sentences": sentences_of(comparison),
         "cautions": cautions_of(comparison),
-        "reference": asdict(comparison.reference),
-        "candidate": asdict(comparison.candidate),
+        "reference": comparison.reference.document(),
+        "candidate": comparison.candidate.document(),
         "origin": comparison.origin,
         "source": comparison.source,
         "features": [feature.axis for feature in comparison.features],

@@ -12,6 +12,7 @@ from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, St
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_analysis.outcomes.study import read_study
+from ds_driver.networks.driver_name import DriverName
 from ds_sim.simulator import Outcome
 
 _OUTCOMES: Mapping[int, Outcome] = {State.COMPLETED: Outcome.COMPLETED, State.FAILED: Outcome.OUT_OF_BOUNDS}
@@ -43,8 +44,8 @@ def compare_studies(reference: Path, candidate: Path) -> Comparison:
     alone = len(np.unique(first.families)) == len(first.test_ids)
     return compare_networks(
         pairs,
-        reference=Network(driver=reference.resolve().name),
-        candidate=Network(driver=candidate.resolve().name),
+        reference=Network(driver=DriverName(reference.resolve().name)),
+        candidate=Network(driver=DriverName(candidate.resolve().name)),
         origin="random" if alone else "both",
         source=f"{len({pair.test.name for pair in pairs})} tests that the studies {reference} and {candidate} share",
         simulators=names,

@@ -26,6 +26,7 @@ from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, read_file
 from ds_base.installation import ds_command
 from ds_base.table import Table
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
 
@@ -73,7 +74,7 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
         ) from None
 
 
-def network_of(driver: str) -> Network | None:
+def network_of(driver: DriverName) -> Network | None:
     """Find the paper's heading for a network; None if the paper does not test it."""
     architecture = architecture_of(driver)
     return (architecture, kind_of(driver)) if architecture in NETWORKS else None

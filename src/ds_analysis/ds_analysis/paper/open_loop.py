@@ -17,6 +17,7 @@ from ds_analysis.common.statistics import Array
 from ds_base.errors import InputError
 from ds_base.progress import Progress
 from ds_driver.data.recordings import RecordedFrame, Recording
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.images import Crop
 
 Answer = Callable[[RecordedFrame, Crop], float | None]
@@ -146,7 +147,7 @@ def write_answers(path: Path, answers: Iterable[Answers]) -> None:
 
 def predict(
     data: Path,
-    network: str,
+    network: DriverName,
     progress: Progress,
     *,
     images: int | None = None,
@@ -156,7 +157,7 @@ def predict(
 
     Args:
         data: folder of the data set; see `ds_driver.data.dataset`.
-        network: any name that `ds_driver.networks.network_driver.NetworkDriver` accepts.
+        network: driver that sees images.
         progress: counts the images.
         images: largest number of images per simulator, evenly spread over its drives, or for a network with memory the
             first of them; all if None.
@@ -170,7 +171,6 @@ def predict(
         ds_driver.data.dataset.DatasetError: the data set cannot be used.
         ValueError: the network cannot be used.
     """
-    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.control.bicycle import Geometry
     from ds_driver.data.dataset import Sample, crops_of, decode, imported_names, read_samples
     from ds_driver.networks.network_driver import load_pilot
@@ -227,17 +227,15 @@ def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
     return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
 
 
-def architecture_of(network: str) -> str:
+def architecture_of(driver: DriverName) -> str:
     """Read the architecture of a shipped network or a weights file; "" if it has none."""
-    from ds_driver.networks.driver_name import DriverName
     from ds_driver.networks.weights import architecture_in, shipped_networks
 
-    network = DriverName.parse(network).network
-    return architecture_in(shipped_networks().get(network, Path(network)))
+    return architecture_in(shipped_networks().get(driver.network, Path(driver.network)))
 
 
-def kind_of(network: str) -> Literal["sim", "real"]:
+def kind_of(driver: DriverName) -> Literal["sim", "real"]:
     """Return which of the paper's networks one compares with: M_S for plain images, M_R for translated ones."""
     from ds_driver.networks.network_driver import sees_translated
 
-    return "real" if sees_translated(network) else "sim"
+    return "real" if sees_translated(driver) else "sim"

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from ds_analysis.sensitivity.factors import LEVELS, Factor
 from ds_base.table import Column, Table, Value, styled
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import sees_translated
 from ds_sim.conditions.text import format_3sf
 from ds_sim.scenario import Scenario
@@ -175,7 +176,7 @@ class Sensitivity:
         thresholds: results by the factor's position and the simulator.
     """
 
-    driver: str
+    driver: DriverName
     simulators: Sequence[str]
     factors: Sequence[Factor]
     needed: int
@@ -202,7 +203,7 @@ class Sensitivity:
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
-            "driver": self.driver,
+            "driver": str(self.driver),
             "translated_images": sees_translated(self.driver),
             "simulators": list(self.simulators),
             "roads": {name: [one.road.road_id for one in of] for name, of in self.roads.items()},
@@ -278,7 +279,7 @@ def networks_table(found: Sequence[Sensitivity]) -> Table:
         known = [share for share in least if share is not None]
         weakest = factors[one.order[0]].title if known and min(known) < 1.0 else "none"
         completed = sum(map(len, one.roads.values()))
-        rows.append([one.driver, completed, sum(known) / len(known) if known else None, weakest, *least])
+        rows.append([str(one.driver), completed, sum(known) / len(known) if known else None, weakest, *least])
     return Table(
         name="networks",
         title="Share of each condition's range that a network withstands",

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ds_base.words import count
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
 from ds_sim.simulator import Outcome
 
-AUTOPILOT = "autopilot"
 """Driver that sees no image, and shows what the roads themselves demand."""
 
 
@@ -31,16 +31,16 @@ class TrackAnswer:
         limits: what could not be done, one sentence each.
     """
 
-    driver: str
+    driver: DriverName
     recording: str
     twin: str
     roads: Sequence[Road]
-    drives: Mapping[tuple[str, str], Sequence[Execution | None]]
-    undecided: Mapping[tuple[str, str], Sequence[str]] = field(default_factory=dict)
+    drives: Mapping[tuple[DriverName, str], Sequence[Execution | None]]
+    undecided: Mapping[tuple[DriverName, str], Sequence[str]] = field(default_factory=dict)
     recorded: Sequence[bool]
     limits: Sequence[str] = ()
 
-    def failures(self, driver: str, simulator: str) -> tuple[int, int]:
+    def failures(self, driver: DriverName, simulator: str) -> tuple[int, int]:
         """Roads on which a driver fails, and roads with a verdict."""
         known = [one for one in self.drives[driver, simulator] if one is not None]
         return sum(one.outcome.is_failure for one in known), len(known)
@@ -71,7 +71,7 @@ class TrackAnswer:
             f"{autopilot * (self.driver != AUTOPILOT)}; on the twin {on_twin})."
         )
 
-    def _share(self, driver: str, simulator: str) -> str:
+    def _share(self, driver: DriverName, simulator: str) -> str:
         failures, judged = self.failures(driver, simulator)
         return f"{failures} of {judged}"
 
@@ -97,7 +97,7 @@ class TrackAnswer:
     def document(self) -> dict[str, Any]:
         """JSON values."""
         return {
-            "driver": self.driver,
+            "driver": str(self.driver),
             "verdict": self.verdict,
             "sentence": self.sentence,
             "cautions": self.cautions,

@@ -18,12 +18,13 @@ from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.frames import COLUMNS, write_frames
 from ds_analysis.outcomes.study import import_outcomes, read_study, study_of, write_rows, write_study
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_road import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 
-CONFIG = CampaignConfig(siblings=["bullet", "softbody"], twin="donkey", driver="dave2")
+CONFIG = CampaignConfig(siblings=["bullet", "softbody"], twin="donkey", driver=DriverName("dave2"))
 
 
 def test_frames_are_the_stored_trajectories(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ from typing import cast
 
 import pytest
 
-from ds_analysis.siblings.track_answer import AUTOPILOT, TrackAnswer
+from ds_analysis.siblings.track_answer import TrackAnswer
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.search.features import Drive
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
@@ -38,20 +39,23 @@ def drives(outcomes: str) -> list[Execution | None]:
     ]  # fmt: skip
 
 
+MINE = DriverName("mine")
+
+
 def answer(own: str, *, twin: str = "ccc", autopilot: str = "ccc") -> TrackAnswer:
     return TrackAnswer(
-        driver="mine",
+        driver=MINE,
         recording=SEEN,
         twin=TWIN,
         roads=ROADS,
         drives={
-            ("mine", SEEN): drives(own),
-            ("mine", TWIN): drives(twin),
+            (MINE, SEEN): drives(own),
+            (MINE, TWIN): drives(twin),
             (AUTOPILOT, SEEN): drives(autopilot),
             (AUTOPILOT, TWIN): drives("ccc"),
         },
         undecided={
-            ("mine", name): ["the car is far"] * of.count("u") for name, of in ((SEEN, own), (TWIN, twin))
+            (MINE, name): ["the car is far"] * of.count("u") for name, of in ((SEEN, own), (TWIN, twin))
         },
         recorded=[True, False, False],
         limits=["The twin is not fitted."],

@@ -13,7 +13,16 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import Camera, ImageRows, JsonFlag, RecordedSteering, SteeringFactor, Trust, rows_of
+from ds_cli.options import (
+    Camera,
+    ImageRows,
+    JsonFlag,
+    RecordedSteering,
+    SteeringFactor,
+    Trust,
+    driver_named,
+    rows_of,
+)
 from ds_cli.output import Interrupted, Result, answer, end, say
 
 app = typer.Typer()
@@ -35,7 +44,7 @@ def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, tr
         recorded = read_run(bag, simulator=simulator, seed=seed, trusted=trusted)
         name = bag.facts.get("driver") or "recorded commands"
     try:
-        translate = translation_of(name, simulator)
+        translate = translation_of(driver_named(name), simulator)
     except ValueError as error:  # the drive is shown without
         translate = None
         say(f"no translated images: {error}")

@@ -12,11 +12,13 @@ from rich.table import Table
 
 from ds_base.atomic_files import write_json
 from ds_base.installation import ds_command
+from ds_cli.options import driver_named
 from ds_cli.output import Interrupted, Result, ScreenProgress, say
 
 if TYPE_CHECKING:
     from ds_analysis.paper.open_loop import Answer
     from ds_driver.data.recordings import Reading, RecordedFrame
+    from ds_driver.networks.driver_name import DriverName
     from ds_driver.networks.images import Crop
 
 
@@ -51,7 +53,7 @@ def bag_drive(
     recordings = [open_recording(folder, reading) for folder in folders]
     if out is not None and out.exists() and not out.is_dir():
         raise BagError(f"{out} is a file: choose another --out")
-    answer = answer or _network(driver)
+    answer = answer or _network(driver_named(driver))
     progress, answers = ScreenProgress(), []
     progress.start(len(recordings))
     try:
@@ -99,9 +101,9 @@ def bag_drive(
     return Result(document=document, show=show, next=ds_command("check", known))
 
 
-def _network(driver: str) -> Answer:
+def _network(driver: DriverName) -> Answer:
     from ds_bags.layout import BagError
-    from ds_driver.control.autopilot import AUTOPILOT
+    from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import NetworkDriver
 
     if driver == AUTOPILOT:

@@ -41,6 +41,7 @@ from ds_cli.output import end, of_networks, stopped_in
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison, Origin
     from ds_analysis.comparison.paired_drives import Network
+    from ds_driver.networks.driver_name import DriverName
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.campaign.folder import CampaignData
     from ds_studies.comparison.compare import GivenTests
@@ -122,7 +123,7 @@ class CampaignAndNetwork:
     """A campaign, and a network that drives its tests."""
 
     campaign: Path
-    network: str
+    network: DriverName
     again: bool
     trust: Sequence[str]
 
@@ -168,8 +169,8 @@ class TwoCampaigns:
 class TwoNetworks:
     """Two networks on random roads."""
 
-    reference: str
-    candidate: str
+    reference: DriverName
+    candidate: DriverName
     simulators: Sequence[str]
     roads: int
     seed: int
@@ -213,10 +214,10 @@ def _origin(data: CampaignData, searched: Origin) -> Origin:
     return "random" if data.config.search.method == "random" else searched
 
 
-def network_named(driver: str, simulators: Sequence[str]) -> Network:
+def network_named(driver: DriverName, simulators: Sequence[str]) -> Network:
     """A network with its digest, checked before anything starts."""
     from ds_analysis.comparison.paired_drives import Network
-    from ds_driver.control.autopilot import AUTOPILOT
+    from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import driver_sha256
     from ds_orchestrator.engines.preflight import check_driver
 
@@ -294,11 +295,13 @@ def campaign_compare_command(
             return TwoCampaigns(Path(first), Path(candidate), again, trust or [])
         if is_campaign(candidate):
             raise ComparisonError(f"{first} is no campaign folder: give the campaign first, then the network")
-        network = driver_named(candidate, backend, "cpu")
+        network = driver_named(candidate, backend)
         if is_campaign(first):
             return CampaignAndNetwork(Path(first), network, again, trust or [])
         names = simulators_of(sims or SIMULATORS)
-        return TwoNetworks(first, network, names, roads or ROADS, SEED if seed is None else seed, stop_early)
+        return TwoNetworks(
+            driver_named(first), network, names, roads or ROADS, SEED if seed is None else seed, stop_early
+        )
 
     results, comparisons = [], []
     for candidate in candidates:

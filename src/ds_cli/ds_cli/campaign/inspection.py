@@ -70,7 +70,7 @@ def status(folder: Path) -> Result:
         if missing:
             print(missing_line(missing))
         for habit in habits:
-            print(warning(config.driver, habit))
+            print(warning(str(config.driver), habit))
         if document["errors"]:
             print(f"{len(document['errors'])} attempts ended in an error; --json lists them")
 

@@ -37,6 +37,7 @@ from ds_cli.options import (
     Workers,
     cluster_of,
     complete_driver,
+    driver_named,
     label_of_driver,
     several,
     simulators_of,
@@ -96,7 +97,7 @@ def campaign(
     say(f"finished in {duration(time.monotonic() - started)}")
     with closing(open_store(out)) as store:
         for habit in driver_habits(store):
-            say(warning(config.driver, habit))
+            say(warning(str(config.driver), habit))
     document: dict[str, Any] = {
         "folder": str(out),
         "report": str(outcome.report),
@@ -151,7 +152,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
     if junit is not None:
-        junit.write_text(junit_of(data.config.driver, cases_of_campaign(data)), "utf-8")
+        junit.write_text(junit_of(str(data.config.driver), cases_of_campaign(data)), "utf-8")
     if videos is not None:
         from ds_studies.failure_videos import FailedDrive, write_failure_videos
 
@@ -230,7 +231,7 @@ def _template_of(
     from ds_studies.sensitivity.ranges import read_ranges
 
     names = simulators_of(sims.removesuffix(",none"))
-    check_driver(driver, names)
+    check_driver(driver_named(driver), names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
     named = rebase_paths({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
     ranges = read_ranges(sensitivity) if sensitivity else None
@@ -328,8 +329,9 @@ def campaign_run_command(
     def run(network: str | None, folder: Path) -> Result:
         changed = with_engine(read_config(config), workers, engine)
         if network:
-            check_driver(network, changed.simulators)
-            changed = changed.model_copy(update={"driver": network})
+            driver = driver_named(network)
+            check_driver(driver, changed.simulators)
+            changed = changed.model_copy(update={"driver": driver})
         if dry_run:
             following = ds_command("campaign", "run", config, "--out", folder)
             return _dry_run(changed, folder, cluster_of(cluster), following)

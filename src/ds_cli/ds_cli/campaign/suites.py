@@ -28,7 +28,7 @@ from ds_cli.campaign.compare_results import (
 from ds_cli.options import (
     Backend,
     Cluster,
-    DriverName,
+    DriverText,
     EngineName,
     Folder,
     JsonFlag,
@@ -95,7 +95,7 @@ def suite_make_command(
 @suite_app.command("run")
 def suite_run_command(
     suite: SuiteFile,
-    driver: DriverName,
+    driver: DriverText,
     backend: Backend = "auto",
     out: Annotated[
         Path, typer.Option(help="Folder for drives and results; a run that was stopped there goes on.")
@@ -139,7 +139,7 @@ def suite_run_command(
         write_suite,
     )
 
-    driver = driver_named(driver, backend, "cpu")
+    network = driver_named(driver, backend)
     criteria = criteria_of(fail_on, max_failures, has_reference=True)
     if stop_early and (update is not None or (fail_on in (None, "worse") and max_failures is None)):
         raise SuiteError("--stop-early needs --fail-on failure or regression, or --max-failures, and no --update")
@@ -147,14 +147,14 @@ def suite_run_command(
     tests = read_suite(suite)
     for name in tests.simulators:
         received_simulator(name, confirmed=trust or [], option="--trust")
-    candidate = network_named(driver, tests.simulators)
+    candidate = network_named(network, tests.simulators)
     code = code_sha256()
     source = f"The {len(tests.tests)} tests of the suite {suite.name} on {', '.join(tests.simulators)}"
     if tests.code_sha256 != code:
         say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
         source += ", made with other code of the simulators"
     make_folder(out)
-    settings = with_engine_without_ros(settings_of_suite(tests, driver), workers, engine, cluster)
+    settings = with_engine_without_ros(settings_of_suite(tests, network), workers, engine, cluster)
     sizes = [*range(BATCH, len(tests.tests), BATCH)] if stop_early else []
     for last in [*sizes, len(tests.tests)]:
         some = tests.model_copy(update={"tests": tests.tests[:last]})
@@ -167,11 +167,11 @@ def suite_run_command(
             break
     if update is not None and not found.left_out:
         write_suite(with_outcomes(tests, candidate, executions, code), update)
-        say(f"{update} expects the outcomes of {driver}")
-    following = ds_command("test", driver)
+        say(f"{update} expects the outcomes of {network}")
+    following = ds_command("test", network)
     result = write_comparison(found, out, unmet_by(criteria, found), following, junit=junit, markdown=markdown)
     if videos is not None:
         lost = [one for one in found.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
-        write_failure_videos(driver, failed, videos)
+        write_failure_videos(network, failed, videos)
     end(result, as_json)

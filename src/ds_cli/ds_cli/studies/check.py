@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.options import ALL, JsonFlag, Seed, Simulators, every_or_named
+from ds_cli.options import ALL, JsonFlag, Seed, Simulators, driver_named, every_or_named
 from ds_cli.output import Result, ScreenProgress, end, say
 
 app = typer.Typer()
@@ -58,7 +58,7 @@ def check_command(
     bare = file.suffix.lower() in KINDS
     forms = forms_of(file) if bare else []
     # Refuses what cannot be used before anything is driven.
-    pilot = load(file, forms) if bare else load_pilot(network)
+    pilot = load(file, forms) if bare else load_pilot(driver_named(network))
     make_folder(out)
     recordings = record(names, seed, ScreenProgress(), whole=pilot.has_memory)
     pace = pace_of(pilot, recordings[0].frames[0])
@@ -75,7 +75,7 @@ def check_command(
             written.write(text)
         say(f"wrote {network}: its comments say what was chosen, and why")
     say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
-    found = check_network(network, recordings, seed, search=search)
+    found = check_network(driver_named(network), recordings, seed, search=search)
     picture = out / "check.png"
     picture.write_bytes(png(draw_check(found, recordings)))
 

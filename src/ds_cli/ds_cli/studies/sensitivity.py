@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,7 +14,7 @@ from ds_cli.options import (
     ALL,
     Backend,
     Cluster,
-    DriverName,
+    DriverText,
     EngineName,
     JsonFlag,
     Seed,
@@ -31,12 +31,15 @@ from ds_cli.options import (
 from ds_cli.output import Result, ScreenProgress, end, of_networks, say, stopped_in
 from ds_sim.conditions.model import ConditionsError
 
+if TYPE_CHECKING:
+    from ds_driver.networks.driver_name import DriverName
+
 app = typer.Typer()
 
 
 @app.command("sensitivity")
 def sensitivity_command(
-    driver: DriverName = "dave2",
+    driver: DriverText = "dave2",
     backend: Backend = "auto",
     sims: Simulators = ALL,
     conditions: Annotated[
@@ -90,13 +93,13 @@ def sensitivity_command(
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import analyse_sensitivity
 
-    drivers = [driver_named(name, backend, "cpu") for name in several(driver) or [driver]]
+    drivers = [driver_named(name, backend) for name in several(driver) or [driver]]
     names = every_or_named(sims)
     if levels not in RESOLUTIONS:
         raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
     factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
 
-    def analyse(driver: str, out: Path | None, gates: Path | None) -> tuple[Sensitivity, Result]:
+    def analyse(driver: DriverName, out: Path | None, gates: Path | None) -> tuple[Sensitivity, Result]:
         settings = with_engine_without_ros(
             DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster
         )
@@ -140,5 +143,5 @@ def sensitivity_command(
         return
     with TemporaryDirectory(prefix="ds_gates_") as shared:
         gates = gates or (out or Path(shared)) / "gates"
-        analyses = [analyse(name, out and out / label_of_driver(name), gates) for name in drivers]
+        analyses = [analyse(name, out and out / label_of_driver(str(name)), gates) for name in drivers]
     end(of_networks(networks_table([found for found, _ in analyses]), [one for _, one in analyses], out, sort), as_json)

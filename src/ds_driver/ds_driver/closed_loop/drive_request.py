@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from ds_driver.networks.driver_name import DriverName
 from ds_road.files import road_from_json, road_to_json
 from ds_sim.conditions.text import from_json
 from ds_sim.scenario import OfScenario, Scenario
@@ -20,13 +21,13 @@ class DriveRequest(OfScenario):
 
     Attributes:
         scenario: road to drive, operating conditions, and seed of the run.
-        driver: `autopilot`, or any name accepted by `ds_driver.networks.network_driver.NetworkDriver`.
+        driver: the autopilot, or what `ds_driver.networks.network_driver.NetworkDriver` accepts.
         simulator: name known to `ds_sim.registry`.
         probed: measure the contrast of the lines; see `ds_sim.gates`.
     """
 
     scenario: Scenario
-    driver: str
+    driver: DriverName
     simulator: str
     probed: bool = False
 
@@ -39,7 +40,7 @@ def request_to_json(request: DriveRequest) -> dict[str, Any]:
     """Convert a request to a JSON value."""
     return {
         "simulator": request.simulator,
-        "driver": request.driver,
+        "driver": str(request.driver),
         "road": road_to_json(request.road),
         "seed": request.seed,
         "conditions": request.conditions.changed,
@@ -54,4 +55,4 @@ def request_from_json(value: Mapping[str, Any]) -> DriveRequest:
         ValueError: the road or the conditions cannot be.
     """
     scenario = Scenario(road_from_json(value["road"]), from_json(value["conditions"]), seed=value["seed"])
-    return DriveRequest(scenario, value["driver"], value["simulator"], probed=value["probed"])
+    return DriveRequest(scenario, DriverName.parse(value["driver"]), value["simulator"], probed=value["probed"])

@@ -21,6 +21,7 @@ import msgspec
 
 from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
 from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
+from ds_driver.networks.driver_name import DriverName
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.run_codec import RunCodecError, encode_run
 from ds_sim.session import RunRecord
@@ -68,7 +69,7 @@ def encoded_request(key: int, request: DriveRequest) -> bytes:
     return json.dumps({"key": key, **request_to_json(request)}).encode()
 
 
-def serve(connection: Connection, memory: PhaseMemory, driver: str) -> None:
+def serve(connection: Connection, memory: PhaseMemory, driver: DriverName) -> None:
     """Drive whatever is requested until the other side closes the connection."""
     try:
         drives = InterleavedDrives(driver, memory.note)
@@ -113,7 +114,7 @@ def main() -> None:
     """Serve the connection and the memory whose descriptors are the first two arguments; the third is the driver."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which stops its workers
     connection, memory, driver = sys.argv[1:]
-    serve(Connection(int(connection)), PhaseMemory(int(memory)), driver)
+    serve(Connection(int(connection)), PhaseMemory(int(memory)), DriverName.parse(driver))
 
 
 if __name__ == "__main__":

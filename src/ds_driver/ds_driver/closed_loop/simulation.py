@@ -8,7 +8,8 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.control.autopilot import AUTOPILOT, ROWS_SEEN, Autopilot
+from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.images import Crop, ImageError
 from ds_driver.networks.pilot import DriverError, Frame
 from ds_road import Road
@@ -25,12 +26,13 @@ if TYPE_CHECKING:
 Driver = Callable[[Observation], Command]
 
 
-def make_driver(driver: str, spec: SimulatorSpec) -> Driver:
+def make_driver(driver: DriverName | str, spec: SimulatorSpec) -> Driver:
     """Make the driver of a name for one simulator: the autopilot with its gains, or a network with its crop.
 
     Raises:
         ValueError: the name is unknown, or the driver cannot be loaded.
     """
+    driver = DriverName.of(driver)
     if driver == AUTOPILOT:
         autopilot = Autopilot(spec.autopilot)
         return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
@@ -102,7 +104,7 @@ class InterleavedDrives:
         ValueError: the driver cannot be loaded.
     """
 
-    def __init__(self, driver: str, note: NotePhase = lambda _phase, _key: None) -> None:
+    def __init__(self, driver: DriverName, note: NotePhase = lambda _phase, _key: None) -> None:
         self._note = note
         self._driver = driver
         self._network = None if driver == AUTOPILOT else _network(driver)
@@ -169,7 +171,7 @@ class InterleavedDrives:
             self._idle[oldest].pop(0).close()
 
 
-def _network(driver: str) -> NetworkDriver:
+def _network(driver: DriverName) -> NetworkDriver:
     """Load a network; the autopilot needs none of its libraries."""
     from ds_driver.networks.network_driver import NetworkDriver
 

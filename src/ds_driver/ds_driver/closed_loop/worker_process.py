@@ -19,6 +19,7 @@ from ds_base.processes import ChildProcesses, last_line_of, python_environment
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.drive_worker import ANSWER, LARGEST_ANSWER, PhaseMemory, encoded_request
 from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
+from ds_driver.networks.driver_name import DriverName
 from ds_sim.run_codec import RunCodecError, decode_run
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -51,7 +52,7 @@ class WorkerProcess:
     The driver has `command_timeout` s of wall-clock time for one answer; what the process prints goes to `log`.
     """
 
-    def __init__(self, driver: str, *, command_timeout: float, log: Path) -> None:
+    def __init__(self, driver: DriverName, *, command_timeout: float, log: Path) -> None:
         self._driver = driver
         self._limits = {
             Phase.LOADING: LOAD_TIME,
@@ -134,13 +135,13 @@ class WorkerProcess:
 class _Process:
     """One start of the process, and the drives that it has."""
 
-    def __init__(self, children: ChildProcesses, driver: str, limits: dict[Phase, float], log: Path) -> None:
+    def __init__(self, children: ChildProcesses, driver: DriverName, limits: dict[Phase, float], log: Path) -> None:
         self._log, self._limits = log, limits
         self._connection, theirs = Pipe()
         self._memory = PhaseMemory()
         descriptors = (theirs.fileno(), self._memory.descriptor)
         self.child = children.start(
-            [sys.executable, "-m", "ds_driver.closed_loop.drive_worker", *map(str, descriptors), driver],
+            [sys.executable, "-m", "ds_driver.closed_loop.drive_worker", *map(str, (*descriptors, driver))],
             environment=python_environment(),
             log=log,
             pass_fds=descriptors,

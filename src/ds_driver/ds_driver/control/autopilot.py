@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from ds_sim.simulator import AutopilotGains, Command
 
-AUTOPILOT = "autopilot"
-"""Its name, in place of a network's."""
 START_THROTTLE = 0.5
 """Throttle for starting with the wheels at full lock, where equation 2 gives none (maxitwo)."""
 _STANDSTILL = 0.1

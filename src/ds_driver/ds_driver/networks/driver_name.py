@@ -1,19 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parses driver names, `NETWORK+GENERATORS@BACKEND`, and decides which ones a received file may give."""
+"""A driver's name, `NETWORK+GENERATORS@BACKEND`: parsed where text comes in, and carried as a value from there on."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ds_base.extension import installed
-from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
-from ds_driver.networks.description import file_of, read_description
-from ds_driver.networks.network_file import KINDS
-from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.weights import shipped_networks, shipped_sets
 from ds_sim.registry import path_moved
 
@@ -33,28 +28,25 @@ class DriverName:
         network: name of a shipped network or of an installed package's driver, a file of weights, the description of a
             network file, or `module:Class`.
         generators: set of generators that translate images for the network; "" where the name has none.
-        backend: one of `ds_driver.networks.backends.BACKENDS`.
-        device: one of `ds_driver.networks.backends.DEVICES`.
+        ending: what the name says of the backend: one of `ds_driver.networks.backends.BACKENDS`, or `cuda`; "" if
+            nothing, which is the same as `auto`.
 
     Examples:
         >>> DriverName.parse("dave2+indoor_track@openvino-bf16")
-        DriverName(network='dave2', generators='indoor_track', backend='openvino-bf16', device='cpu')
+        DriverName(network='dave2', generators='indoor_track', ending='openvino-bf16')
         >>> str(DriverName.parse("my_net.yaml").on("torch", "cuda"))
         'my_net.yaml@cuda'
     """
 
     network: str
     generators: str = ""
-    backend: str = "auto"
-    device: str = "cpu"
+    ending: str = ""
 
     @classmethod
     def parse(cls, text: str) -> DriverName:
         """Parse a name; whether there is such a driver is seen when it is loaded."""
         name, at, ending = text.rpartition("@")
-        if at and ending == "cuda":
-            return cls(*_split_generators(name), "torch", "cuda")
-        if at and ending in BACKENDS:
+        if at and ending in (*BACKENDS, "cuda"):
             return cls(*_split_generators(name), ending)
         return cls(*_split_generators(text))
 
@@ -65,14 +57,22 @@ class DriverName:
 
     def __str__(self) -> str:
         generators = f"+{self.generators}" if self.generators else ""
-        return f"{self.network}{generators}{self.suffix}"
+        return f"{self.network}{generators}{'@' * bool(self.ending)}{self.ending}"
+
+    @property
+    def backend(self) -> str:
+        """One of `ds_driver.networks.backends.BACKENDS`."""
+        return "torch" if self.ending == "cuda" else self.ending or "auto"
+
+    @property
+    def device(self) -> str:
+        """One of `ds_driver.networks.backends.DEVICES`."""
+        return "cuda" if self.ending == "cuda" else "cpu"
 
     @property
     def suffix(self) -> str:
         """Backend suffix, such as `@onnx`; "" for the default."""
-        if self.device == "cuda":
-            return "@cuda"
-        return "" if self.backend == "auto" else f"@{self.backend}"
+        return "" if self.backend == "auto" else f"@{self.ending}"
 
     @property
     def file_type(self) -> str:
@@ -111,8 +111,8 @@ class DriverName:
         if device == "cuda" and backend not in ("auto", "torch"):
             raise BackendError(f"backend {backend} runs on the CPU only: leave out --device cuda")
         if device == "cuda":
-            return replace(self, backend="torch", device="cuda")
-        return self if backend == "auto" else replace(self, backend=backend, device="cpu")
+            return replace(self, ending="cuda")
+        return self if backend == "auto" else replace(self, ending=backend)
 
     def moved(self, start: Path, end: Path) -> DriverName:
         """The name whose paths, relative to one folder, are made relative to another."""
@@ -141,36 +141,5 @@ def _split_generators(name: str) -> tuple[str, str]:
     return name, ""
 
 
-def received_driver(driver: object, *, confirmed: Collection[str] = ()) -> str:
-    """Check and return a driver's name that was read from a received file, before anything is loaded.
-
-    The autopilot, shipped networks, safetensors weights, and described ONNX or TensorFlow Lite files run no code of
-    their own. A Python class runs its module, and a TorchScript file is a program that can write files: the user has
-    to confirm such a name with `--trust`.
-
-    The user gave `confirmed` names on the command line or in their own configuration.
-
-    Raises:
-        DriverError: the name is not text, would run unconfirmed code, or has no readable description.
-    """
-    if not isinstance(driver, str):
-        raise DriverError(f"driver is a {type(driver).__name__}, expected a name")
-    parsed = DriverName.parse(driver)
-    name, suffix = parsed.network, parsed.file_type
-    harmless = name == AUTOPILOT or name in shipped_networks() or name in installed("drivers") or suffix == WEIGHTS
-    if harmless or driver in confirmed or name in confirmed:
-        return driver
-    if suffix in DESCRIPTIONS:
-        path = Path(name)
-        if KINDS[file_of(path, read_description(path)).suffix.lower()] != "torchscript":
-            return driver
-        what = "a TorchScript file, which is a program,"
-    elif ":" in name:
-        what = "Python code that is not shipped,"
-    else:
-        return driver  # an architecture without weights, or not loadable at all
-    shown = repr(driver) if len(driver) <= 100 else f"{driver[:100]!r}..."
-    raise DriverError(
-        f"driver {shown} is {what} and a received file must not run code: if you trust it, name it yourself with "
-        f"--trust {shown}"
-    )
+AUTOPILOT = DriverName("autopilot")
+"""The autopilot, in place of a network."""

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from ds_base.extension import installed
 from ds_base.installation import ds_command
 from ds_base.words import did_you_mean
-from ds_driver.control.autopilot import AUTOPILOT, throttle
+from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
-from ds_driver.networks.driver_name import NO_GENERATORS, DriverName
+from ds_driver.networks.driver_name import AUTOPILOT, NO_GENERATORS, DriverName
 from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_file import KINDS
@@ -198,13 +198,13 @@ Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
 
 
-def translation_of(driver: DriverName | str, simulator: str) -> Translation | None:
+def translation_of(driver: DriverName, simulator: str) -> Translation | None:
     """Return how a driver sees a simulator's images, for recordings and pictures; None if it sees them as they are.
 
     Raises:
         DriverError: the generators of the driver are missing.
     """
-    translation = _kept_image_translation_of(DriverName.of(driver))
+    translation = _kept_image_translation_of(driver)
     if translation is None:
         return None
     name, lock = spec_of(simulator).name, Lock()
@@ -216,27 +216,25 @@ def translation_of(driver: DriverName | str, simulator: str) -> Translation | No
     return translated
 
 
-def generators_of(driver: DriverName | str) -> GeneratorSet | None:
+def generators_of(driver: DriverName) -> GeneratorSet | None:
     """Find the generators with which a driver translates images; None if it sees them as they are.
 
     Raises:
         DriverError: there are no such generators.
         ds_driver.networks.weights.WeightsError: the network's file is missing.
     """
-    name = DriverName.of(driver)
-    if name.generators:
-        return None if name.generators == NO_GENERATORS else open_set(name.generators)
-    trained_with = generators_in(name.network) if name.has_weights else {}
-    return set_of_network(name.network, path_of_weights(name.network), trained_with) if trained_with else None
+    if driver.generators:
+        return None if driver.generators == NO_GENERATORS else open_set(driver.generators)
+    trained_with = generators_in(driver.network) if driver.has_weights else {}
+    return set_of_network(driver.network, path_of_weights(driver.network), trained_with) if trained_with else None
 
 
-def sees_translated(driver: DriverName | str) -> bool:
+def sees_translated(driver: DriverName) -> bool:
     """Return whether a driver sees translated images, also where its files are missing and only its name says so."""
-    name = DriverName.of(driver)
-    if name.generators:
-        return name.generators != NO_GENERATORS
+    if driver.generators:
+        return driver.generators != NO_GENERATORS
     try:
-        return bool(name.has_weights and generators_in(name.network))
+        return bool(driver.has_weights and generators_in(driver.network))
     except ValueError:
         return False
 
@@ -254,7 +252,7 @@ def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pil
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")
         return UserClassPilot(name.python_class)
     if not name.has_weights:
-        names = [AUTOPILOT, *dict.fromkeys([*NETWORKS, *shipped_networks(), *installed("drivers")])]
+        names = [str(AUTOPILOT), *dict.fromkeys([*NETWORKS, *shipped_networks(), *installed("drivers")])]
         raise UnknownNetworkError(
             f"unknown driver {network!r}{did_you_mean(network, names)}: expected one of {', '.join(names)}, "
             "a .safetensors or .yaml file, or module:Class"
@@ -262,22 +260,21 @@ def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pil
     return BuiltInPilot(network, name.backend, name.device, translation)
 
 
-def driver_sha256(driver: DriverName | str) -> str:
+def driver_sha256(driver: DriverName) -> str:
     """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class.
 
     Generators that its name names are part of it; those that a network was trained with are so by their digests in it.
     """
-    name = DriverName.of(driver)
-    if name.generators:
-        generators, network = generators_of(name), driver_sha256(DriverName(name.network))
-        parts_of_both = f"{network} {generators.sha256 if generators else name.generators}"
+    if driver.generators:
+        generators, network = generators_of(driver), driver_sha256(DriverName(driver.network))
+        parts_of_both = f"{network} {generators.sha256 if generators else driver.generators}"
         return hashlib.sha256(parts_of_both.encode()).hexdigest()
-    if (path := name.description) is not None:
+    if (path := driver.description) is not None:
         parts = [path, file_of(path, read_description(path))]
-    elif name.python_class:
-        parts = [source_of(name.python_class)]
+    elif driver.python_class:
+        parts = [source_of(driver.python_class)]
     else:
-        return weights_sha256(name.network)
+        return weights_sha256(driver.network)
     return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()
 
 

@@ -16,9 +16,9 @@ from ds_base.atomic_files import whole_file
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import make_driver
-from ds_driver.control.autopilot import AUTOPILOT
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.sim2real.generator import Sim2RealError
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
 from ds_road import Road

@@ -17,10 +17,12 @@ from pydantic import (
     field_validator,
     model_validator,
 )
+from pydantic_core import PydanticKnownError
 
 from ds_base.config_errors import problems, read_keys
 from ds_base.errors import InputError
 from ds_base.extension import confirm, is_extension
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.algebra import operator_of
@@ -53,8 +55,18 @@ def _conditions(value: object) -> Conditions:
     return DEFAULT if value in (None, "none") else parse_conditions(str(value))
 
 
+def _driver(value: object) -> DriverName:
+    if isinstance(value, DriverName):
+        return value
+    if not isinstance(value, str):
+        raise PydanticKnownError("string_type")
+    return DriverName.parse(value)
+
+
 ConditionsText = Annotated[Conditions, PlainValidator(_conditions), PlainSerializer(format_conditions)]
 """Operating conditions, written as text in a file."""
+DriverText = Annotated[DriverName, PlainValidator(_driver), PlainSerializer(str)]
+"""Driver, written as its name in a file."""
 
 
 class _Strict(BaseModel):
@@ -189,7 +201,7 @@ class CampaignConfig(_Strict):
 
     siblings: Annotated[list[str], Field(min_length=1, max_length=MOST_NAMES)] = ["bullet", "softbody"]
     twin: str | None = "donkey"
-    driver: str = "dave2"
+    driver: DriverText = DriverName("dave2")
     sim2real: bool = False
     search: SearchConfig = SearchConfig()
     maxitwo_compatible: bool = False
@@ -223,14 +235,12 @@ class CampaignConfig(_Strict):
         if not isinstance(values, dict) or values.get("sim2real") in (None, False, ""):
             return values
         generators, driver = values["sim2real"], values.get("driver", "dave2")
-        if not isinstance(generators, str) or not isinstance(driver, str):
+        if not isinstance(generators, str) or not isinstance(driver, str | DriverName):
             raise ValueError(f"sim2real: {generators!r:.60}: expected false, or a set of generators, by name or folder")
-        from ds_driver.networks.driver_name import DriverName
-
-        name = DriverName.parse(driver)
-        if driver == "autopilot" or name.generators:
+        driver = _driver(driver)
+        if driver == AUTOPILOT or driver.generators:
             raise ValueError(f"sim2real: {driver} names its generators or sees no images: leave sim2real out")
-        return {**values, "sim2real": False, "driver": str(name.seeing(generators))}
+        return {**values, "sim2real": False, "driver": driver.seeing(generators)}
 
     @field_validator("features")
     @classmethod
@@ -385,7 +395,6 @@ def read_config(path: Path) -> CampaignConfig:
 
 def rebase_paths(raw: Any, start: Path, end: Path) -> Any:
     """Make the paths in a configuration, which are relative to one folder, relative to another."""
-    from ds_driver.networks.driver_name import DriverName
 
     def simulator(name: Any) -> Any:
         return str(SimulatorName.parse(name).moved(start, end)) if isinstance(name, str) else name

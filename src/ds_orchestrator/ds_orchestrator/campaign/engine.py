@@ -10,6 +10,7 @@ from typing import Literal, Protocol
 
 from ds_base.installation import missing_of_ros
 from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.session import RunRecord
@@ -27,7 +28,7 @@ class DriveSettings:
     Attributes:
         siblings: names of the simulators but the twin.
         twin: name of the twin, or None.
-        driver: name of the driver.
+        driver: what drives.
         conditions: operating conditions of every test.
         gates: tests that the autopilot must complete first: those with conditions, all, or none.
         retries: further attempts after a run that ended in an error.
@@ -41,7 +42,7 @@ class DriveSettings:
 
     siblings: tuple[str, ...]
     twin: str | None = None
-    driver: str
+    driver: DriverName
     conditions: Conditions = DEFAULT
     gates: Gates = "conditions"
     retries: int = 2
@@ -69,7 +70,7 @@ class DriveSettings:
     def identity(self) -> str:
         """JSON text of what the results of given tests depend on."""
         keys = ("siblings", "twin", "driver", "gates", "retries", "command_timeout")
-        return json.dumps({key: getattr(self, key) for key in keys})
+        return json.dumps({key: getattr(self, key) for key in keys} | {"driver": str(self.driver)})
 
 
 def engine_here(engine: EngineName, *, attach: bool = False) -> EngineName:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ds_bags.run_writer import write_bag
 from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Engine
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
@@ -225,7 +225,7 @@ class Executor:
         run = self._drive(test, simulator, AUTOPILOT, probed=True)
         return self._keep_gate(test, simulator, exclusion_of(run) or gate_of(run))
 
-    def _drive(self, test: Test, simulator: str, driver: str, *, probed: bool = False) -> RunRecord:
+    def _drive(self, test: Test, simulator: str, driver: DriverName, *, probed: bool = False) -> RunRecord:
         """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
         for attempt in range(self._settings.retries + 1):
             self._check_stop()
@@ -261,7 +261,7 @@ class Executor:
         if self._settings.record != "none":
             bag = f"bags/{test.test_id}-on-{label_of(simulator)}"
             driver, record = self._settings.driver, self._settings.record
-            about = {"test_id": test.test_id, "driver": driver}
+            about = {"test_id": test.test_id, "driver": str(driver)}
             namespace = self._settings.namespaces[simulator]
             from ds_driver.networks.network_driver import translation_of
 

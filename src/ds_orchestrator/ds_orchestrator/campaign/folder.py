@@ -16,7 +16,7 @@ from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName
 from ds_orchestrator.maps.campaign_maps import cells_of

@@ -135,7 +135,7 @@ def _disk(config: CampaignConfig, simulator: str, run: RunRecord) -> int:
         return stored
     with tempfile.TemporaryDirectory(prefix="ds_forecast_") as folder:
         bag = Path(folder) / label_of(simulator)
-        write_bag(bag, "/ds1", simulator, run, {"driver": config.driver}, config.record)
+        write_bag(bag, "/ds1", simulator, run, {"driver": str(config.driver)}, config.record)
         return stored + sum(file.stat().st_size for file in bag.rglob("*") if file.is_file())
 
 

@@ -227,7 +227,7 @@ def _row(folder: Path) -> CampaignRow:
     state = "running" if is_locked(folder) else "done" if complete and made == current else "stopped"
     return CampaignRow(
         folder=folder,
-        driver=config.driver,
+        driver=str(config.driver),
         sha256=sha256,
         changed=written,
         state=state,

@@ -57,7 +57,7 @@ def prepare(key: Key, parcel: Parcel) -> int:
             _prepared.pop(other).stack.close()
     parcel.unpack(folder)
     _check(parcel, folder)
-    driver = parcel.name_there(parcel.driver, folder)
+    driver = parcel.driver_there(parcel.driver, folder)
     with ExitStack() as stack:
         engine = stack.enter_context(
             running_local(driver, workers=worker.state.nthreads, command_timeout=key[1], logs=folder)
@@ -85,7 +85,8 @@ def drive(key: Key, request: dict[str, Any]) -> bytes | None:
     if one is None:
         return None
     asked = request_from_json(request)
-    simulator, driver = (one.parcel.name_there(name, one.folder) for name in (asked.simulator, asked.driver))
+    simulator = one.parcel.name_there(asked.simulator, one.folder)
+    driver = one.parcel.driver_there(asked.driver, one.folder)
     run = one.engine.drive(replace(asked, simulator=simulator, driver=driver))
     with _lock:
         return encode_run(run) if _prepared.get(key) is one else None
@@ -100,7 +101,7 @@ def _check(parcel: Parcel, folder: Path) -> None:
     from ds_driver.networks.network_driver import driver_sha256
     from ds_sim.registry import make_simulator
 
-    driver = parcel.name_there(parcel.driver, folder)
+    driver = parcel.driver_there(parcel.driver, folder)
     if parcel.driver_sha256 and driver_sha256(driver) != parcel.driver_sha256:
         raise ValueError(f"driver {parcel.driver} has other content there")
     for simulator in parcel.simulators:

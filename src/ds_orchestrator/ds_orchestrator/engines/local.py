@@ -11,6 +11,7 @@ from pathlib import Path
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import Watch
 from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
@@ -72,7 +73,7 @@ class LocalEngine:
 
 
 @contextmanager
-def running_local(driver: str, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalEngine]:
+def running_local(driver: DriverName, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalEngine]:
     """Start the processes, yield an engine, and end them.
 
     Args:

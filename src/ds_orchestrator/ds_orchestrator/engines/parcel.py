@@ -8,14 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ds_base.errors import InputError
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DESCRIPTIONS, NO_GENERATORS, WEIGHTS, DriverName
 from ds_sim.registry import SimulatorName
-
-if TYPE_CHECKING:
-    from ds_driver.networks.driver_name import DriverName
 
 
 class ParcelError(InputError):
@@ -35,7 +31,7 @@ class Parcel:
         renamed: name here -> name there, in which `{folder}` stands for the worker's folder.
     """
 
-    driver: str
+    driver: DriverName
     driver_sha256: str
     backend: str
     simulators: tuple[str, ...]
@@ -45,7 +41,7 @@ class Parcel:
     @cached_property
     def sha256(self) -> str:
         """Digest of the files and names."""
-        digest = hashlib.sha256(repr((self.driver, self.driver_sha256, self.simulators, self.renamed)).encode())
+        digest = hashlib.sha256(repr((str(self.driver), self.driver_sha256, self.simulators, self.renamed)).encode())
         for name, content in sorted(self.files.items()):
             digest.update(f"{name}\n{len(content)}\n".encode() + content)
         return digest.hexdigest()
@@ -59,11 +55,15 @@ class Parcel:
             path.write_bytes(content)
 
     def name_there(self, name: str, folder: Path) -> str:
-        """Translate a driver's or simulator's name to its name on a worker."""
+        """Translate a simulator's name to its name on a worker."""
         return self.renamed.get(name, name).replace("{folder}", str(folder))
 
+    def driver_there(self, driver: DriverName, folder: Path) -> DriverName:
+        """Translate a driver's name to its name on a worker."""
+        return DriverName.parse(self.name_there(str(driver), folder))
 
-def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
+
+def parcel_of(driver: DriverName, simulators: Sequence[str]) -> Parcel:
     """Pack a driver and simulators.
 
     Raises:
@@ -97,7 +97,6 @@ def parcel_of(driver: str, simulators: Sequence[str]) -> Parcel:
 
 def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     """Add the generators that a worker does not have; return what follows the network's name there."""
-    from ds_driver.networks.driver_name import NO_GENERATORS, WEIGHTS
     from ds_driver.networks.network_driver import generators_of
     from ds_driver.networks.weights import GENERATORS, shipped_sets
 
@@ -114,13 +113,11 @@ def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     return f"+{{folder}}/driver/{GENERATORS}" if name.generators else ""
 
 
-def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) -> str:
+def _pack_driver(name: DriverName, files: dict[str, bytes], renamed: dict[str, str]) -> str:
     """Add a driver's files; return its back end."""
     from ds_driver.networks.description import file_of, read_description
-    from ds_driver.networks.driver_name import DESCRIPTIONS, WEIGHTS, DriverName
     from ds_driver.networks.network_driver import BUILT_IN_BACKEND
 
-    name = DriverName.parse(driver)
     path = Path(name.network)
     ending = _pack_generators(name, files) + name.suffix
     if name.file_type in DESCRIPTIONS:
@@ -136,10 +133,10 @@ def _pack_driver(driver: str, files: dict[str, bytes], renamed: dict[str, str]) 
     elif name.file_type == WEIGHTS:
         files[f"driver/{path.name}"] = path.read_bytes()
     else:  # shipped, or a class: the worker has it, and its digest is compared
-        if name.network + ending != driver:
-            renamed[driver] = name.network + ending
+        if name.network + ending != str(name):
+            renamed[str(name)] = name.network + ending
         return "" if name.python_class else BUILT_IN_BACKEND if name.backend == "auto" else name.backend
-    renamed[driver] = f"{{folder}}/driver/{path.name}{ending}"
+    renamed[str(name)] = f"{{folder}}/driver/{path.name}{ending}"
     if name.backend == "auto":
         return BUILT_IN_BACKEND if name.file_type == WEIGHTS else "torch onnx openvino"
     return name.backend

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from importlib.util import find_spec
 
 from ds_base.installation import install_command
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.cluster import ClusterOptions
@@ -52,11 +52,11 @@ def preflight(settings: DriveSettings) -> None:
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
 
 
-def check_driver(driver: str, simulators: Sequence[str]) -> None:
+def check_driver(driver: DriverName, simulators: Sequence[str]) -> None:
     """Check a driver's name.
 
     Args:
-        driver: name of the driver.
+        driver: what is to drive.
         simulators: names of the simulators that it will drive.
 
     Raises:
@@ -72,15 +72,13 @@ def check_driver(driver: str, simulators: Sequence[str]) -> None:
             translation.generators.generator(spec_of(name).name)
 
 
-def faster_choice(driver: str, engine: str) -> str:
+def faster_choice(driver: DriverName, engine: str) -> str:
     """Say in one line how a campaign would be faster on this machine; "" if it would not."""
     from ds_driver.networks.backends import has_bfloat16
-    from ds_driver.networks.driver_name import DriverName
 
-    name = DriverName.parse(driver)
-    if not name.has_weights or name.backend not in ("auto", "onnx") or not has_bfloat16():
+    if not driver.has_weights or driver.backend not in ("auto", "onnx") or not has_bfloat16():
         return ""
-    choice = f"driver {name.on('openvino-bf16')}" + (" and --engine local" if engine == "graph" else "")
+    choice = f"driver {driver.on('openvino-bf16')}" + (" and --engine local" if engine == "graph" else "")
     needed = "" if find_spec("openvino") else f", after `{install_command('openvino')}`"
     share = BFLOAT16_SHARE[engine]
     return f"{choice} would take about {share:.0%} of the time here{needed}; verdicts differ rarely (docs/speed.md)"

@@ -13,7 +13,7 @@ from queue import SimpleQueue
 
 from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.engines.local import LocalEngine, running_local
 from ds_orchestrator.graph.client import START_TIME, GraphClient
@@ -118,7 +118,7 @@ class GraphEngine:
 
 
 def processes_of(
-    driver: str, namespaces: dict[str, str], command_timeout: float, *, composed: bool, draw: str
+    driver: DriverName, namespaces: dict[str, str], command_timeout: float, *, composed: bool, draw: str
 ) -> list[ProcessSpec]:
     """Specify the processes of a graph; see `running_graph`."""
     if composed:
@@ -129,7 +129,7 @@ def processes_of(
 @contextmanager
 def running_graph(
     namespaces: dict[str, str],
-    driver: str,
+    driver: DriverName,
     *,
     command_timeout: float,
     logs: Path,

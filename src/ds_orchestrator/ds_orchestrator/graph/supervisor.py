@@ -15,7 +15,7 @@ from pathlib import Path
 from ds_base.errors import RunError
 from ds_base.installation import missing_of_ros
 from ds_base.processes import USER_DOMAIN, ChildProcesses, last_line_of
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 
 
 class RosMissingError(RunError):
@@ -180,7 +180,7 @@ def closed_loop_process_name(namespace: str) -> str:
 
 
 def closed_loop_processes(
-    driver: str, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
+    driver: DriverName, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
 ) -> list[ProcessSpec]:
     """Specify one process per simulator, with a driver's node beside the simulator's.
 
@@ -197,7 +197,7 @@ def closed_loop_processes(
             arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
             namespace=namespace,
             parameters={"simulator": name, "command_timeout": command_timeout, "draw": draw}
-            | ({} if driver == AUTOPILOT else {"network": driver}),
+            | ({} if driver == AUTOPILOT else {"network": str(driver)}),
         )
         for name, namespace in namespaces.items()
     ]
@@ -216,10 +216,10 @@ def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> l
     ]
 
 
-def driver_process(driver: str, namespaces: dict[str, str]) -> ProcessSpec:
+def driver_process(driver: DriverName, namespaces: dict[str, str]) -> ProcessSpec:
     """Specify the driver of all simulators; it asks each for its crop, or for the gains of its vehicle."""
     parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
     if driver == AUTOPILOT:
         return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.autopilot_node", parameters=parameters)
-    parameters["network"] = driver
+    parameters["network"] = str(driver)
     return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.driver_node", parameters=parameters)

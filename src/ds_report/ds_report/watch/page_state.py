@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.live_file import LiveDrive
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.search.features import feature_of
@@ -29,7 +30,7 @@ class DrivePictures:
         trusted: user-defined simulators whose code may run.
     """
 
-    def __init__(self, driver: str, trusted: Collection[str] = ()) -> None:
+    def __init__(self, driver: DriverName, trusted: Collection[str] = ()) -> None:
         self._driver, self._trusted = driver, trusted
         self._simulators: dict[str, Simulator] = {}
         self._refused: dict[str, str] = {}
@@ -80,7 +81,7 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
     return {
         "state": _state(snapshot),
         "stage": live.stage if live else "",
-        "driver": config.driver,
+        "driver": str(config.driver),
         "done": len(verdicts) + len(data.excluded),
         "total": total,
         "seconds_left": live.seconds_left if live else None,

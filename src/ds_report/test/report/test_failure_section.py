@@ -11,6 +11,7 @@ import pytest
 from report_campaigns import make_campaign
 
 from ds_analysis.failures.reasons import Reason
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_report.failure_section import failure_section
@@ -18,7 +19,7 @@ from ds_report.pages import render
 
 
 def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["bullet", "softbody"], twin=None, driver="autopilot")
+    config = CampaignConfig(siblings=["bullet", "softbody"], twin=None, driver=AUTOPILOT)
     with closing(make_campaign(tmp_path, config, 6, roads=12)) as store:
         data = read_campaign(store)
         section = failure_section(data)
@@ -41,7 +42,7 @@ def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_pat
 def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wide: int, said: str
 ) -> None:
-    config = CampaignConfig(siblings=["bullet"], twin=None, driver="autopilot")
+    config = CampaignConfig(siblings=["bullet"], twin=None, driver=AUTOPILOT)
     with closing(make_campaign(tmp_path, config, 16, roads=16)) as store:
         data = read_campaign(store)
     kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
@@ -52,6 +53,6 @@ def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
 
 
 def test_without_failures_there_is_no_section(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["bullet"], twin=None, driver="autopilot")
+    config = CampaignConfig(siblings=["bullet"], twin=None, driver=AUTOPILOT)
     with closing(make_campaign(tmp_path, config, 0)) as store:
         assert failure_section(read_campaign(store)) is None

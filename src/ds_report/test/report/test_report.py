@@ -22,6 +22,7 @@ from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, evaluate, paired_differences
 from ds_base.table import Column, Table
 from ds_base.words import duration
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
@@ -405,7 +406,7 @@ def outcomes(*roads: tuple[float, int, bool]) -> RoadOutcomes:
 
 def test_the_headline_names_the_bend_from_which_roads_fail() -> None:
     gentle, tight = [(0.1, 3, False)] * 20, [(0.2, 3, True)] * 4 + [(0.25, 2, False)]
-    text = where_it_fails("net", outcomes(*gentle, *tight))
+    text = where_it_fails(DriverName("net"), outcomes(*gentle, *tight))
     # Radius 1 / 0.2; no road is alone at the threshold, so that the others choose the same: Clopper and Pearson's
     # intervals of 4 of 5 and 0 of 20 by statsmodels.
     ends = [proportion_confint(k, n, method="beta") for k, n in ((4, 5), (0, 20))]
@@ -420,7 +421,7 @@ def test_the_headline_names_the_bend_from_which_roads_fail() -> None:
 def test_the_headline_names_turns_where_they_separate_better() -> None:
     few = [(0.1 + 0.01 * (k % 7), 2, False) for k in range(20)]
     many = [(0.1 + 0.01 * (k % 7), 5, True) for k in range(8)]
-    text = where_it_fails("net", outcomes(*few, *many))
+    text = where_it_fails(DriverName("net"), outcomes(*few, *many))
     assert "net fails on roads with 5 turns or more: 8 of 8 such roads failed, and none of the 20 others." in text
 
 
@@ -444,13 +445,13 @@ def test_the_headline_names_the_condition_that_separates_best(name: str, hard: f
     failing, passing = [(0.1, 3, True)] * 8, [(0.2, 3, False)] * 20
     step = 1.0 if name == "visibility" else 0.001
     values = [hard + step * k for k in range(8)] + [easy + step * k for k in range(20)]
-    text = where_it_fails("net", under(outcomes(*failing, *passing), name, values))
+    text = where_it_fails(DriverName("net"), under(outcomes(*failing, *passing), name, values))
     assert f"net fails {said}: 8 of 8 such tests failed" in text and "none of the 20 others" in text
 
 
 def test_a_threshold_on_bends_names_the_conditions_under_which_it_was_found() -> None:
     made = under(outcomes(*[(0.1 + 0.01 * k, 3, k >= 8) for k in range(20)]), "visibility", [40.0, 50.0] * 10)
-    text = where_it_fails("net", made)
+    text = where_it_fails(DriverName("net"), made)
     assert text.startswith(
         "On the twin T, all tests in fog or haze with a visibility of 40 to 50 m (visibility), net fails on tests "
     )
@@ -458,7 +459,7 @@ def test_a_threshold_on_bends_names_the_conditions_under_which_it_was_found() ->
 
 def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
     mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
-    text = where_it_fails("net", mixed)
+    text = where_it_fails(DriverName("net"), mixed)
     assert text.startswith("net failed on 2 of 12 tests, 17 %")
     assert "on the twin T, all tests in fog or haze with a visibility of 20 to 31 m (visibility). None of" in text
     assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
@@ -476,11 +477,11 @@ def test_the_headline_claims_no_threshold_that_chance_would_find() -> None:
     mixed = outcomes(*[(0.1 + 0.01 * k, 3, k in (2, 9)) for k in range(12)])
     split = best_split(mixed)
     assert split is not None and not split.found.is_clear
-    text = where_it_fails("net", mixed)
+    text = where_it_fails(DriverName("net"), mixed)
     assert text.startswith("net failed on 2 of 12 roads, 17 %") and "Neither the tightest bend" in text
     assert "There are 12 roads, which is few: from 16 random roads on" in text
     # One road that fails and one that does not carry no threshold, however well they are separated.
-    assert "Neither" in where_it_fails("net", outcomes((0.1, 2, False), (0.2, 3, True)))
+    assert "Neither" in where_it_fails(DriverName("net"), outcomes((0.1, 2, False), (0.2, 3, True)))
 
 
 @pytest.mark.parametrize(
@@ -493,7 +494,7 @@ def test_the_headline_claims_no_threshold_that_chance_would_find() -> None:
     ],
 )
 def test_the_headline_of_campaigns_without_a_contrast(roads: list[tuple[float, int, bool]], start: str) -> None:
-    assert where_it_fails("net", outcomes(*roads)).startswith(start)
+    assert where_it_fails(DriverName("net"), outcomes(*roads)).startswith(start)
 
 
 def test_a_road_fails_where_the_twin_fails_or_else_where_every_sibling_does() -> None:
@@ -534,15 +535,13 @@ def test_limits_name_the_conditions_that_were_tested() -> None:
         "Conditions: in fog or haze with a visibility of 50 m (visibility). Traffic" in found.limits
         and "shape of the road" not in found.limits
     )
-    translated = summarise(replace(foggy, config=CampaignConfig(driver="dave2_real")), results(data)[0], [])
+    seeing = CampaignConfig(driver=DriverName("dave2_real"))
+    translated = summarise(replace(foggy, config=seeing), results(data)[0], [])
     assert (
         "Conditions: in fog or haze with a visibility of 50 m (visibility). The driver saw translated images"
         in translated.limits
     )
-    assert (
-        "translated"
-        not in summarise(replace(data, config=CampaignConfig(driver="dave2_real")), results(data)[0], []).limits
-    )
+    assert "translated" not in summarise(replace(data, config=seeing), results(data)[0], []).limits
 
 
 def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: Path) -> None:
@@ -584,7 +583,7 @@ def test_the_page_of_a_large_campaign_shows_its_worst_tests_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ds_report.html_report.SHOWN_TESTS", 3)
-    config = CampaignConfig(siblings=["nowhere:A", "nowhere:B"], twin=None, driver="autopilot")
+    config = CampaignConfig(siblings=["nowhere:A", "nowhere:B"], twin=None, driver=AUTOPILOT)
     store = make_campaign(tmp_path, config, 5)
     worst: dict[str, int] = {}
     for execution in store.executions():

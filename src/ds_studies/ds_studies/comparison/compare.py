@@ -13,6 +13,7 @@ from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, 
 from ds_analysis.comparison.sequential import BATCH
 from ds_base.installation import ds_command
 from ds_base.progress import logger_of
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -113,7 +114,7 @@ def tests_of_campaigns(reference: tuple[Path, CampaignData], candidate: tuple[Pa
         if there != here:
             raise ComparisonError(
                 f"{first_folder} and {second_folder} differ in {key} ({there} and {here}): compare campaigns of one "
-                f"configuration, or `{ds_command('compare', first_folder, '--driver', second.config.driver)}`"
+                f"configuration, or `{ds_command('compare', first_folder, '--driver', str(second.config.driver))}`"
             )
     one, other = tests_of_campaign(*reference), tests_of_campaign(*candidate)
     first_keys, second_keys = _by_content(one.work), _by_content(other.work)
@@ -146,7 +147,7 @@ def random_tests(roads: Sequence[Road], seed: int, *, siblings: Sequence[str], t
         twin: name of the twin, or None.
     """
     tests = [Test(f"random-0-{i:04d}", Scenario(road, seed=seed + i)) for i, road in enumerate(roads)]
-    settings = DriveSettings(siblings=tuple(siblings), twin=twin, driver="")
+    settings = DriveSettings(siblings=tuple(siblings), twin=twin, driver=DriverName(""))
     return GivenTests(
         name="tests",
         settings=settings,
@@ -325,7 +326,6 @@ def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out
 
 def _cannot_drive(network: Network) -> str:
     """Why a network cannot be driven as it was; "" if it can."""
-    from ds_driver.control.autopilot import AUTOPILOT
     from ds_driver.networks.network_driver import driver_sha256
 
     if network.driver == AUTOPILOT:

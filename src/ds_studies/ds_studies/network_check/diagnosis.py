@@ -17,6 +17,7 @@ from ds_base.words import multiple
 from ds_driver.control.command_habits import command_habits
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import DescribedNetwork, InputSpec, OutputSpec
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreement, readings
@@ -123,7 +124,7 @@ class NetworkCheck:
         fixed: the description with every line applied; None without a description, or without a line.
     """
 
-    driver: str
+    driver: DriverName
     images: int
     correlation: float
     answers: Sequence[Answers]
@@ -146,7 +147,7 @@ class NetworkCheck:
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
-            "driver": self.driver,
+            "driver": str(self.driver),
             "connected_rightly": not self.findings and self.correlation >= FOUND,
             "verdict": self.verdict,
             "images": self.images,
@@ -156,7 +157,9 @@ class NetworkCheck:
         }
 
 
-def check_network(driver: str, recordings: Sequence[Recording], seed: int, *, search: bool = True) -> NetworkCheck:
+def check_network(
+    driver: DriverName, recordings: Sequence[Recording], seed: int, *, search: bool = True
+) -> NetworkCheck:
     """Ask a network about recorded images, and diagnose how it is connected.
 
     Args:
@@ -423,7 +426,7 @@ def only_offset(findings: Sequence[Finding]) -> bool:
 
 
 def lane_finding(
-    offset: float, steering: NDArray[np.float64], other: Sequence[Recording], driver: str
+    offset: float, steering: NDArray[np.float64], other: Sequence[Recording], driver: DriverName
 ) -> Finding | None:
     """Say which lane a network wants that steers to one side in the right lane; None if its offset is everywhere.
 

@@ -17,7 +17,7 @@ from ds_base.errors import InputError
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import make_driver
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_road import Side
 from ds_sim.registry import simulator_of_process

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from ds_analysis.sensitivity.factors import LEVELS, Factor
 from ds_analysis.sensitivity.result import Sensitivity, Threshold, Verdict, threshold_of
 from ds_base.progress import SILENT, Progress, logger_of
-from ds_driver.control.autopilot import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.engine import DriveSettings, Engine
 from ds_orchestrator.campaign.executor import Executor, Listener, NoOutcomeError

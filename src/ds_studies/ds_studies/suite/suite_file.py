@@ -20,7 +20,8 @@ from ds_base.bounded_file import FileError
 from ds_base.bounded_json import read_json
 from ds_base.config_errors import problems
 from ds_base.installation import ds_command
-from ds_orchestrator.campaign.config import ConditionsText, ConfigError, rebase_paths
+from ds_driver.networks.driver_name import DriverName
+from ds_orchestrator.campaign.config import ConditionsText, ConfigError, DriverText, rebase_paths
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import DRIVER_SHA256, CampaignData
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
@@ -110,7 +111,7 @@ class Suite(_Strict):
     format: Literal["digital-siblings-suite"] = "digital-siblings-suite"
     version: Literal[1] = 1
     campaign: str
-    driver: str
+    driver: DriverText
     driver_sha256: str = ""
     siblings: Annotated[list[str], Field(min_length=1, max_length=20)]
     twin: str | None = None
@@ -318,7 +319,7 @@ def _test(
     )
 
 
-def settings_of_suite(suite: Suite, driver: str) -> DriveSettings:
+def settings_of_suite(suite: Suite, driver: DriverName) -> DriveSettings:
     """How a suite's tests are driven: without gates, as the suite's tests are known to be valid."""
     return DriveSettings(siblings=tuple(suite.siblings), twin=suite.twin, driver=driver, gates="none")
 
@@ -383,7 +384,7 @@ def with_outcomes(suite: Suite, candidate: Network, executions: dict[tuple[str, 
     """The same tests with the outcomes of another network, to be expected from now on."""
     return suite.model_copy(
         update={
-            "driver": candidate.driver,
+            "driver": str(candidate.driver),
             "driver_sha256": candidate.sha256,
             "code_sha256": code,
             "tests": [
