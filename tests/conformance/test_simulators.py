@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -48,6 +49,19 @@ def test_broken_promises_are_named_with_what_was_found() -> None:
         check_simulator(MirroredSimulator, skip=set(CHECKS) - quick)
     with pytest.raises(SimulatorCheckError, match="^same_bits_again: the same road, seed and commands gave other"):
         check_simulator(RestlessSimulator, skip=set(CHECKS) - quick)
+
+
+def test_a_road_of_one_lane_has_two_lines_and_is_driven_between_them(simulator_name: str) -> None:
+    """Yellow in the lower half of the picture, on the same simulator one road after the other."""
+    with closing(make_simulator(simulator_name)) as simulator:
+        yellow = {}
+        for lane in ("right", "single", "middle"):
+            seen = simulator.load(STRAIGHT.in_lane(lane), seed=1)  # type: ignore[arg-type]
+            red, green, blue = np.moveaxis(seen.image[seen.image.shape[0] // 2 :].astype(int), 2, 0)
+            yellow[lane] = int(((red - blue > 60) & (red > green)).sum())
+            assert abs(seen.vehicle.x - (127.0 if lane == "right" else 125.0)) < 0.02
+            assert seen.lane.lateral_distance == pytest.approx(2.0, abs=0.02)
+        assert 20 * yellow["single"] < min(yellow["right"], yellow["middle"]), yellow
 
 
 def test_a_check_that_does_not_exist_cannot_be_skipped() -> None:

@@ -18,6 +18,8 @@ ROADS = {
     "maxitwo": Road(POINTS, maxitwo_compatible=True),
     "sampled": Road.from_road_points(Road(POINTS).points, lane_width=3.0),
     "left": Road(POINTS, lane="left"),
+    "middle": Road(POINTS, lane="middle"),
+    "single": Road.from_road_points(Road(POINTS).points, lane_width=2.5, lane="single"),
 }
 
 

@@ -88,26 +88,27 @@ def write_world(folder: Path, road: Road, look: Look, conditions: Conditions) ->
     mesh = f"AC3Db\n{_MATERIAL}OBJECT world\nkids {len(strips)}\n" + "".join(strip.ac3d() for strip in strips)
     (track / f"{NAME}.ac").write_text(mesh)
     (track / f"{NAME}.xml").write_text(_TRACK)
-    write_rgb(track / "road.rgb", road_texture(road.lane_width, look, conditions))
+    write_rgb(track / "road.rgb", road_texture(road.half_width, look, conditions, two_lanes=road.has_centre_line))
     sky = track / "sky.rgb"
     if not sky.is_file():
         write_rgb(sky, _panorama())
     return float(origin[0]), float(origin[1])
 
 
-def road_texture(lane_width: float, look: Look, conditions: Conditions) -> NDArray[np.uint8]:
+def road_texture(half_width: float, look: Look, conditions: Conditions, *, two_lanes: bool = True) -> NDArray[np.uint8]:
     """Texture across the road, (texels, 8, 3) RGB, first row at its left border; the same in all columns.
 
     A line's border covers part of a texel, by which the texel's light is mixed.
     """
-    texels = 2 ** math.ceil(math.log2(2.0 * lane_width / TEXEL))
-    edges = np.linspace(-lane_width, lane_width, texels + 1)
+    texels = 2 ** math.ceil(math.log2(2.0 * half_width / TEXEL))
+    edges = np.linspace(-half_width, half_width, texels + 1)
     asphalt = light_of(look.asphalt)
     if conditions.pavement_reflectance is not None:
         asphalt = asphalt * np.float32(conditions.pavement_reflectance / asphalt.mean())
     light = np.tile(asphalt, (texels, 1))
-    inset, half = lane_width - look.line_width / 2.0, look.line_width / 2.0
-    for middle, colour in ((-inset, look.edge_line), (0.0, look.centre_line), (inset, look.edge_line)):
+    inset, half = half_width - look.line_width / 2.0, look.line_width / 2.0
+    lines = ((-inset, look.edge_line), (0.0, look.centre_line), (inset, look.edge_line))
+    for middle, colour in lines if two_lanes else lines[::2]:
         covered = np.diff(np.clip(edges, middle - half, middle + half)) / np.diff(edges)
         share = (conditions.line_contrast * covered).astype(np.float32)[:, None]
         light += share * (light_of(colour) - light)
@@ -132,7 +133,7 @@ def write_rgb(path: Path, image: NDArray[np.uint8]) -> None:
 def _road_strip(road: Road, origin: NDArray[np.float64]) -> _Strip:
     """The road between its borders, with a straight lead at either end; its own samples are kept."""
     borders = np.stack((road.left_edge, road.right_edge), axis=1) - origin
-    across = (borders[:, 1] - borders[:, 0]) / (2.0 * road.lane_width)
+    across = (borders[:, 1] - borders[:, 0]) / (2.0 * road.half_width)
     ahead = np.stack((-across[:, 1], across[:, 0]), axis=1)
     borders = np.concatenate((borders[:1] - LEAD_IN * ahead[0], borders, borders[-1:] + LEAD_OUT * ahead[-1]), axis=0)
     along = arc_lengths(borders.mean(axis=1)) / TEXTURE_LENGTH

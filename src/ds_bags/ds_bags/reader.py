@@ -366,6 +366,7 @@ def _road(bag: BagReader, facts: dict[str, str]) -> Road:
             sampled=bool(getattr(message, "sampled", False)),
             maxitwo_compatible=bool(getattr(message, "maxitwo_compatible", False)),
             left_lane=bool(getattr(message, "left_lane", False)),
+            road_id=str(getattr(message, "road_id", "")),
         )
     raise RoadError("no road")
 

@@ -60,8 +60,11 @@ Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of the random roads.")]
 MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
 Lane = Annotated[
-    Literal["right", "left"] | None,
-    typer.Option(help="Lane in which to drive; that of the road file if left out, or right."),
+    Literal["right", "left", "middle", "single"] | None,
+    typer.Option(
+        help="Lane in which to drive: right, left, middle (on the centre line), or single (the only one, without a "
+        "centre line); that of the road file if left out, or right."
+    ),
 ]
 Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
 Simulator = Annotated[

@@ -170,13 +170,17 @@ Files = Annotated[
 ]
 LaneWidth = Annotated[
     float | None,
-    typer.Option(min=1.0, max=20.0, help="Lane width of tracks, m; half of the track's width, or 4, if left out."),
+    typer.Option(
+        min=1.0,
+        max=20.0,
+        help="Lane width of tracks, m; if left out, half of the track's width, all of it for --lane single, or 4.",
+    ),
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse a file with a road that cannot be read.")]
 
 
 @road_app.command("import")
-def road_import_command(files: Files, lane_width: LaneWidth = None, strict: Strict = False) -> None:
+def road_import_command(files: Files, lane_width: LaneWidth = None, lane: Lane = None, strict: Strict = False) -> None:
     """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
 
     The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit; of what is
@@ -186,8 +190,8 @@ def road_import_command(files: Files, lane_width: LaneWidth = None, strict: Stri
     from ds_road.importing import import_roads
 
     left_out = LeftOut("roads", strict)
-    roads = ((file, import_roads(file, left_out, lane_width=lane_width)) for file in files)
-    _print_roads(left_out, roads, ("import", *files, *_width(lane_width)))
+    roads = ((file, import_roads(file, left_out, lane_width=lane_width, lane=lane)) for file in files)
+    _print_roads(left_out, roads, ("import", *files, *_chosen(lane_width, lane)))
 
 
 @road_app.command("cut")
@@ -196,6 +200,7 @@ def road_cut_command(
     length: Annotated[float, typer.Option(min=20.0, max=900.0, help="Length of a section, m.")] = 200.0,
     every: Annotated[float, typer.Option(min=1.0, help="Distance between the starts of two sections, m.")] = 100.0,
     lane_width: LaneWidth = None,
+    lane: Lane = None,
     strict: Strict = False,
 ) -> None:
     """Print sections of roads and tracks as a JSON list, such as those of a track that is larger than the box."""
@@ -203,13 +208,14 @@ def road_cut_command(
     from ds_road.importing import cut_roads
 
     left_out = LeftOut("roads", strict)
-    roads = ((one, cut_roads(one, length, every, left_out, lane_width=lane_width)) for one in files)
-    words = ("cut", *files, "--length", length, "--every", every, *_width(lane_width))
+    roads = ((one, cut_roads(one, length, every, left_out, lane_width=lane_width, lane=lane)) for one in files)
+    words = ("cut", *files, "--length", length, "--every", every, *_chosen(lane_width, lane))
     _print_roads(left_out, roads, words)
 
 
-def _width(lane_width: float | None) -> tuple[object, ...]:
-    return () if lane_width is None else ("--lane-width", lane_width)
+def _chosen(lane_width: float | None, lane: Side | None) -> list[object]:
+    options = {"--lane-width": lane_width, "--lane": lane}
+    return [word for option, value in options.items() if value is not None for word in (option, value)]
 
 
 def _print_roads(

@@ -42,6 +42,7 @@ class RoadSheet:
         right: (n, 2) points of the right white edge line.
         lane: (n, 2) points of the centre of the driven lane, where no line is.
         lane_width: width of a lane, m.
+        two_lanes: whether there is a centre line to tape.
     """
 
     width: float
@@ -52,6 +53,7 @@ class RoadSheet:
     right: Array
     lane: Array
     lane_width: float
+    two_lanes: bool
 
     def csv(self) -> str:
         """The points, one row per station, in metres to the millimetre."""
@@ -91,6 +93,7 @@ def sheet_of(road: Road, scale: float) -> RoadSheet:
         right=scaled[2],
         lane=scaled[3],
         lane_width=road.lane_width / scale,
+        two_lanes=road.has_centre_line,
     )
 
 
@@ -113,7 +116,8 @@ def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
         axes.set(xlim=(0.0, sheet.width), ylim=(0.0, sheet.height), xlabel="m", ylabel="m")
         axes.set(xticks=np.arange(0.0, sheet.width, 0.5), yticks=np.arange(0.0, sheet.height, 0.5))
         axes.set_title(f"{title}\ngrid 0.5 m; black: white edge lines; amber: yellow centre line; arrow: start")
-        for line, colour in ((sheet.left, "black"), (sheet.right, "black"), (sheet.centre, "#cd9600")):
+        lines = ((sheet.left, "black"), (sheet.right, "black"), (sheet.centre, "#cd9600"))
+        for line, colour in lines if sheet.two_lanes else lines[:2]:
             axes.plot(*line.T, color=colour, linewidth=2.5)
         axes.plot(*sheet.lane[::2].T, ".", color=SERIES[0], markersize=4)
         across = np.stack((sheet.left, sheet.right))[:, :-1:_PER_METRE]

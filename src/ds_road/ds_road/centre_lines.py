@@ -39,6 +39,12 @@ class CentreLine:
         """The centre line of a road that is known already, as one of control points."""
         return cls(name, road.points, road.lane_width, road.lane, road)
 
+    def in_lane(self, lane: Side | None) -> CentreLine:
+        """The same line and lane width, driven in another lane; as it is if None."""
+        if lane is None:
+            return self
+        return replace(self, lane=lane, made=self.made and self.made.in_lane(lane))
+
     @property
     def length(self) -> float:
         """Length, m."""

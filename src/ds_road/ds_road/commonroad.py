@@ -69,6 +69,8 @@ def commonroad(road: Road, name: str) -> str:
     tags = add(root, "scenarioTags")
     for tag in ("no_oncoming_traffic", "rural", "simulated", "two_lane"):
         add(tags, tag)
+    if road.lane not in ("right", "left"):
+        raise RoadError(f"road {road.road_id} is driven in its {road.lane} lane: CommonRoad has right and left ones")
     right = road.lane == "right"
     centre, outer = road.points, road.right_edge if right else road.left_edge
     other = (road.left_edge if right else road.right_edge)[::-1]

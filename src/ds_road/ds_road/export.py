@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ds_road.commonroad import add, commonroad
 from ds_road.geometry import SAMPLES_PER_SEGMENT
-from ds_road.opendrive import STEPS_CODE
+from ds_road.opendrive import LANE_CODE, STEPS_CODE
 from ds_road.road import Road, RoadError
 
 Format = Literal["opendrive", "commonroad", "sbft"]
@@ -102,16 +102,18 @@ def opendrive(road: Road, name: str) -> str:
         root, "header", revMajor="1", revMinor="7", name=_printable(name), version="1.0",
         north=north, south=south, east=east, west=west,
     )  # fmt: skip
-    rule = "RHT" if road.lane == "right" else "LHT"
+    rule = "LHT" if road.lane == "left" else "RHT"
     body = add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule=rule)
     add(body, "type", s="0", type="rural")
     body.append(geometry)
     lanes = add(body, "lanes")
     section = add(lanes, "laneSection", s="0")
-    _lane(add(section, "left"), 1, road.lane_width, "solid")
-    _lane(add(section, "center"), 0, None, "solid", "yellow")
-    _lane(add(section, "right"), -1, road.lane_width, "solid")
+    _lane(add(section, "left"), 1, road.half_width, "solid")
+    _lane(add(section, "center"), 0, None, "solid" if road.has_centre_line else "none", "yellow")
+    _lane(add(section, "right"), -1, road.half_width, "solid")
     add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
+    if road.lane in ("middle", "single"):
+        add(body, "userData", code=LANE_CODE, value=road.lane)
     add(body, "userData", code=STEPS_CODE, value="1" if road.sampled else str(SAMPLES_PER_SEGMENT - 1))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"

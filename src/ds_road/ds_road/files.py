@@ -3,8 +3,8 @@
 
 A file holds one road or a list of roads. A road is a list of [x, y] control points in metres, in driving order, or an
 object with either `control_points` or `road_points` (the centre line itself, as other tools exchange it) and, where
-they differ from the defaults, `lane_width`, `maxitwo_compatible` and `lane` (`right` or `left`). Other keys of the
-object are ignored.
+they differ from the defaults, `lane_width`, `maxitwo_compatible` and `lane` (`ds_road.Side`). Other keys of the object
+are ignored.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import load_json
@@ -52,6 +52,7 @@ def road_from_fields(
     sampled: bool = False,
     maxitwo_compatible: bool = False,
     left_lane: bool = False,
+    road_id: str = "",
 ) -> Road:
     """Road from the fields of a `ds_interfaces/msg/Road`.
 
@@ -61,17 +62,23 @@ def road_from_fields(
         sampled: no spline is laid through the points.
         maxitwo_compatible: the spline ignores the first point.
         left_lane: driven in the left lane.
+        road_id: of the road; tells lanes apart for which the message has no field.
 
     Raises:
         RoadError: the fields make no road.
     """
     width = lane_width or LANE_WIDTH
     lane: Side = "left" if left_lane else "right"
-    if not sampled:
-        return Road(points, lane_width=width, maxitwo_compatible=maxitwo_compatible, lane=lane)
-    if maxitwo_compatible:
+    if sampled and maxitwo_compatible:
         raise RoadError("the road is both sampled and maxitwo_compatible: expected at most one of them")
-    return Road.from_road_points(points, lane_width=width, lane=lane)
+    if sampled:
+        road = Road.from_road_points(points, lane_width=width, lane=lane)
+    else:
+        road = Road(points, lane_width=width, maxitwo_compatible=maxitwo_compatible, lane=lane)
+    if road_id in ("", road.road_id):
+        return road
+    others = (road.in_lane(other) for other in get_args(Side))
+    return next((other for other in others if other.road_id == road_id), road)
 
 
 def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:

@@ -55,13 +55,16 @@ class ImportedRoad:
         return {**(raw if isinstance(raw, dict) else {"control_points": raw}), "test_id": self.name}
 
 
-def import_roads(path: Path, left_out: LeftOut | None = None, *, lane_width: float | None = None) -> list[ImportedRoad]:
+def import_roads(
+    path: Path, left_out: LeftOut | None = None, *, lane_width: float | None = None, lane: Side | None = None
+) -> list[ImportedRoad]:
     """Read the roads of a file; its content tells the format.
 
     Args:
         path: file.
         left_out: takes the roads that cannot be read; if None, the first one is an error.
-        lane_width: of tracks, m; half of the track's width, or 4 m, if None.
+        lane_width: of tracks, m; if None, half of the track's width, all of it in a single lane, or 4 m.
+        lane: to drive in; that of the file, or the right one, if None.
 
     Raises:
         RoadError: not one of the formats, or no road that can be used; one line names the file.
@@ -79,11 +82,17 @@ def import_roads(path: Path, left_out: LeftOut | None = None, *, lane_width: flo
         True
     """
     left_out = left_out or LeftOut("roads", strict=True)
-    return _roads(path, _lines(path, left_out, lane_width), left_out)
+    return _roads(path, _lines(path, left_out, lane_width, lane), left_out)
 
 
 def cut_roads(
-    path: Path, length: float, every: float, left_out: LeftOut | None = None, *, lane_width: float | None = None
+    path: Path,
+    length: float,
+    every: float,
+    left_out: LeftOut | None = None,
+    *,
+    lane_width: float | None = None,
+    lane: Side | None = None,
 ) -> list[ImportedRoad]:
     """Read the roads of a file and cut them into sections, as for a track that is too large for the box.
 
@@ -93,6 +102,7 @@ def cut_roads(
         every: distance between the starts of two sections, m.
         left_out: see `import_roads`.
         lane_width: see `import_roads`.
+        lane: see `import_roads`.
 
     Raises:
         RoadError: see `import_roads`; or no road is as long.
@@ -100,7 +110,7 @@ def cut_roads(
     """
     left_out = left_out or LeftOut("roads", strict=True)
     sections: list[CentreLine] = []
-    for line in _lines(path, left_out, lane_width):
+    for line in _lines(path, left_out, lane_width, lane):
         try:
             sections += line.sections(length, every)
         except RoadError as error:
@@ -120,14 +130,14 @@ def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut) -> list[I
     return roads
 
 
-def _lines(path: Path, left_out: LeftOut, lane_width: float | None) -> list[CentreLine]:
+def _lines(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None) -> list[CentreLine]:
     try:
-        return _read(path, left_out, lane_width)
+        return [line.in_lane(lane) for line in _read(path, left_out, lane_width, lane)]
     except RoadError as error:
         raise RoadError(f"{path}: {error}") from None
 
 
-def _read(path: Path, left_out: LeftOut, lane_width: float | None) -> list[CentreLine]:
+def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None) -> list[CentreLine]:
     try:
         content = read_regular(path, LARGEST_FILE)
     except FileError as error:
@@ -136,7 +146,8 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None) -> list[Centr
     if beginning[:1] in (b"{", b"["):
         return _read_sbft(content, path.stem, left_out)
     if beginning[:1] != b"<":
-        return [_track(read_track(content), path.stem, lane_width)]
+        lanes = 1 if lane == "single" else 2
+        return [_track(read_track(content), path.stem, lane_width, lanes)]
     try:
         root = parse_xml(content)
     except FileError as error:
@@ -149,7 +160,7 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None) -> list[Centr
     raise RoadError(f"XML of {root.tag[:40]!r}: expected OpenDRIVE or commonRoad")
 
 
-def _track(track: Track, name: str, lane_width: float | None) -> CentreLine:
+def _track(track: Track, name: str, lane_width: float | None, lanes: int) -> CentreLine:
     """The line in the middle of a track; where it has no widths, that of the file."""
     points, right, left = track
     if right is None or left is None:
@@ -157,7 +168,7 @@ def _track(track: Track, name: str, lane_width: float | None) -> CentreLine:
     along = np.gradient(points, axis=0)
     normal = np.stack((-along[:, 1], along[:, 0]), axis=1) / np.maximum(np.hypot(*along.T), 1e-12)[:, None]
     middle = points + ((left - right) / 2.0)[:, None] * normal
-    return CentreLine(name, middle, lane_width or constant_width((left + right) / 2.0))
+    return CentreLine(name, middle, lane_width or constant_width((left + right) / lanes))
 
 
 def _read_sbft(content: bytes, stem: str, left_out: LeftOut) -> list[CentreLine]:

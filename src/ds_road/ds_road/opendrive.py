@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import cast
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -19,6 +20,8 @@ SPACING = 1.25
 """m between two samples at most; chosen: that of 20 samples on the 25 m between control points."""
 STEPS_CODE = "digital_siblings_steps_per_piece"
 """Code of the user data in which an exported road says how its pieces are sampled, so that its samples come back."""
+LANE_CODE = "digital_siblings_lane"
+"""Code of the user data in which an exported road names a lane that no rule of traffic does."""
 _MOST_STEPS = 100
 LONGEST = 10_000.0
 """m; chosen: far longer than what fits into the box, and sampled at once."""
@@ -83,6 +86,9 @@ def _road(element: Element, name: str) -> CentreLine:
         )
     sign = -1.0 if (side == "right") is not against else 1.0
     points = _without_joints(line + (sign * inner)[:, None] * left)
+    own = _user_data(element, LANE_CODE)
+    if own is not None and (of_export := own.get("value")) in ("middle", "single"):
+        return CentreLine(name, points, width * (1.0 + (of_export == "single")), cast(Side, of_export))
     return CentreLine(name, points[::-1] if against else points, width, side)
 
 
@@ -125,13 +131,17 @@ def _reference_line(
         raise RoadError("it has no planView with geometry")
     if sum(number(piece, "length") for piece in pieces) > LONGEST:
         raise RoadError(f"it is longer than {LONGEST:g} m")
-    own = next((one for one in element.findall("userData") if one.get("code") == STEPS_CODE), None)
+    own = _user_data(element, STEPS_CODE)
     steps = 0 if own is None else int(min(max(number(own, "value"), 1), _MOST_STEPS))
     sampled = [_sample(piece, steps) for piece in pieces]
     s, points, headings = (np.concatenate([part[k] for part in sampled]) for k in range(3))
     if len(s) > 4 * MAX_POINTS:  # far beyond, even where joints come twice
         raise RoadError(f"a road has {len(s)} road points, expected 2 to {MAX_POINTS}")
     return s, points, headings
+
+
+def _user_data(element: Element, code: str) -> Element | None:
+    return next((one for one in element.findall("userData") if one.get("code") == code), None)
 
 
 def _sample(piece: Element, steps: int) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -109,7 +109,8 @@ def map_axes(figure: Figure, road: Road, corner: Array, scale: float, size: tupl
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
     axes.fill(*np.vstack((road.left_edge, road.right_edge[::-1])).T, color=ASPHALT, linewidth=0)
-    for line, colour in ((road.left_edge, EDGE_LINE), (road.right_edge, EDGE_LINE), (road.points, CENTRE_LINE)):
+    lines = ((road.left_edge, EDGE_LINE), (road.right_edge, EDGE_LINE), (road.points, CENTRE_LINE))
+    for line, colour in lines if road.has_centre_line else lines[:2]:
         axes.plot(*line.T, color=colour, linewidth=1.5, scalex=False, scaley=False)
     axes.set_autoscale_on(False)
     return axes
@@ -148,7 +149,7 @@ def _scale_bar(axes: Axes, columns: int, footer: int, scale: float) -> None:
 def _write_caption(figure: Figure, road: Road, columns: int) -> None:
     """Write id, features and validity below the picture, smaller where the picture is narrow."""
     text = [
-        f"{road.road_id}   {road.length:.0f} m{'   left lane' if road.lane == 'left' else ''}",
+        f"{road.road_id}   {road.length:.0f} m{'' if road.lane == 'right' else f'   {road.lane} lane'}",
         f"turns {road.turns_count}   curvature {road.curvature:.3f} /m",
         "valid" if road.validity.valid else f"not valid: {road.validity.reason}",
     ]

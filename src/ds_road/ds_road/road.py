@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import reprlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import pairwise
@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from ds_base.errors import InputError
 from ds_road.geometry import BOX, Validity, catmull_rom, check_surface, curvature, largest_lane_curvature, turns_count
 
-Side = Literal["right", "left"]
-"""Side of the centre line, as seen in driving order."""
+Side = Literal["right", "left", "middle", "single"]
+"""Lane that is driven: to the right or the left of the centre line as seen in driving order, one around the centre line
+of two lanes, or the only lane of a road, between two edge lines and without a centre line."""
+_MIRRORED: Mapping[Side, Side] = {"right": "left", "left": "right"}
 LANE_WIDTH = 4.0
 """Default width of a lane, m (maxitwo: a two-lane road of 8 m)."""
 MAX_POINTS = 1000
@@ -34,7 +36,7 @@ class RoadError(InputError):
 
 @dataclass(frozen=True, init=False, repr=False)
 class Road:
-    """Two-lane road through control points (paper 3.1.1), driven in its right lane, or in its left one.
+    """Two-lane road through control points (paper 3.1.1), driven in its right lane, or in another one.
 
     The first and the last control point only set the direction of the spline: the road starts at the second one and
     ends at the last but one. Roads with equal content compare equal and have the same `road_id`.
@@ -45,7 +47,7 @@ class Road:
         maxitwo_compatible: build the centre line as maxitwo does for mutants: the spline ignores the first control
             point, so that the road starts at the third (n >= 5). This does not affect how turns are counted:
             `turns_count_maxitwo` exists for every road.
-        lane: lane that is driven, `right` or `left`, from the first to the last control point in either.
+        lane: lane that is driven, from the first to the last control point in each; see `Side`.
 
     Raises:
         RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
@@ -97,7 +99,7 @@ class Road:
         Args:
             points: (n, 2) coordinates, m, in driving order, 2 <= n <= 1000.
             lane_width: width of each of the two lanes, m, 1 to 20.
-            lane: lane that is driven, `right` or `left`.
+            lane: lane that is driven; see `Side`.
 
         Raises:
             RoadError: the arguments do not define a road, or two neighbouring points are less than a millimetre apart.
@@ -124,7 +126,7 @@ class Road:
         if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
             raise RoadError(f"lane width is {abbreviated(lane_width)}, expected 1 to 20 metres")
         if not isinstance(lane, str) or lane not in get_args(Side):
-            raise RoadError(f"lane is {abbreviated(lane)}, expected right or left")
+            raise RoadError(f"lane is {abbreviated(lane)}, expected one of {', '.join(get_args(Side))}")
         values = (control_points, float(lane_width), bool(maxitwo_compatible), sampled, lane)
         for field, value in zip(fields(self), values, strict=True):
             object.__setattr__(self, field.name, value)
@@ -136,7 +138,7 @@ class Road:
     def __repr__(self) -> str:
         kind = "road points" if self.sampled else "control points"
         quirk = ", maxitwo-compatible" if self.maxitwo_compatible else ""
-        lane = ", left lane" if self.lane == "left" else ""
+        lane = "" if self.lane == "right" else f", {self.lane} lane"
         return f"Road({self.road_id}, {len(self.control_points)} {kind}{quirk}{lane})"
 
     @cached_property
@@ -168,15 +170,25 @@ class Road:
         steps = steps / np.hypot(steps[:, 0], steps[:, 1])[:, None]
         return np.stack((steps[:, 1], -steps[:, 0]), axis=1)
 
+    @property
+    def half_width(self) -> float:
+        """Distance of either border from the centre line, m: a lane's width, or half of it where it is the only one."""
+        return self.lane_width / 2 if self.lane == "single" else self.lane_width
+
+    @property
+    def has_centre_line(self) -> bool:
+        """Whether a line is painted between two lanes."""
+        return self.lane != "single"
+
     @cached_property
     def left_edge(self) -> NDArray[np.float64]:
         """Left border of the road at every sample, (n, 2), m."""
-        return _read_only(self.points - self.lane_width * self._right_normals)
+        return _read_only(self.points - self.half_width * self._right_normals)
 
     @cached_property
     def right_edge(self) -> NDArray[np.float64]:
         """Right border of the road at every sample, (n, 2), m."""
-        return _read_only(self.points + self.lane_width * self._right_normals)
+        return _read_only(self.points + self.half_width * self._right_normals)
 
     @cached_property
     def right_lane_centre(self) -> NDArray[np.float64]:
@@ -191,12 +203,17 @@ class Road:
     @property
     def lane_centre(self) -> NDArray[np.float64]:
         """Centre line of the driven lane at every sample, (n, 2), m."""
-        return self.right_lane_centre if self.lane == "right" else self.left_lane_centre
+        return self._centre_of(self.lane)
 
     @property
     def other_lane_centre(self) -> NDArray[np.float64]:
-        """Centre line of the lane beside the driven one at every sample, (n, 2), m."""
-        return self.left_lane_centre if self.lane == "right" else self.right_lane_centre
+        """Centre line of the lane beside the driven one at every sample, (n, 2), m; where there is none, its own."""
+        return self._centre_of(_MIRRORED.get(self.lane, self.lane))
+
+    def _centre_of(self, lane: Side) -> NDArray[np.float64]:
+        if lane == "right":
+            return self.right_lane_centre
+        return self.left_lane_centre if lane == "left" else self.points
 
     @cached_property
     def length(self) -> float:
@@ -248,20 +265,20 @@ class Road:
         return Road(used[::-1], lane_width=self.lane_width, lane=self.lane)
 
     def in_lane(self, lane: Side) -> Road:
-        """Return the same road, driven in one of its lanes.
+        """Return the same centre line and lane width, driven in another lane.
 
         Raises:
-            RoadError: the lane is neither `right` nor `left`.
+            RoadError: there is no such lane.
         """
         return self._with_points(self.control_points, lane)
 
     def mirrored(self) -> Road:
-        """Return the mirror image about the middle of the box, x = 125 m, driven in the other lane.
+        """Return the mirror image about the middle of the box, x = 125 m, driven in the mirrored lane.
 
         A run on it is the mirror image of a run on this road: left and right change places, the start does not move
         on roads of `generate`.
         """
-        lane: Side = "left" if self.lane == "right" else "right"
+        lane = _MIRRORED.get(self.lane, self.lane)
         return self._with_points(tuple((BOX - x, y) for x, y in self.control_points), lane)
 
     def _with_points(self, points: tuple[tuple[float, float], ...], lane: Side) -> Road:

@@ -19,7 +19,7 @@ import pytest
 import shapely
 
 from ds_base.left_out import LeftOut
-from ds_road import Road, RoadError, generate, read_roads
+from ds_road import Road, RoadError, Side, generate, read_roads
 from ds_road.commonroad import commonroad
 from ds_road.export import Format, opendrive, sbft, write_all
 from ds_road.importing import cut_roads, import_roads
@@ -335,6 +335,23 @@ def test_the_line_lies_in_the_middle_of_its_track(tmp_path: Path) -> None:
     )
     (found,) = import_roads(tmp_path / "t.csv")
     assert found.road.lane_width == 1.5 and found.road.points[:, 1] - found.moved[1] == pytest.approx(50.5)
+    (single,) = import_roads(tmp_path / "t.csv", lane="single")  # the same borders
+    assert (single.road.lane, single.road.lane_width) == ("single", 3.0)
+    assert np.ptp([*single.road.left_edge[:, 1], *single.road.right_edge[:, 1]]) == pytest.approx(3.0)
+    (cut,) = cut_roads(tmp_path / "t.csv", 40.0, 100.0, lane="middle")
+    assert (cut.road.lane, cut.road.lane_width) == ("middle", 1.5)
+
+
+@pytest.mark.parametrize("lane", ["middle", "single"])
+def test_lanes_in_the_middle_come_back(lane: Side, tmp_path: Path) -> None:
+    road = ROADS[next(iter(ROADS))].in_lane(lane)
+    for form in ("opendrive", "sbft"):
+        (path,) = write_all([road], ["r"], tmp_path, form)  # type: ignore[arg-type]
+        back = import_roads(path)[0].road
+        assert (back.lane, back.lane_width) == (lane, road.lane_width)
+        assert back.right_edge == pytest.approx(road.right_edge, abs=1e-4)
+    with pytest.raises(RoadError, match=f"{lane} lane: CommonRoad has right and left ones"):
+        write_all([road], ["r"], tmp_path, "commonroad")
 
 
 def test_a_track_that_is_too_large_is_cut(tmp_path: Path) -> None:

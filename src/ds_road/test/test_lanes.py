@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import fresnel
 
-from ds_road import Road, RoadError, Side, generate, mutate
+from ds_road import Road, RoadError, Side, generate, mutate, road_from_fields, road_from_json, road_to_json
 from ds_road.geometry import LANE_WINDOW, lane_curvature, largest_lane_curvature
 
 HARD = [generate(np.random.default_rng(seed)) for seed in range(12)]
@@ -105,7 +105,24 @@ def test_the_lane_is_part_of_the_road() -> None:
         assert odd.mirrored().lane_width == odd.lane_width and odd.mirrored().sampled == odd.sampled
 
 
-@pytest.mark.parametrize("lane", ["middle", "", None, 1, ["left"], "LEFT"])
+@pytest.mark.parametrize("lane", ["centre", "", None, 1, ["left"], "LEFT"])
 def test_another_lane_is_refused(lane: object) -> None:
-    with pytest.raises(RoadError, match="lane is .*, expected right or left"):
+    with pytest.raises(RoadError, match="lane is .*, expected one of right, left, middle, single"):
         HARD[0].in_lane(lane)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("lane", "border", "lines"), [("middle", 3.0, 3), ("single", 1.5, 2)])
+def test_lanes_in_the_middle_are_driven_on_the_centre_line(lane: Side, border: float, lines: int) -> None:
+    """A road of 3 m lanes northwards: two of them with a centre line, or a single one between two lines."""
+    plain = Road([(125.0, 25.0 * i) for i in range(5)], lane_width=3.0)
+    road = plain.in_lane(lane)
+    for driven in (road.lane_centre, road.other_lane_centre):
+        np.testing.assert_array_equal(driven, road.points)
+    np.testing.assert_allclose(road.right_edge[:, 0] - road.points[:, 0], border)
+    np.testing.assert_allclose(road.points[:, 0] - road.left_edge[:, 0], border)
+    assert road.has_centre_line is (lines == 3) and road.mirrored().lane == road.reversed().lane == lane
+    assert len({road.road_id, plain.road_id, plain.in_lane("left").road_id}) == 3
+    assert road_from_json(road_to_json(road)) == road and lane in repr(road)
+    fields = {"lane_width": 3.0, "road_id": road.road_id}
+    assert road_from_fields(road.control_points, **fields) == road  # type: ignore[arg-type]
+    assert road_from_fields(road.control_points, lane_width=3.0, road_id="of another one").lane == "right"

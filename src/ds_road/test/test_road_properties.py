@@ -193,7 +193,7 @@ BAD: dict[str, Any] = {
         "maxitwo_compatible": True,
     },
     "maxitwo_compatible as text": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "maxitwo_compatible": "no"},
-    "another lane": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane": "middle"},
+    "another lane": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane": "centre"},
     "no lane width": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": None},
     "lane width nan": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": math.nan},
     "neighbours too near": [[0, 0], [10, 10], [10, 10 + 1e-14], [40, 40]],

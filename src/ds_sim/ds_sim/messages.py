@@ -190,7 +190,8 @@ class MessageBuilder:
 
     def road_markers(self, road: Road, look: Look, stamp: Any) -> Any:
         """The road as RViz and Foxglove draw it: edges and centre line, in the colours of `look`."""
-        lines = ((road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line))
+        lines = [(road.left_edge, look.edge_line), (road.points, look.centre_line), (road.right_edge, look.edge_line)]
+        lines = lines if road.has_centre_line else lines[::2]
         markers = [self._line(i, line, look.line_width, c, stamp) for i, (line, c) in enumerate(lines)]
         return self._make("visualization_msgs/MarkerArray", markers=markers)
 

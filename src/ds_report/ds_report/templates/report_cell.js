@@ -90,7 +90,7 @@ function testButton(test, detail, list) {
   const [x0, y0] = [(left + right - size) / 2, (low + high - size) / 2];
   const line = (x, y) => x.map((v, i) => `${(v - x0).toFixed(1)},${(size - (y[i] - y0)).toFixed(1)}`).join(" ");
   const stamp = svg("svg", { viewBox: `0 0 ${size} ${size}`, "aria-hidden": "true" },
-    svg("polyline", { points: line(cx, cy), fill: "none", stroke: "#8b929b", "stroke-width": 2 * data.lane, "stroke-linejoin": "round" }),
+    svg("polyline", { points: line(cx, cy), fill: "none", stroke: "#8b929b", "stroke-width": data.road || 2 * data.lane, "stroke-linejoin": "round" }),
     svg("circle", { cx: cx[0] - x0, cy: size - (cy[0] - y0), r: size / 22, style: "fill: var(--ink)" }));
   const outcomes = test.runs.map((run, index) => {
     const chip = html("span", { class: run && run.failed ? "chip bad" : "chip" }, `${run ? (run.failed ? "✗" : "✓") : "–"} ${data.simulators[index].name}`);

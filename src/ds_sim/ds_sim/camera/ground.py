@@ -67,7 +67,7 @@ def paint_ground(
         source = rng or np.random.default_rng(0)
         surface = Surface(conditions, look, source, resolution=RESOLUTION, leads=(LEAD_IN, LEAD_OUT))
     centre, across = _with_leads(road)
-    half_width = road.lane_width * 2 / 2
+    half_width = road.half_width
     low = centre.min(axis=0) - half_width - MARGIN
     high = centre.max(axis=0) + half_width + MARGIN
     block = 2 ** (LEVELS - 1)
@@ -96,16 +96,18 @@ def paint_ground(
     for part, tiles in stretches:
         boxes = list(ground.boxes(tiles))
         lines = None if surface else look
-        _paint_stretch(raster, mask, boxes, asphalt, centre[part] - low, across[part], half_width, lines)
+        _paint_stretch(
+            raster, mask, boxes, asphalt, centre[part] - low, across[part], half_width, lines, road.has_centre_line
+        )
     if surface:
-        surface.draw(raster, mask, list(ground.boxes(touched)), centre - low, across, half_width)
+        surface.draw(raster, mask, list(ground.boxes(touched)), centre - low, across, half_width, road.has_centre_line)
     ground.close_tiles(touched)
     return ground
 
 
 def _with_leads(road: Road) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Centre line and unit vectors to the right, both (n + 2, 2), extended straight at either end."""
-    across = (road.right_edge - road.points) / road.lane_width
+    across = (road.right_edge - road.points) / road.half_width
     ahead = np.stack((-across[:, 1], across[:, 0]), axis=1)
     start = road.points[0] - LEAD_IN * ahead[0]
     end = road.points[-1] + LEAD_OUT * ahead[-1]
@@ -136,10 +138,12 @@ def _paint_stretch(
     across: NDArray[np.float64],
     half_width: float,
     look: Look | None,
+    two_lanes: bool,
 ) -> None:
     """Paint one stretch of road, which lies within `boxes`; `centre` is relative to the raster's corner, m.
 
-    Without a look no lines are painted. `mask` is a raster of zeros, to which it returns.
+    Without a look no lines are painted, without two lanes no centre line. `mask` is a raster of zeros, to which it
+    returns.
     """
 
     def pixels(offset: float) -> NDArray[np.int32]:
@@ -157,5 +161,6 @@ def _paint_stretch(
         return
     thickness = max(1, round(look.line_width / RESOLUTION))
     inset = half_width - look.line_width / 2
-    for offset, colour in ((inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line)):
+    lines = ((inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line))
+    for offset, colour in lines if two_lanes else lines[:2]:
         cv2.polylines(raster, [pixels(offset)], False, (*colour, 255), thickness, cv2.LINE_AA, _SHIFT)

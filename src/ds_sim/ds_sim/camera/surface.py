@@ -102,6 +102,7 @@ class Surface:
         centre: _Points,
         across: _Points,
         half_width: float,
+        two_lanes: bool = True,
     ) -> None:
         """Draw patches, lines and shadows on a paved road.
 
@@ -112,10 +113,11 @@ class Surface:
             centre: centre line with its leads, relative to the raster's corner, (n, 2), m.
             across: unit vectors to the right, (n, 2).
             half_width: of the road, m.
+            two_lanes: whether there is a centre line.
         """
         line = _Line(centre, across, self._resolution, self._leads)
         self._draw_patches(raster, mask, boxes, line, half_width)
-        self._draw_lines(raster, mask, boxes, line, half_width)
+        self._draw_lines(raster, mask, boxes, line, half_width, two_lanes)
         self._draw_shadows(raster, mask, boxes, line, half_width)
 
     def _draw_patches(
@@ -134,7 +136,13 @@ class Surface:
             part *= 1.0 - alpha * np.float32(1.0 - darker)
 
     def _draw_lines(
-        self, raster: NDArray[np.uint8], mask: NDArray[np.uint8], boxes: list[Box], line: _Line, half_width: float
+        self,
+        raster: NDArray[np.uint8],
+        mask: NDArray[np.uint8],
+        boxes: list[Box],
+        line: _Line,
+        half_width: float,
+        two_lanes: bool,
     ) -> None:
         c, look, rng = self._conditions, self._look, self._rngs["lines"]
         thickness = max(1, round(look.line_width / self._resolution))
@@ -145,7 +153,7 @@ class Surface:
             (-inset, look.edge_line),
             (0.0, look.centre_line),
         )
-        for offset, colour in lines:
+        for offset, colour in lines if two_lanes else lines[:2]:
             cap = (thickness / 2.0 + _CAP) * self._resolution
             for start, end in gaps(pieces(rng, line.regions, c.line_cover_length, c.line_cover), 0.0, line.length):
                 low = start + cap if start > 0.0 else start

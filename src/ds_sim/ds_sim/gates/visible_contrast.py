@@ -43,7 +43,7 @@ _Points = NDArray[np.float64]
 
 
 class VisibleContrast:
-    """Measures the contrast of the two lines beside the driven lane of one road.
+    """Measures the contrast of the lines beside the driven lane of one road, of one in its middle of all lines.
 
     Args:
         road: road in its driven direction.
@@ -54,13 +54,16 @@ class VisibleContrast:
     def __init__(self, road: Road, spec: SimulatorSpec, conditions: Conditions = DEFAULT) -> None:
         self._camera = mounted(spec.camera, conditions)
         middle, lane = np.asarray(road.points), np.asarray(road.lane_centre)
-        across = (lane - middle) * (2.0 / road.lane_width)  # unit vectors from the centre line to the driven edge
+        if road.lane in ("right", "left"):  # unit vectors from the centre line to the driven edge
+            across = (lane - middle) * (2.0 / road.lane_width)
+        else:
+            across = (road.right_edge - middle) / road.half_width
         along = arc_lengths(lane)
         ahead = (middle[-1] - middle[-2]) / np.hypot(*(middle[-1] - middle[-2]))
         middle = np.vstack((middle, middle[-1] + _LEAD_OUT * ahead))
         across, along = np.vstack((across, across[-1:])), np.append(along, along[-1] + _LEAD_OUT)
         half = spec.look.line_width / 2
-        edge = road.lane_width - half
+        edge = road.half_width - half
         self._stations = np.arange(0.0, along[-1], STEP)
         points, sideways = (
             np.column_stack([np.interp(self._stations, along, column) for column in table.T])
@@ -71,8 +74,10 @@ class VisibleContrast:
             return [points + offset * sideways for offset in offsets]
 
         # Of each line its middle, the pavement to one or both sides, and its borders if there is grass beyond it.
-        self._centre_line = (at(0.0, -half - BESIDE, half + BESIDE), at())
-        self._edge_line = (at(edge, edge - half - BESIDE), at(edge - half, edge + half))
+        self._lines = [(at(0.0, -half - BESIDE, half + BESIDE), at())] if road.has_centre_line else []
+        for side in (1.0,) if road.lane in ("right", "left") else (1.0, -1.0):
+            inner = side * (edge - half - BESIDE)
+            self._lines.append((at(side * edge, inner), at(side * (edge - half), side * (edge + half))))
 
     def of(self, image: NDArray[np.uint8], state: VehicleState, arc_length: float) -> float:
         """Weber contrast, in linear light, of the line that is seen best; 0 if none is brighter than the pavement.
@@ -86,7 +91,7 @@ class VisibleContrast:
         red, green, blue = np.moveaxis(decode(image).astype(np.float64), -1, 0)
         light = np.asarray(_RED * red + _GREEN * green + _BLUE * blue, np.float32)
         found = [0.0]
-        for line in (self._centre_line, self._edge_line):
+        for line in self._lines:
             parts, borders = ([project(part[first:end], state, self._camera)[0] for part in some] for some in line)
             wide = _width(*borders) >= LEAST_WIDTH if borders else np.ones(end - first, np.bool_)
             found.append(self._of_line(parts, wide, light))

@@ -77,7 +77,7 @@ MESSAGES = message_builder()
 
 
 def road_from_message(message: RoadMsg) -> Road:
-    """Convert a message to a road; computes the id instead of copying it.
+    """Convert a message to a road; its id tells only lanes apart that have no field, and is computed.
 
     Raises:
         ds_road.RoadError: the fields do not define a road.
@@ -88,6 +88,7 @@ def road_from_message(message: RoadMsg) -> Road:
         sampled=message.sampled,
         maxitwo_compatible=message.maxitwo_compatible,
         left_lane=message.left_lane,
+        road_id=message.road_id,
     )
 
 

@@ -72,6 +72,7 @@ class Course:
         right: unit vectors to the right of each point, (n, 2).
         along: distance along the line from the road's first point, (n,), m.
         half_width: distance of either border, m.
+        two_lanes: whether there is a centre line.
     """
 
     origin: NDArray[np.float64]
@@ -79,11 +80,12 @@ class Course:
     right: NDArray[np.float64]
     along: NDArray[np.float64]
     half_width: float
+    two_lanes: bool
 
 
 def course_of(road: Road) -> Course:
     """Centre line of a road with its leads; the road's own samples are kept exactly."""
-    right = (road.right_edge - road.points) / road.lane_width
+    right = (road.right_edge - road.points) / road.half_width
     ahead = np.stack((-right[:, 1], right[:, 0]), axis=1)
     origin = np.floor(road.points.min(axis=0))
     points = np.vstack((road.points[0] - LEAD_IN * ahead[0], road.points, road.points[-1] + LEAD_OUT * ahead[-1]))
@@ -93,7 +95,8 @@ def course_of(road: Road) -> Course:
         points=points - origin,
         right=np.vstack((right[:1], right, right[-1:])),
         along=along,
-        half_width=road.lane_width,
+        half_width=road.half_width,
+        two_lanes=road.has_centre_line,
     )
 
 

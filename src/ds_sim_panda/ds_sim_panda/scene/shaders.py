@@ -121,7 +121,7 @@ void main() {
 
 _ROAD = """
 uniform sampler2D asphalt;
-uniform float half_width;
+uniform float half_width, two_lanes;
 #ifdef SETTING
 uniform sampler2D bare, repaired;
 uniform vec2 road_frame;
@@ -134,7 +134,7 @@ void main() {
     // Shares of the part of the pixel that lies on the road; the rest shows what is below.
     float inside = max(covered(u, w, -half_width, half_width), 1e-3);
     float white = covered(abs(u), w, half_width - LINE_WIDTH, half_width) / inside;
-    float yellow = covered(u, w, -0.5 * LINE_WIDTH, 0.5 * LINE_WIDTH) / inside;
+    float yellow = two_lanes * covered(u, w, -0.5 * LINE_WIDTH, 0.5 * LINE_WIDTH) / inside;
 #ifdef SETTING
     vec2 along = vec2((coordinates.y - road_frame.x) * road_frame.y, 0.5);
     c = PAVEMENT * (1.0 + GRAIN * (c / ASPHALT - 1.0));

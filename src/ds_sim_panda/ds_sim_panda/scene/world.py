@@ -96,6 +96,7 @@ class World:
             strip = self._surface(mesh_node(name, *road_strip(course, offsets)), name, sort, **texture)
             strip.set_shader_input("half_width", course.half_width)
             strip.set_attrib(_blended())
+        strip.set_shader_input("two_lanes", float(course.two_lanes))
         if along:
             strip.set_shader_input("bare", along.bare)
             strip.set_shader_input("repaired", along.repaired)

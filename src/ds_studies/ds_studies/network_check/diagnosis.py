@@ -444,11 +444,7 @@ def lane_finding(
     if offset < 0.0 and abs(there) < ELSEWHERE * abs(offset):
         return Finding("lane", f"{seen}: it wants the left lane; test it there, `{begins} --lane left`")
     if offset < 0.0 < there:
-        return Finding(
-            "lane",
-            f"{seen}: it wants the middle of the road; `{begins}` leaves the lane to the left then, and with "
-            "`--lane left` to the right: train it in the lane that it has to drive in",
-        )
+        return Finding("lane", f"{seen}: it wants the middle of the road; test it there, `{begins} --lane middle`")
     return None
 
 

@@ -28,7 +28,7 @@ from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.engines.fingerprint import code_sha256
 from ds_orchestrator.search.features import DEFAULT_FEATURES, feature_of
 from ds_orchestrator.store.model import Execution, Test
-from ds_road import Road
+from ds_road import Road, Side
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
@@ -115,7 +115,7 @@ class Suite(_Strict):
     driver_sha256: str = ""
     siblings: Annotated[list[str], Field(min_length=1, max_length=20)]
     twin: str | None = None
-    lane: Literal["right", "left"] = "right"
+    lane: Side = "right"
     maxitwo_compatible: bool = False
     features: list[str] = list(DEFAULT_FEATURES)
     code_sha256: str = ""
