@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+import ast
+import os
 import runpy
 import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 import yaml
+from tests.graph.test_interfaces import tables
 
 from ds_sim.registry import STANDARD
 
@@ -43,13 +47,20 @@ WATCH = FOLDER.parents[1] / "launch/watch.launch.py"
 LAUNCH_FILES = sorted({*WATCH.parent.glob("*.launch.py")} - {WATCH})
 
 
-def launched(path: Path, monkeypatch: pytest.MonkeyPatch, **arguments: str) -> list[dict[str, Any]]:
-    """Run a launch file with stand-ins for `launch`, which is not on PyPI; return the arguments of its nodes."""
+def launched(
+    path: Path, monkeypatch: pytest.MonkeyPatch, words: dict[str, set[str]] | None = None, **arguments: str
+) -> list[dict[str, Any]]:
+    """Run a launch file with stand-ins for `launch`, which is not on PyPI; return the arguments of its nodes.
+
+    `words` gets the first argument of everything that is made, by its class.
+    """
     made: list[dict[str, Any]] = []
 
     class Anything:
         def __init__(self, *args: Any, **kwargs: Any) -> None:
             self.args, self.kwargs = args, kwargs
+            if words is not None and args and isinstance(args[0], str):
+                words.setdefault(type(self).__name__, set()).add(args[0])
 
         def add_action(self, _action: Any) -> None: ...
 
@@ -61,13 +72,16 @@ def launched(path: Path, monkeypatch: pytest.MonkeyPatch, **arguments: str) -> l
             super().__init__(**kwargs)
             made.append(kwargs)
 
+    def stand_in_for(name: str) -> Any:
+        return {"Node": Node, "Shutdown": _Shutdown}.get(name) or type(name, (Anything,), {})
+
     for module in (
         "launch", "launch.actions", "launch.conditions", "launch.substitutions", "launch.event_handlers",
         "launch.events", "launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions",
         "launch_ros.substitutions",
     ):  # fmt: skip
         stand_in = ModuleType(module)
-        stand_in.__getattr__ = lambda name: {"Node": Node, "Shutdown": _Shutdown}.get(name, Anything)  # type: ignore[method-assign]
+        stand_in.__getattr__ = stand_in_for  # type: ignore[method-assign]
         monkeypatch.setitem(sys.modules, module, stand_in)
     described = runpy.run_path(str(path))
     described["generate_launch_description"]()
@@ -88,6 +102,53 @@ def test_a_launch_ends_with_its_simulator(path: Path, monkeypatch: pytest.Monkey
     assert simulators
     for node in simulators:
         assert node.get("respawn") or isinstance(node.get("on_exit"), _Shutdown), node
+
+
+TOOLS = {"foxglove_bridge", "rviz2"}
+"""What `watch.launch.py` starts if it is installed; no dependency."""
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize("path", [*LAUNCH_FILES, WATCH], ids=lambda path: path.name.partition(".")[0])
+def test_what_a_launch_file_names_is_there(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What `ros2 launch` looks up: packages, executables, arguments, parameters; and what rosdep installs for it."""
+    from ament_index_python.packages import get_package_prefix
+
+    packages = ModuleType("ament_index_python.packages")
+    packages.PackageNotFoundError, packages.get_package_prefix = LookupError, str  # type: ignore[attr-defined]
+    with monkeypatch.context() as patched:
+        patched.setitem(sys.modules, "ament_index_python.packages", packages)
+        words: dict[str, set[str]] = {}
+        made = [
+            node
+            for tool in ("rviz", "foxglove")
+            for node in launched(path, patched, words, tool=tool, port="8765", campaign="out")
+        ]
+    manifest = ElementTree.parse(path.parents[1] / "package.xml")
+    depends = {element.text for element in manifest.findall("exec_depend")}
+    tree = ast.parse(path.read_text())
+    modules = {
+        node.module.partition(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) if node.module
+    }
+    assert modules - set(sys.stdlib_module_names) <= depends
+    assert {node["package"] for node in made} - TOOLS <= depends
+    assert words["LaunchConfiguration"] <= words["DeclareLaunchArgument"] and words.get("FindPackageShare", set()) <= {
+        "ds_bringup"
+    }
+    for node in made:
+        if node["package"] in TOOLS:
+            continue
+        file = Path(get_package_prefix(node["package"]), "lib", node["package"], node["executable"])
+        assert os.access(file, os.X_OK), file
+        described = {row[0] for row in tables(node["executable"])[1]}
+        for given in node.get("parameters", ()):
+            assert not isinstance(given, dict) or set(given) <= described, node["executable"]
+
+
+@pytest.mark.parametrize("file", [*FOLDER.glob("*.yaml"), FOLDER.parent / "driver.yaml"], ids=lambda file: file.stem)
+def test_parameter_files_name_parameters_that_nodes_have(file: Path) -> None:
+    for node, values in yaml.safe_load(file.read_text()).items():
+        assert set(values["ros__parameters"]) <= {row[0] for row in tables(node.rpartition("/")[2])[1]}
 
 
 def test_the_watch_launch_starts_a_tool_that_only_reads(monkeypatch: pytest.MonkeyPatch) -> None:
