@@ -163,7 +163,7 @@ def test_a_subscriber_gets_every_byte_in_order_with_the_clock(bags: Path, listen
     document = json.loads(out)
     assert document["whole"] and document["seconds"] == pytest.approx(2.0)
     clocks = [struct.unpack_from("<iI", raw, 4) for name, raw in heard if name == "/clock"]
-    assert [sec * 10**9 + nanosec for sec, nanosec in clocks] == [step * 50 * MS for step in range(41)]
+    assert [sec * 10**9 + nanosec for sec, nanosec in clocks] == [10**9 + step * 50 * MS for step in range(41)]
 
 
 @pytest.mark.graph

@@ -71,7 +71,7 @@ def test_rosbags_reads_every_value(bags: Path, run: RunRecord, level: Level) -> 
     assert counts == ALWAYS | EXTRA[level]
     messages = read_all(bags / level)
     for (stamp, state), seen in zip(messages["/twin/state"], run.observations, strict=True):
-        assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == seen.step * 50_000_000
+        assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == 10**9 + seen.step * 50_000_000
         assert (state.step, state.x, state.y, state.yaw, state.lateral_position) == (
             seen.step,
             seen.vehicle.x,
@@ -110,9 +110,9 @@ def test_images_are_those_that_the_driver_saw(bags: Path, run: RunRecord) -> Non
     raw = read_all(bags / "raw")["/twin/camera/image_raw"]
     compressed = read_all(bags / "compressed")["/twin/camera/image_raw/compressed"]
     for image, (_, kept), (_, jpeg) in zip(images, raw, compressed, strict=True):
-        assert (kept.encoding, kept.step, kept.header.frame_id) == ("rgb8", 960, "twin/camera")
+        assert (kept.encoding, kept.step, kept.header.frame_id) == ("rgb8", 960, "twin/camera_optical")
         assert kept.data.tobytes() == image.tobytes()
-        assert "jpeg" in jpeg.format and jpeg.header.frame_id == "twin/camera"
+        assert "jpeg" in jpeg.format and jpeg.header.frame_id == "twin/camera_optical"
         assert jpeg.header.stamp.nanosec == kept.header.stamp.nanosec
         decoded = cv2.cvtColor(cv2.imdecode(jpeg.data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
         assert cv2.PSNR(decoded, image) > 32.0

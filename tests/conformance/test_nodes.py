@@ -63,21 +63,25 @@ def test_a_node_describes_its_simulator(graph: Any, simulator_name: str) -> None
 
 
 def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
-    """Odometry turns left where the road does, frames carry the namespace, image and info belong together."""
+    """Odometry turns left where the road does, frames carry the namespace, images and info belong together."""
+    import cv2
+    from ds_interfaces.msg import VehicleState
     from ds_interfaces.srv import GetSimulatorInfo
     from nav_msgs.msg import Odometry
     from rclpy.node import Node
-    from sensor_msgs.msg import CameraInfo, Image
+    from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
     from ds_sim.ros.node_thread import NodeThread
 
     executor, spaces = graph
     space = spaces[simulator_name]
-    heard: dict[str, list[Any]] = {"odom": [], "info": [], "image": []}
+    heard: dict[str, list[Any]] = {"odom": [], "info": [], "image": [], "jpeg": [], "state": []}
     node = Node("listener", context=executor.context)
     node.create_subscription(Odometry, f"{space}/odom", heard["odom"].append, 1000)
     node.create_subscription(CameraInfo, f"{space}/camera/camera_info", heard["info"].append, 1000)
     node.create_subscription(Image, f"{space}/camera/image_raw", heard["image"].append, 1000)
+    node.create_subscription(CompressedImage, f"{space}/camera/image_raw/compressed", heard["jpeg"].append, 1000)
+    node.create_subscription(VehicleState, f"{space}/state", heard["state"].append, 1000)
     # Whoever answers a client that was created after the subscriptions has heard of them.
     client = node.create_client(GetSimulatorInfo, f"{space}/get_info")
 
@@ -90,14 +94,21 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     assert listener.end()
     node.destroy_node()
     assert run.outcome is Outcome.COMPLETED
-    assert [len(messages) for messages in heard.values()] == [run.steps + 1] * 3
+    assert [len(messages) for messages in heard.values()] == [run.steps + 1] * 5
     name = space.strip("/")
     odom = heard["odom"][-1]
-    assert odom.child_frame_id == f"{name}/base_link" and odom.header.frame_id
+    assert (
+        odom.child_frame_id == f"{name}/base_link"
+        and odom.header.frame_id == heard["state"][-1].header.frame_id == "road"
+    )
     image = heard["image"][-1]
     assert (image.height, image.width, image.encoding, image.step) == (160, 320, "rgb8", 960)
-    assert image.header.frame_id == f"{name}/camera"
+    assert image.header.frame_id == f"{name}/camera_optical"
     assert [image.header.stamp for image in heard["image"]] == [info.header.stamp for info in heard["info"]]
+    assert {message.header.frame_id for kind in ("info", "jpeg") for message in heard[kind]} == {image.header.frame_id}
+    assert heard["jpeg"][-1].header.stamp == image.header.stamp == heard["state"][-1].header.stamp
+    seen = np.frombuffer(image.data, np.uint8).reshape(160, 320, 3)
+    assert cv2.PSNR(cv2.imdecode(np.array(heard["jpeg"][-1].data), cv2.IMREAD_COLOR)[..., ::-1], seen) > 30.0
     info = heard["info"][-1]
     simulator = make_simulator(simulator_name)
     camera = simulator.spec.camera

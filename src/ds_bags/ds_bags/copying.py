@@ -26,7 +26,7 @@ from ds_bags.layout import (
     regular_file,
 )
 from ds_bags.messages import typestore
-from ds_bags.reader import BagReader
+from ds_bags.reader import STATE, BagReader
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 from ds_base.installation import ds_command
@@ -243,7 +243,7 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     channels: dict[int, int] = {}
     writer: Rosbag2Writer | None = None
     ended: dict[str, str] = {}
-    count, first, last, readable = 0, 0, 0, 0
+    count, first, last, readable, frames, states = 0, 0, 0, 0, 0, set[int]()
     for record, position in _whole_records(source):
         # After the footer comes only the closing magic.
         readable = source.stat().st_size if isinstance(record, Footer) else position
@@ -255,14 +255,16 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
         elif isinstance(record, tuple):
             writer = writer or Rosbag2Writer(folder, facts)
             channels[record[0]] = writer.channel(record[1])
+            states |= {record[0]} if record[1].message_type == STATE else set()
         elif isinstance(record, Message) and writer is not None:
             writer.write(channels[record.channel_id], record.log_time, record.data)
             first = record.log_time if not count else min(first, record.log_time)
             last, count = max(last, record.log_time), count + 1
+            frames += record.channel_id in states
     if writer is None or not count:
         raise BagError(f"{source} holds no whole chunk: the writer was killed before its first flush")
     lost = source.stat().st_size - readable
-    cut = {"outcome": UNFINISHED, "message": f"recovered: the last {lost} bytes could not be read"}
+    cut = {"outcome": UNFINISHED, "message": f"recovered: {frames} frames, the last {lost} bytes could not be read"}
     writer.close(facts | (ended or cut))
     return Recovered(source=source, folder=out, messages=count, seconds=(last - first) / 1e9, lost_bytes=lost)
 

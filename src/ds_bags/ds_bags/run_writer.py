@@ -18,7 +18,7 @@ from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
-from ds_sim.frames import ROAD_FRAME
+from ds_sim.frames import ROAD_FRAME, START
 from ds_sim.registry import spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -80,7 +80,7 @@ def write_bag(
     observations: Iterable[Observation] | None = None,
     translate: Translation | None = None,
 ) -> int:
-    """Write the bag of one run, and return the number of its camera images; stamps count from the start of the run.
+    """Write the bag of one run, and return the number of its camera images; stamps count from 1 s.
 
     A run record holds no images. A level with images re-simulates the recorded commands in this process, which yields
     the same images bit by bit and does not slow down the run itself.
@@ -188,10 +188,10 @@ class RunWriter:
 
     def begin(self) -> None:
         """Write what is constant over the run: the road and the camera's mount."""
-        start = self._make.stamp(0)
-        self._put("road", 0, self._make.road(self._run.road))
-        self._put("road_markers", 0, self._make.road_markers(self._run.road, self._spec.look, start))
-        self._put("/tf_static", 0, self._make.camera_transform(self._spec.camera, start))
+        start = self._make.stamp(START)
+        self._put("road", START, self._make.road(self._run.road))
+        self._put("road_markers", START, self._make.road_markers(self._run.road, self._spec.look, start))
+        self._put("/tf_static", START, self._make.camera_transform(self._spec.camera, start))
 
     def frames(self, observations: Iterable[Observation] | None = None) -> None:
         """Write all frames and the commands that answer them.
@@ -202,7 +202,7 @@ class RunWriter:
         run, make = self._run, self._make
         images = run.observations if observations is None else observations
         for index, (frame, pictured, time) in enumerate(
-            zip(run.observations, images, frame_times(run).tolist(), strict=True)
+            zip(run.observations, images, (START + frame_times(run)).tolist(), strict=True)
         ):
             header = make.header(time, ROAD_FRAME)
             self._put("state", time, make.state(frame, header, run.road.road_id))
@@ -227,7 +227,8 @@ class RunWriter:
 
     def end(self) -> None:
         """Write the outcome."""
-        self._put("outcome", round(self._run.simulated_seconds * 1e9), self._make.outcome(int(self._run.outcome)))
+        ended = START + round(self._run.simulated_seconds * 1e9)
+        self._put("outcome", ended, self._make.outcome(int(self._run.outcome)))
 
     def _put(self, topic: str, nanoseconds: int, message: Any) -> None:
         data = bytes(self._store.serialize_cdr(message, _TOPICS[topic][0]))

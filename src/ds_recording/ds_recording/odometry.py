@@ -235,7 +235,7 @@ def _of_pose(pose: Any) -> tuple[float, ...]:
 
 def _of_imu(message: Any) -> tuple[float, ...]:
     # REP-103: the axes of an optical frame are right, down, ahead; REP-145: -1 says that there is no such value.
-    optical = str(message.header.frame_id).endswith("_optical_frame")
+    optical = str(message.header.frame_id).endswith(("_optical", "_optical_frame"))
     (rate,) = _numbers(message, "angular_velocity.y" if optical else "angular_velocity.z")
     rate = math.nan if float(message.angular_velocity_covariance[0]) == -1.0 else -rate if optical else rate
     return math.nan, rate, math.nan, math.nan, math.nan

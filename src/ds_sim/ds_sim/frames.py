@@ -12,6 +12,8 @@ from ds_sim.simulator import VehicleState
 
 ROAD_FRAME = "road"
 """Fixed frame of every simulator: x and y in the plane of the road, z up, metres."""
+START = 10**9
+"""Stamp of the first frame of a bag, and of a node's first run, ns: tf2 takes 0 for `latest`, messages for `unset`."""
 _OPTICAL = Rotation.from_quat((-0.5, 0.5, -0.5, 0.5))
 """From a body's frame (forward, left, up) to that of its optical axes (right, down, forward): REP-103."""
 _EXACT, _UNKNOWN = 1e-9, 1e12
@@ -27,8 +29,8 @@ Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 
 
 def camera_frame(namespace: str) -> str:
-    """Name of the optical frame of the camera in a namespace."""
-    return f"{namespace.strip('/')}/camera".strip("/")
+    """Name of the optical frame of the camera in a namespace; the suffix is that of REP-103."""
+    return f"{namespace.strip('/')}/camera_optical".strip("/")
 
 
 def base_frame(namespace: str) -> str:

@@ -33,9 +33,12 @@ def test_a_driver_that_ignores_images_is_reported_once_and_named_in_the_result()
     monitor.frame(1)
     warnings = [monitor.stray(0) for _ in range(2 * WARN_AFTER)]
     assert warnings.count(True) == 1
-    message, reason = monitor.silence(5.0)
+    message, reason = monitor.silence(5.0, 7)
     assert reason is Reason.WRONG_STAMP
-    assert message.startswith(f"no command within 5 s; {2 * WARN_AFTER} commands came") and "header" in message
+    assert (
+        message.startswith(f"no command within 5 s after frame 7; {2 * WARN_AFTER} commands came")
+        and "header" in message
+    )
 
 
 def test_second_answers_to_the_frame_before_are_no_reason_for_silence() -> None:
@@ -44,7 +47,7 @@ def test_second_answers_to_the_frame_before_are_no_reason_for_silence() -> None:
     monitor.frame(1)  # sent again
     monitor.frame(2)
     assert not monitor.stray(1)
-    assert monitor.silence(0.5) == ("no command within 0.5 s", Reason.NONE)
+    assert monitor.silence(0.5, 0) == ("no command within 0.5 s after frame 0", Reason.NONE)
 
 
 def test_an_invalid_command_is_the_reason_for_silence() -> None:
@@ -52,7 +55,7 @@ def test_an_invalid_command_is_the_reason_for_silence() -> None:
     monitor.frame(1)
     monitor.stray(0)
     monitor.refused(CommandError("steering is nan"))
-    assert monitor.silence(2.0) == (
-        "no command within 2 s; the last command was refused: steering is nan",
+    assert monitor.silence(2.0, 1) == (
+        "no command within 2 s after frame 1; the last command was refused: steering is nan",
         Reason.COMMAND_REFUSED,
     )

@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 from ds_base.errors import RunError
 from ds_driver.data.recordings import RecordedFrame
 from ds_driver.networks.images import Crop
+from ds_sim.frames import camera_frame
 from ds_sim.ros.conversions import MESSAGES
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import FRAME_TIME
@@ -73,7 +74,7 @@ class DriverClient:
         self._crop = crop
         # Stamps never repeat, so a late answer is not taken for the next image's.
         self._count += 1
-        self._asked = MESSAGES.header(round((1.0 + self._count * FRAME_TIME) * 1e9), "camera")
+        self._asked = MESSAGES.header(round((1.0 + self._count * FRAME_TIME) * 1e9), camera_frame(self._namespace))
         self._answer = None
         image = MESSAGES.image(frame.image, self._asked)
         state = VehicleState(header=self._asked, step=self._step, speed=frame.speed)

@@ -315,7 +315,7 @@ class GraphClient:
 
     def _drive_once(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         simulator = self._simulators[name]
-        simulator.alive = time.monotonic()
+        simulator.alive, simulator.frame = time.monotonic(), 0
         handle = self._thread.call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
         if handle is None:
             self._restart(name)
@@ -328,11 +328,12 @@ class GraphClient:
         if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
             self._thread.call(handle.cancel_goal_async, 1.0)
         if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
-            return f"{', '.join(sorted(dead))} ended during the run"
+            return f"{', '.join(sorted(dead))} ended during the run, {simulator.place}"
         self._restart(name)
         if self._supervisor is None and not self._thread.stopped:
-            return f"{name} has not answered for {time.monotonic() - simulator.alive:.0f} s: is its node alive?"
-        return "the simulator fell silent during the run"
+            seconds = time.monotonic() - simulator.alive
+            return f"{name} has not answered for {seconds:.0f} s, {simulator.place}: is its node alive?"
+        return f"the simulator fell silent during the run, {simulator.place}"
 
     def _await_result(self, name: str, handle: Any) -> Any:
         """Wait for the result of a goal; None if the simulator has shown no sign of life for too long."""
@@ -376,6 +377,8 @@ class _Simulator:
         self.info = node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
         self.reset = node.create_client(Trigger, f"{namespace}/reset")
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
+        self.frame = 0
+        """Last frame of the run that feedback was about."""
         self.alive = 0.0
         """Monotonic time of the last feedback, s."""
         self.answered = 0.0
@@ -384,10 +387,15 @@ class _Simulator:
 
     def on_feedback(self, message: Any) -> None:
         """Record a sign of life, and pass the feedback on."""
-        self.alive = time.monotonic()
+        feedback = message.feedback
+        self.alive, self.frame = time.monotonic(), feedback.step
         if self.watch is not None:
-            feedback = message.feedback
             self.watch(feedback.step, feedback.progress, feedback.lateral_position)
+
+    @property
+    def place(self) -> str:
+        """Where the run was when it was last heard of."""
+        return f"after frame {self.frame} (feedback comes every {messages.FEEDBACK_EVERY} frames)"
 
     def other_clients(self) -> list[str]:
         """Names of other nodes with a client of the simulator's action."""

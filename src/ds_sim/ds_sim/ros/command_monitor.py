@@ -55,13 +55,14 @@ class CommandMonitor:
         """Check whether the sequence numbers must come from two publishers, even after a restart during the run."""
         return self._steps_back > _RESTARTS
 
-    def silence(self, seconds: float) -> tuple[str, Reason]:
+    def silence(self, seconds: float, step: int) -> tuple[str, Reason]:
         """Describe a wait that ended without a usable command: the message and the reason of the run's result.
 
         Args:
             seconds: length of the wait.
+            step: frame that was not answered.
         """
-        text = f"no command within {seconds:g} s"
+        text = f"no command within {seconds:g} s after frame {step}"
         if self._refused:
             return f"{text}; the last command was refused: {self._refused}", Reason.COMMAND_REFUSED
         return (f"{text}; {self.complaint()}", Reason.WRONG_STAMP) if self._strays else (text, Reason.NONE)

@@ -12,12 +12,13 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
 from ds_sim.camera.spec import CameraSpec
+from ds_sim.frames import ROAD_FRAME, START
 from ds_sim.messages import MessageBuilder
 from ds_sim.ros.conversions import frame_to_message, message_builder
 from ds_sim.simulator import FRAME_TIME, Observation, Simulator, SimulatorSpec, VehicleState
@@ -51,7 +52,7 @@ class TransformPublisher:
         self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=FRAME_DEPTH))
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
-        self._fixed.publish(make.camera_transform(camera, make.stamp(0)))
+        self._fixed.publish(make.camera_transform(camera, make.stamp(START)))
 
     def publish(self, vehicle: VehicleState, stamp: Any) -> None:
         """Publish the vehicle's pose if there is a subscriber."""
@@ -74,22 +75,23 @@ class FramePublisher:
         self._transforms = TransformPublisher(node, spec.camera, self._make)
         self._frame = node.create_publisher(Frame, "frame", 5)
         self._image = node.create_publisher(Image, "camera/image_raw", FRAME_DEPTH)
+        self._compressed = node.create_publisher(CompressedImage, "camera/image_raw/compressed", FRAME_DEPTH)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", FRAME_DEPTH)
         self._state = node.create_publisher(VehicleStateMsg, "state", FRAME_DEPTH)
         self._odom = node.create_publisher(Odometry, "odom", FRAME_DEPTH)
         self._clock = node.create_publisher(Clock, "/clock", 10) if clock else None
-        # Stamps never decrease, as tf, bags and filters expect, and are above 0, so that an unset one never matches.
-        self._run_start = 1.0
+        # Stamps never decrease, as tf, bags and filters expect.
+        self._run_start = START / 1e9
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
 
     @property
     def viewers(self) -> int:
-        """Number of subscriptions to images: `camera/image_raw` and `frame`."""
-        return int(self._image.get_subscription_count() + self._frame.get_subscription_count())
+        """Number of subscriptions to images, compressed ones and `frame` included."""
+        return sum(one.get_subscription_count() for one in (self._image, self._compressed, self._frame))
 
     def publish(self, observation: Observation, road: Road) -> Header:
-        """Publish one frame, the state before its image; return the header that its answer must carry.
+        """Publish one frame, the state before its image; return the image's header, whose stamp its answer must carry.
 
         What nobody subscribes to is not built. A driver that connects late gets the first frame when it is repeated.
         """
@@ -97,9 +99,12 @@ class FramePublisher:
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
         if self._state.get_subscription_count():
-            self._state.publish(self._make.state(observation, header, road.road_id))
+            place = Header(stamp=header.stamp, frame_id=ROAD_FRAME)
+            self._state.publish(self._make.state(observation, place, road.road_id))
         if self._image.get_subscription_count():
             self._image.publish(self._make.image(observation.image, header))
+        if self._compressed.get_subscription_count():
+            self._compressed.publish(self._make.compressed_image(observation.image, header))
         if self._frame.get_subscription_count():
             self._frame.publish(frame_to_message(observation, header, self._spec))
         if self._info.get_subscription_count():

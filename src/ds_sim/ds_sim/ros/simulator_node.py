@@ -166,7 +166,7 @@ class SimulatorNode(Node):
         if self._goal.is_cancel_requested:
             self._finish(Outcome.CANCELLED, "cancelled by the client")
         elif self._watchdog.is_over:
-            self._finish(Outcome.DRIVER_SILENT, *self._monitor.silence(self._watchdog.limit))
+            self._finish(Outcome.DRIVER_SILENT, *self._monitor.silence(self._watchdog.limit, self._last.step))
         elif self._watchdog.wants_repeat:
             self._show(self._last)
 
