@@ -28,6 +28,9 @@ search: {population: 2, iterations: 2, runs: 1, min_angle: 40, max_angle: 120}
 """
 DRIVES = 8
 LIMIT = 120.0
+CAMPAIGN = "orchestrator: campaign"
+STATUSES = {CAMPAIGN, "simulator: simulator", "autopilot: latency"}
+"""Names of what `/diagnostics` shows of the graph."""
 MODULE = "ds_studies.ros.orchestrator_node"
 
 
@@ -151,8 +154,9 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     for name, kind in (("map_legend", MapLegend), ("maps/union_bullet", OccupancyGrid), ("maps/merged", OccupancyGrid),
                        ("maps/twin_donkey", OccupancyGrid), ("campaign_state", CampaignState)):  # fmt: skip
         graph.node.create_subscription(kind, name, lambda message, name=name: seen.update({name: message}), latched)
-    graph.node.create_subscription(DiagnosticArray, "/diagnostics", lambda message: seen.update(d=message), 10)
-    graph.until(lambda: len(outcomes) == DRIVES and len(seen) == 6)
+    graph.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.update({m.status[0].name: m}), 10)
+    graph.until(lambda: len(outcomes) == DRIVES and len(seen) == 5 + len(STATUSES))
+    assert set(seen) >= STATUSES
     store = open_store(graph.root / "c")
     driven = {(one.test_id, one.simulator): one for one in store.executions()}
     for one in outcomes:
@@ -171,7 +175,10 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     assert "such as bullet-0-0000" in graph.ask(GetTest, "get_test", test_id="x").message
     state = graph.ask(GetState, "get_state").state
     assert (state.state, state.folder, state.done) == (CampaignState.FINISHED, "c", DRIVES)
-    assert seen["d"].status[0].level == b"\0"
+    assert all(seen[name].status[0].level == b"\0" for name in STATUSES)
+    assert "the last run ended" in seen["simulator: simulator"].status[0].message
+    latency = {value.key for value in seen["autopilot: latency"].status[0].values}
+    assert {"frames answered", "frames refused", "latency p95 ms"} <= latency
 
 
 @pytest.mark.parametrize(
@@ -248,13 +255,13 @@ def test_a_second_orchestrator_is_noticed_and_a_signal_ends_a_goal(graph: Graph,
     second = Supervisor([spec], domain=graph.domain, logs=tmp_path)
     said: dict[str, str] = {}
     graph.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda message: said.update(now=message.status[0].message), 1
+        DiagnosticArray, "/diagnostics", lambda m: said.update({m.status[0].name: m.status[0].message}), 10
     )
-    graph.until(lambda: "2 orchestrators live in" in said.get("now", ""))
+    graph.until(lambda: "2 orchestrators live in" in said.get(CAMPAIGN, ""))
     # Both answer a goal, and the client takes one answer.
     graph.until(lambda: "orchestrators live in" in graph.run(RunCampaign, "run_campaign", folder="g")[1].message)
     second.close()
-    graph.until(lambda: "orchestrators" not in said["now"])
+    graph.until(lambda: "orchestrators" not in said[CAMPAIGN])
     long = CONFIG.replace("iterations: 2", "iterations: 98")  # 200 drives, not over before a signal comes
     handle = graph.send(RunCampaign, "run_campaign", config=long, folder="f", engine="local")
     graph.until(lambda: len(stored(graph.root / "f")) >= 1)

@@ -14,6 +14,7 @@ from rclpy.node import Node
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.ros.simulator_client import Answer, SimulatorClient, SimulatorInfo
 from ds_sim.ros.conversions import gains_of
+from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import AutopilotGains, Command, SimulatorSpec
@@ -49,10 +50,11 @@ class AutopilotNode(Node):
         self._gains: list[AutopilotGains | None] = [None] * count
         purpose = "for the autopilot's gains (not needed if the gains are parameters)"
         self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
-        self._simulators = []
+        self._simulators, answers = [], AnswerDiagnostics(self)
         for index, (namespace, given) in enumerate(zip(self._namespaces, self._given, strict=True)):
             asks = ASK in given.values()
-            client = SimulatorClient(self, namespace, VehicleState, partial(self._info.ask, index) if asks else None)
+            on_start = partial(self._info.ask, index) if asks else None
+            client = SimulatorClient(self, namespace, VehicleState, answers, on_start)
             self._simulators.append(client)
             if asks:
                 self._info.ask(index)

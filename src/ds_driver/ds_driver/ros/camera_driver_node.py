@@ -5,14 +5,10 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import deque
 from dataclasses import replace
 
 import cv2
-import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
@@ -22,6 +18,7 @@ from ds_driver.networks.images import Crop, fit_to_network, rgb_of_message
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import Frame
 from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
+from ds_sim.ros.diagnostics import STALE, AnswerDiagnostics
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import MAX_SPEED
@@ -30,10 +27,6 @@ MAX_CROP = 152
 """Largest number of cropped rows; `Crop` leaves at least eight of 160."""
 CAMERA_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches reliable and best-effort cameras, and keeps only the newest image (REP-2003)."""
-WINDOW = 200
-"""Number of frames in the statistics of the latency; chosen: ten seconds at 20 Hz."""
-REPORT_EVERY = 1.0
-"""Period of the reports of the latency, s; the default of diagnostic_updater."""
 
 
 class CameraDriver(Node):
@@ -62,7 +55,7 @@ class CameraDriver(Node):
         self._driver = NetworkDriver(network)
         self._seen = replace(Frame.black(), crop=Crop(top, bottom), step=1, vehicle=vehicle)
         self._speed = 0.0
-        self._latency = LatencyDiagnostics(self)
+        self._latency = AnswerDiagnostics(self, idle=STALE)
         kind, topic = (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
         self.create_subscription(kind, f"camera/{topic}", self._on_image, CAMERA_QOS)
         if speed_from == "odom":
@@ -84,44 +77,6 @@ class CameraDriver(Node):
             self.get_logger().error(f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0)
             return
         self._latency.add(time.monotonic() - began)
-
-
-class LatencyDiagnostics:
-    """Publishes a driver's latency, from an image to its command, on `/diagnostics`."""
-
-    def __init__(self, node: Node) -> None:
-        self.answered = self.refused = 0
-        self._seconds: deque[float] = deque(maxlen=WINDOW)
-        self._node = node
-        self._last = (0, 0)
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
-        node.create_timer(REPORT_EVERY, self._publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    def add(self, seconds: float) -> None:
-        """Record that a frame was answered after a time in s."""
-        self._seconds.append(seconds)
-        self.answered += 1
-
-    def _publish(self) -> None:
-        answered, refused = self.answered - self._last[0], self.refused - self._last[1]
-        self._last = (self.answered, self.refused)
-        level, text = DiagnosticStatus.OK, f"{answered} images answered in the last second"
-        if refused:
-            level, text = DiagnosticStatus.ERROR, f"{refused} images refused in the last second: see the log"
-        elif not answered:
-            level, text = DiagnosticStatus.STALE, "no image in the last second"
-        status = DiagnosticStatus(level=level, name=f"{self._node.get_name()}: latency", message=text)
-        status.hardware_id = self._node.get_fully_qualified_name()
-        values = {"frames answered": str(self.answered), "frames refused": str(self.refused)}
-        if self._seconds:
-            times = 1e3 * np.array(self._seconds)
-            values["latency mean ms"] = f"{times.mean():.3f}"
-            values["latency p95 ms"] = f"{np.quantile(times, 0.95):.3f}"
-            values["latency max ms"] = f"{times.max():.3f}"
-        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
 
 
 def main() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from typing import Any
 
 from ds_interfaces.msg import DriveCommand, VehicleState
@@ -16,6 +17,7 @@ from ds_driver.control.bicycle import Geometry, MotionError
 from ds_driver.control.other_stacks import KINDS, Motion, SpeedController, StampMatcher, part
 from ds_driver.ros.command_publisher import message_type
 from ds_driver.ros.simulator_client import SimulatorInfo
+from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 
@@ -40,6 +42,7 @@ class CmdVelAdapter(Node):
         self._geometry = Geometry(wheelbase, angle) if wheelbase and angle else None
         self._speed_control = SpeedController()
         self._matching: StampMatcher[VehicleState, Motion | MotionError] = StampMatcher()
+        self._answers = AnswerDiagnostics(self)
         self._drive = self.create_publisher(DriveCommand, "drive", 1)
         self.create_subscription(VehicleState, "state", self._on_state, 5)
         self.create_subscription(message_type(self._kind), self._kind.topic, self._on_command, 5)
@@ -76,8 +79,10 @@ class CmdVelAdapter(Node):
         if pair is None:
             return
         state, motion = pair
+        began = time.monotonic()
         header = Header(stamp=state.header.stamp, frame_id=state.header.frame_id)
         if isinstance(motion, MotionError):
+            self._answers.refused += 1
             self.get_logger().warning(f"command refused: {motion}", throttle_duration_sec=1.0)
             # An invalid command, so that the result of the run states why it ended.
             self._drive.publish(DriveCommand(header=header, steering=math.nan, throttle=math.nan))
@@ -87,6 +92,7 @@ class CmdVelAdapter(Node):
         else:
             throttle = self._speed_control.throttle(motion.speed or 0.0, state.speed)
         self._drive.publish(DriveCommand(header=header, steering=motion.steering, throttle=throttle))
+        self._answers.add(time.monotonic() - began)
 
 
 def _nanoseconds(stamp: Any) -> int:

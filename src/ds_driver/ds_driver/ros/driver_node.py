@@ -25,6 +25,7 @@ from ds_driver.networks.pilot import Frame as Seen
 from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
 from ds_driver.sim2real.image_translation import ImageTranslation
 from ds_sim.ros.conversions import MESSAGES, pixels_of
+from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.frame_publisher import FRAME_DEPTH
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
@@ -51,8 +52,10 @@ class TranslatedImages:
         self._answer = answer
         self._info = SimulatorInfo(node, namespaces, "which selects the sim2real generator", self._on_info)
         self._names: list[str | None] = [None] * len(namespaces)
+        answers = AnswerDiagnostics(node)
         self._clients = [
-            SimulatorClient(node, name, Frame, partial(self._info.ask, index)) for index, name in enumerate(namespaces)
+            SimulatorClient(node, name, Frame, answers, partial(self._info.ask, index))
+            for index, name in enumerate(namespaces)
         ]
         self._publishers = [
             node.create_publisher(Image, f"{name}/{TOPIC}" if name else TOPIC, FRAME_DEPTH) for name in namespaces
@@ -115,8 +118,9 @@ class DriverNode(Node):
         if translation is not None:
             self._translated = TranslatedImages(self, self._namespaces, translation, self._answer)
         if self._translated is None:
+            answers = AnswerDiagnostics(self)
             for index, namespace in enumerate(self._namespaces):
-                SimulatorClient(self, namespace, Frame).drive_with(partial(self._answer, index))
+                SimulatorClient(self, namespace, Frame, answers).drive_with(partial(self._answer, index))
         self.get_logger().info(f"{network} drives {', '.join(filter(None, self._namespaces)) or self.get_namespace()}")
 
     def _answer(self, index: int, frame: Frame) -> Command:

@@ -19,6 +19,7 @@ from rclpy.task import Future
 
 from ds_driver.networks.pilot import DriverError
 from ds_sim.ros.conversions import MESSAGES
+from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.runtime import end_with
 from ds_sim.simulator import Command
 
@@ -45,6 +46,7 @@ class SimulatorClient:
         node: node that owns the subscription.
         namespace: namespace of the simulator; "" for the node's own.
         kind: what to subscribe to: `Frame`, or `VehicleState` for a driver without eyes.
+        answers: records the answers.
         on_start: called at the first frame of each run, which then waits for `drive_with`; None to answer all runs
             alike.
     """
@@ -54,11 +56,13 @@ class SimulatorClient:
         node: Node,
         namespace: str,
         kind: type[Frame] | type[VehicleState],
+        answers: AnswerDiagnostics,
         on_start: Callable[[], None] | None = None,
     ) -> None:
         self._node = node
         self._prefix = f"{namespace}/" if namespace else ""
         self._kind = kind
+        self._answers = answers
         self._on_start = on_start
         self._answer: Answer | None = None
         self._drive: Publisher | None = None
@@ -93,14 +97,17 @@ class SimulatorClient:
 
     def _respond(self, message: Any) -> None:
         assert self._answer is not None and self._drive is not None
+        began = time.monotonic()
         try:
             command = self._answer(message)
         except ValueError as error:
+            self._answers.refused += 1
             self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
             if isinstance(error, DriverError):
                 self._drive.publish(DriveCommand(header=message.header, steering=math.nan, throttle=0.0))
             return
         self._drive.publish(MESSAGES.command(command, message.header))
+        self._answers.add(time.monotonic() - began)
 
 
 class SimulatorInfo:

@@ -106,9 +106,14 @@ class CommandWatchdog:
         self._repeatable = False
 
     @property
+    def waited(self) -> float:
+        """How long the driver has been silent, s."""
+        return time.monotonic() - self._asked
+
+    @property
     def is_over(self) -> bool:
         """True when the driver has been silent for too long."""
-        return time.monotonic() - self._asked > self.limit
+        return self.waited > self.limit
 
     @property
     def wants_repeat(self) -> bool:

@@ -54,9 +54,12 @@ class Neighbours:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._presence = Presence(node, "presence", lambda: node.get_logger().error(self._crowd()))
+        self._presence = Presence(node, "presence", lambda: node.get_logger().error(self.crowd()))
 
-    def _crowd(self) -> str:
+    def crowd(self) -> str:
+        """Describe several simulators in the namespace; "" if this is the only one."""
+        if self._presence.others <= 0:
+            return ""
         return (
             f"{self._presence.others + 1} simulators live in {self._node.get_namespace()}: stop all but one, or give "
             "them other namespaces (__ns:=)"
@@ -87,8 +90,8 @@ class Neighbours:
         Raises:
             RequestRefused: TWO_SIMULATORS.
         """
-        if self._presence.others > 0:
-            raise RequestRefused(Reason.TWO_SIMULATORS, self._crowd())
+        if crowd := self.crowd():
+            raise RequestRefused(Reason.TWO_SIMULATORS, crowd)
 
 
 def names_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from typing import Any
 
 from ds_interfaces.action import DriveRoad
@@ -19,6 +20,7 @@ from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog
+from ds_sim.ros.diagnostics import ERROR, EVERY, OK, WARN, Diagnostics, Report
 from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
 from ds_sim.ros.neighbours import Neighbours, two_drivers
 from ds_sim.ros.parameters import check_goal, declare_parameters
@@ -55,6 +57,8 @@ class SimulatorNode(Node):
         self.create_service(GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(spec, info))
         self.create_service(Trigger, "reset", self._on_reset)
         self._server = GoalServer(self, DriveRoad, "drive_road", self._begin)
+        self._outcomes: Counter[Outcome] = Counter()
+        Diagnostics(self, "simulator", self._report)
         self._standard = StandardControl(self, self._session, self._loaded, self._frames, self._check_idle)
         # Steady clock: the node's own may be simulated time (use_sim_time), which stands still between runs.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -170,6 +174,22 @@ class SimulatorNode(Node):
         elif self._watchdog.wants_repeat:
             self._show(self._last)
 
+    def _report(self) -> Report:
+        run = self._session.run
+        values: dict[str, object] = {outcome.name.lower(): count for outcome, count in self._outcomes.items()}
+        if run is not None:
+            values |= {"road": run.road.road_id, "frame": run.steps}
+        if crowd := self._neighbours.crowd():
+            return ERROR, crowd, values
+        if run is None:
+            return OK, "waits for a goal", values
+        if not self._session.driving:
+            text = f"the last run ended {run.outcome.name}: {run.message}".removesuffix(": ")
+            return WARN if run.outcome.is_error else OK, text, values
+        if self._goal is not None and self._watchdog.waited > EVERY:
+            return WARN, f"no command for {self._watchdog.waited:.1f} s after frame {run.steps}", values
+        return OK, f"drives road {run.road.road_id}", values
+
     def _finish(self, outcome: Outcome, message: str, reason: Reason = Reason.NONE) -> None:
         self._session.end(outcome, message, reason)
         self._hand_over_if_ended()
@@ -179,6 +199,7 @@ class SimulatorNode(Node):
         if goal is None or run is None or self._session.driving:
             return
         self._goal = None
+        self._outcomes[run.outcome] += 1
         run.message = "; ".join(filter(None, (run.message, self._real_time.end())))
         self._frames.end_run(run.simulated_seconds)
         self.get_logger().info(f"{run.road.road_id}: {run.outcome.name} after {run.steps} steps {run.message}".rstrip())

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
 from ds_interfaces.srv import GetMap, GetState, GetTest
 from nav_msgs.msg import OccupancyGrid
@@ -19,6 +18,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
+from ds_sim.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Report
 from ds_studies.ros.campaign_messages import Grids, grids_of, stamped, test_response
 from ds_studies.ros.goals import Job
 
@@ -48,7 +48,7 @@ class CampaignView:
         self._legend = node.create_publisher(MapLegend, "map_legend", self._latched)
         remembered = QoSProfile(depth=REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._outcomes = node.create_publisher(TestOutcome, "finished_tests", remembered)
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 1)
+        Diagnostics(node, "campaign", self._report)
         self._maps = {"merged": node.create_publisher(OccupancyGrid, "maps/merged", self._latched)}
         node.create_service(GetState, "get_state", self._on_get_state)
         node.create_service(GetMap, "get_map", self._on_get_map)
@@ -80,7 +80,6 @@ class CampaignView:
         while self._job is not None and not self._job.listener.outcomes.empty():
             self._outcomes.publish(self._job.listener.outcomes.get())
         self._state.publish(state)
-        self._diagnostics.publish(self._diagnosis(state))
         grids = self._grids
         if grids is not None and not self._published.is_set():
             self._published.set()
@@ -93,17 +92,13 @@ class CampaignView:
                 self._maps[name] = self._node.create_publisher(OccupancyGrid, f"maps/{name}", self._latched)
             self._maps[name].publish(stamped(grid, self._node.get_clock().now().to_msg()))
 
-    def _diagnosis(self, state: CampaignState) -> DiagnosticArray:
-        warning = self._warning()
-        status = DiagnosticStatus(name=f"{self._node.get_name()}: campaign", hardware_id=state.folder)
+    def _report(self) -> Report:
+        state, warning = self.state, self._warning()
         broken, doubtful = state.state == CampaignState.BROKEN, state.errors > 0 or bool(warning)
-        status.level = DiagnosticStatus.ERROR if broken else DiagnosticStatus.WARN if doubtful else DiagnosticStatus.OK
-        status.message = warning or state.message or state.stage or "waits for a goal"
         numbers = ("done", "expected", "failures", "errors", "seconds_left")
-        status.values = [KeyValue(key=name, value=f"{getattr(state, name):g}") for name in numbers]
-        array = DiagnosticArray(status=[status])
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        return array
+        values = {"folder": state.folder} | {name: f"{getattr(state, name):g}" for name in numbers}
+        text = warning or state.message or state.stage or "waits for a goal"
+        return ERROR if broken else WARN if doubtful else OK, text, values
 
     def _keep_drawing(self) -> None:
         """Draw the maps again while a campaign drives, and once at its end."""
