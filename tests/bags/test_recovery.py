@@ -107,6 +107,7 @@ def test_a_killed_campaign_s_bag_is_unfinished_and_can_be_driven_again(run: RunR
     found = recover(tmp_path / "bag", tmp_path / "saved")
     again = verify_bag(found.folder)
     assert again.step is None and 5 < again.frames == again.images < 41
+    assert f"recovered: {again.frames} frames, " in describe(found.folder)["facts"]["message"]
     with BagReader(found.folder) as bag:
         recorded = read_run(bag)
     assert recorded.run.road == run.road and recorded.run.seed == run.seed
