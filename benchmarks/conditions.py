@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of each operating condition at three strengths on each simulator, for `docs/conditions.md`, and their cost.
+"""Pictures of operating conditions on each simulator, for `docs/conditions.md`, and what conditions cost.
 
     python -m benchmarks.conditions --out docs/images [--sim bullet ...]
+    python -m benchmarks.conditions --out docs/images --set indoor_track [--sim donkey ...]
     python -m benchmarks.conditions --costs [--frames 40] [--sim bullet ...]
 
-One sheet per simulator: a row per condition, its strengths from left to right. With `--set SET` only the middle and the
-greatest strength, each beside what the simulator's sim2real generator makes of it: `conditions_<sim>_translated.jpg`.
+`conditions.jpg`: a row for each condition, the unchanged image first, and a column for each simulator. With `--set`
+`conditions_<sim>_translated.jpg`: what the simulator's generator makes of some of them, next to the camera's image.
 Costs are processor time, for loading a road and for drawing a frame.
 """
 
@@ -13,13 +14,16 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from benchmarks.camera import standing
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ds_base.figures import WIDTH, draw_figure
 from ds_driver.sim2real.image_translation import ImageTranslation, open_set
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
@@ -28,27 +32,17 @@ from ds_sim.registry import STANDARD, make_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import VehicleState
 
-STRENGTHS = (
-    ("line_contrast=0.6", "line_contrast=0.3", "line_contrast=0.1"),
-    ("line_cover=0.2", "line_cover=0.4", "line_cover=0.7"),
-    ("pavement_reflectance=0.05", "pavement_reflectance=0.2", "pavement_reflectance=0.4"),
-    ("repair_share=0.1", "repair_share=0.3", "repair_share=0.6"),
-    ("shadow_density=0.2,shadow_depth=0.6", "shadow_density=0.5", "shadow_density=0.5,shadow_depth=0.9"),
-    ("visibility=300", "visibility=80", "visibility=30"),
-    ("illuminance=1000", "illuminance=200", "illuminance=30"),
-    ("veiling_luminance=200", "veiling_luminance=800", "veiling_luminance=2500"),
-    (
-        "low_sun=1000,sun_azimuth=80deg,sun_elevation=10deg",
-        "low_sun=5000,sun_azimuth=80deg,sun_elevation=10deg",
-        "low_sun=20000,sun_azimuth=80deg,sun_elevation=10deg",
-    ),
-    ("lens_dirt=0.05", "lens_dirt=0.2", "lens_dirt=0.4"),
-    ("sensor_noise=5", "sensor_noise=15", "sensor_noise=35"),
-    ("exposure=0.4", "exposure=2", "exposure=5"),
-    ("camera_height=0.7", "camera_height=1.3", "camera_height=1.8"),
-    ("camera_pitch=-3deg", "camera_pitch=3deg", "camera_pitch=6deg"),
-    ("camera_yaw=-6deg", "camera_yaw=3deg", "camera_yaw=8deg"),
+CONDITIONS = (
+    "",
+    "line_contrast=0.3",
+    "line_cover=0.5",
+    "visibility=60",
+    "low_sun=20000,sun_azimuth=80deg,sun_elevation=10deg",
+    "shadow_density=0.5,shadow_depth=0.9",
+    "camera_pitch=6deg",
 )
+TRANSLATED = ("", "line_contrast=0.1", "repair_share=0.6", "visibility=30", "veiling_luminance=2500")
+COSTLY = (*CONDITIONS, "repair_share=0.3", "veiling_luminance=800", "lens_dirt=0.2", "sensor_noise=15", "exposure=2")
 ROAD = Road([(125.0, 0.0), (125.0, 25.0), (125.0, 50.0), (130.0, 75.0), (145.0, 95.0), (170.0, 105.0), (195.0, 110.0)])
 """A straight with a bend to the right."""
 SEED = 7
@@ -62,25 +56,34 @@ def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint
     return simulator.scene.still(standing(lane, index), np.random.default_rng(SEED))
 
 
-def sheet(name: str, stage: ImageTranslation | None = None) -> NDArray[np.uint8]:
-    """Rows of pictures with their conditions below; with a stage each has its translation beside it."""
+def draw_sheet(columns: Mapping[str, Sequence[NDArray[np.uint8]]], rows: Sequence[str]) -> NDArray[np.uint8]:
+    """Draw titled columns of pictures, with the name of each row above it."""
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(len(rows), len(columns), squeeze=False)
+        for column, (title, images) in enumerate(columns.items()):
+            for row, (image, name) in enumerate(zip(images, rows, strict=True)):
+                axes = panels[row, column]
+                axes.imshow(image)
+                axes.set_axis_off()
+                if row == 0:
+                    axes.set_title(title or "unchanged", fontsize="medium", fontweight="bold", pad=20)
+                if column == 0:
+                    label = axes.text(0, -8, name.replace(",", ", ") or "unchanged", fontsize="small")
+                    label.set_in_layout(False)
+
+    height = 50 + len(rows) * (22 + WIDTH * 160 // (320 * len(columns)))
+    return draw_figure(WIDTH, height, draw)
+
+
+def pictures(name: str, conditions: Sequence[str]) -> list[NDArray[np.uint8]]:
+    """Images of a simulator under each condition."""
     simulator = make_simulator(name)
     assert isinstance(simulator, RoadSimulator)
-    rows = []
-    for texts in STRENGTHS:
-        if texts[0].partition("=")[0] not in simulator.spec.conditions:
-            continue
-        row = []
-        for text in texts if stage is None else texts[1:]:
-            image = picture(simulator, parse_conditions(text))
-            if stage is not None:
-                image = np.hstack((image, stage.translate(image, simulator.spec.name)))
-            label = np.full((18, image.shape[1], 3), 255, np.uint8)
-            cv2.putText(label, text[:52], (3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (0, 0, 0), 1, cv2.LINE_AA)
-            row.append(np.vstack((image, label)))
-        rows.append(np.hstack(row))
-    simulator.close()
-    return np.vstack(rows)
+    try:
+        return [picture(simulator, parse_conditions(text)) for text in conditions]
+    finally:
+        simulator.close()
 
 
 def print_costs(names: list[str], frames: int) -> None:
@@ -93,7 +96,7 @@ def print_costs(names: list[str], frames: int) -> None:
     for name in names:
         simulator = make_simulator(name)
         assert isinstance(simulator, RoadSimulator)
-        for text in ("", *(texts[1] for texts in STRENGTHS)):
+        for text in COSTLY:
             conditions = parse_conditions(text)
             simulator.scene.load(road, np.random.default_rng(1), conditions)
             simulator.scene.image(states[0])
@@ -118,13 +121,19 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.costs:
         return print_costs(arguments.sim, arguments.frames)
-    stage = ImageTranslation(open_set(arguments.set)) if arguments.set else None
-    suffix = "" if stage is None else "_translated"
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for name in arguments.sim:
-        image = sheet(name, stage)
-        file = arguments.out / f"conditions_{name}{suffix}.jpg"
-        cv2.imwrite(str(file), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 70])
+    sheets = {}
+    if arguments.set:
+        stage = ImageTranslation(open_set(arguments.set))
+        for name in arguments.sim:
+            images = zip(TRANSLATED, pictures(name, TRANSLATED), strict=True)
+            pairs = {condition: [image, stage.translate(image, name)] for condition, image in images}
+            sheets[f"conditions_{name}_translated.jpg"] = draw_sheet(pairs, (f"{name}: camera", "translated"))
+    else:
+        columns = {name: pictures(name, CONDITIONS) for name in arguments.sim}
+        sheets["conditions.jpg"] = draw_sheet(columns, CONDITIONS)
+    for file, image in sheets.items():
+        cv2.imwrite(str(arguments.out / file), image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 80])
 
 
 if __name__ == "__main__":
