@@ -16,7 +16,7 @@ from ds_orchestrator.engines.preflight import faster_choice
     ("driver", "engine", "advice"),
     [
         ("dave2", "graph", "driver dave2@openvino-bf16 and --engine local would take about"),
-        ("dave2+indoor_track@onnx", "local", "driver dave2+indoor_track@openvino-bf16 would take about"),
+        ("dave2+indoor_track", "local", "driver dave2+indoor_track@openvino-bf16 would take about"),
         ("dave2@openvino", "graph", ""),
         ("autopilot", "local", ""),
         ("module:Class", "graph", ""),

@@ -39,18 +39,21 @@ from ds_sim.simulator import Outcome
 
 DEMO: dict[str, Any] = json.loads((Path(__file__).parent / "demo_0_1_0.json").read_text())
 CONFIG = parse_config(DEMO["config"], "demo_0_1_0.json")
-PROBE = "71613d23b258221a5cbd905dcf76ae3d22e809953eb3b62e86fa989ed753557c"
-"""Digest of `probe` on the machine that recorded the runs."""
+PROBES = {
+    "onnx": "71613d23b258221a5cbd905dcf76ae3d22e809953eb3b62e86fa989ed753557c",
+    "openvino": "e812e35811bafedd8ce90ef057ab7a0907763aa88eed35c4645f0b38d78887fe",
+}
+"""Digest of `probe` on the machine that recorded the runs, for each back end of the network."""
 TOLERANCE = 0.05
 """m, rad and m/s on other processors; chosen: far below what decides a verdict, far above rounding."""
 
 
 @cache
-def probe() -> str:
-    """Digest of what NumPy, OpenCV and the network's back end compute of fixed inputs on this processor."""
+def probe(backend: str = "onnx") -> str:
+    """Digest of what NumPy, OpenCV and a back end of the network compute of fixed inputs on this processor."""
     grid = np.linspace(-10.0, 10.0, 10_001)
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), np.uint8)
-    steering = NetworkDriver("dave2_short").command(Frame(image=image, speed=5.0)).steering
+    steering = NetworkDriver(f"dave2_short@{backend}").command(Frame(image=image, speed=5.0)).steering
     across, along = np.meshgrid(np.linspace(0, 300, 320), np.linspace(0, 150, 160))
     warped = cv2.remap(image, across.astype(np.float32), along.astype(np.float32), cv2.INTER_LINEAR)
     fused = components(sample_rays(CameraSpec(horizontal_fov=1.5, height=1.4), 1)[0], (0.1, -0.7, 0.3))
@@ -103,17 +106,18 @@ def test_the_search_asks_for_the_same_roads(sibling: str) -> None:
             return
         known.add(test.road.road_id)
         assert np.allclose(road.control_points, test.road.control_points, atol=1e-9), test.test_id
-        assert probe() != PROBE or road.road_id == test.road.road_id, test.test_id
+        assert probe() != PROBES["onnx"] or road.road_id == test.road.road_id, test.test_id
         done = outcome[test.test_id]
         search.tell(done.fitness, failed=done.outcome.is_failure)
     assert search.done
 
 
 @pytest.mark.parametrize("run", DEMO["runs"], ids=[run["simulator"] for run in DEMO["runs"]])
-def test_a_network_drives_the_same_way(run: dict[str, Any]) -> None:
+@pytest.mark.parametrize("backend", PROBES)
+def test_a_network_drives_the_same_way(run: dict[str, Any], backend: str) -> None:
     (test,) = [test for test in demo_tests() if test.test_id == run["test_id"]]
     simulator = make_simulator(run["simulator"])
-    driver, session = make_driver(CONFIG.driver, simulator.spec), Session(simulator)
+    driver, session = make_driver(f"{CONFIG.driver}@{backend}", simulator.spec), Session(simulator)
     observation = session.start(test.scenario)
     assert observation is not None
     first_image = observation.image
@@ -122,9 +126,9 @@ def test_a_network_drives_the_same_way(run: dict[str, Any]) -> None:
     assert session.run is not None
     states = np.array([(o.vehicle.x, o.vehicle.y, o.vehicle.yaw, o.vehicle.speed) for o in session.run.observations])
     assert np.allclose(states[::10], run["every_tenth"], atol=TOLERANCE)
-    if probe() == PROBE:
+    if probe(backend) == PROBES[backend]:
         assert digest(first_image) == run["first_image_sha256"]
-        assert digest(states.astype("<f8")) == run["states_sha256"]
+        assert digest(states.astype("<f8")) == run["states_sha256"][backend]
     simulator.close()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,13 +14,13 @@ import pytest
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from ds_driver.networks import backends, quantisation
+from ds_driver.networks import backends, network_file, quantisation
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BackendError, onnx_runner
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop, prepare
-from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.network_driver import NetworkDriver, on_backend
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.torch_networks import load_network, make_network, replayed, save_weights
 from ds_driver.networks.weights import load_weights
@@ -204,6 +205,23 @@ def test_missing_openvino_is_refused_with_the_command_that_installs_it(
     monkeypatch.setattr("ds_driver.networks.quantisation.has_vnni", lambda: True)
     with pytest.raises(BackendError, match=r"OpenVINO is not installed.*type make setup$"):
         NetworkDriver(f"dave2@{backend}")
+
+
+@pytest.mark.parametrize("wrong", ["refuses", "answers otherwise"])
+def test_onnx_runtime_computes_what_openvino_does_not_compute_alike(
+    wrong: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert on_backend(DriverName("residual")).backend == "openvino"
+    real = backends.openvino_runner
+
+    def faulty(content: bytes, where: str, *rest: object, kind: str) -> backends.Runner:
+        if wrong == "refuses":
+            raise BackendError("an operator is missing")
+        runner = real(content, where, kind=kind)
+        return replace(runner, compute=lambda *inputs: [1.0 + one for one in runner.compute(*inputs)])
+
+    monkeypatch.setattr(network_file, "openvino_runner", faulty)
+    assert on_backend(DriverName("residual")).backend == "onnx"
 
 
 def test_a_damaged_onnx_file_is_refused() -> None:

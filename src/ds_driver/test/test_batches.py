@@ -67,7 +67,7 @@ def test_every_batch_size_gives_the_bits_of_single_frames(architecture: str, bac
     assert sorted(batches._requests) == [1, 2, 4, 8]
 
 
-@pytest.mark.parametrize("driver", ["dave2", "dave2@torch"])
+@pytest.mark.parametrize("driver", ["dave2@onnx", "dave2@torch"])
 def test_backends_whose_bits_depend_on_the_batch_take_one_frame_at_a_time(driver: str) -> None:
     network = NetworkDriver(driver)
     given = frames(3)

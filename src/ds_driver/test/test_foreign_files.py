@@ -113,4 +113,4 @@ def test_what_runs_is_not_refused_and_a_wrong_name_is_told(tmp_path: Path) -> No
         refuse_foreign(tmp_path / name)
     (tmp_path / "n.onnx").write_bytes((tmp_path / "n.pt").read_bytes())
     with pytest.raises(DriverError, match=r"n\.onnx is a TorchScript file: rename it to n\.pt"):
-        runner_of(tmp_path / "n.onnx")
+        runner_of(tmp_path / "n.onnx", "onnx")

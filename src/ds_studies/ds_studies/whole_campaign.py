@@ -87,7 +87,7 @@ def run_campaign(
         closing(store_of(folder, config)) as store,
         LiveFile(folder, listener or Listener()) as live,
     ):
-        record_provenance(store, settings, folder)
+        settings = record_provenance(store, settings, folder)
         keep_engine(folder, config)
         (folder / "bags").mkdir(exist_ok=True)
         in_error = 0
@@ -159,7 +159,8 @@ def _drive(
     """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     try:
         with running_engine(settings, logs=folder / "logs") as engine:
-            campaign = Campaign(config, folder, store, ObservedEngine(engine, live), live)
+            driven = config.model_copy(update={"driver": settings.driver})
+            campaign = Campaign(driven, folder, store, ObservedEngine(engine, live), live)
             stop.connect(campaign.stop, engine.stop)
             try:
                 campaign.run()

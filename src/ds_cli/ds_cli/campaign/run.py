@@ -159,7 +159,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
         tests = {test.test_id: test for test in data.tests}
         lost = [(tests[one.test_id], one.simulator) for one in data.verdicts if one.outcome.is_failure]
         failed = [FailedDrive(test.test_id, name, test.scenario) for test, name in lost]
-        write_failure_videos(data.config.driver, failed, videos)
+        write_failure_videos(data.driver, failed, videos)
     return replace(result, unmet=unmet_in_campaign(criteria, data))
 
 

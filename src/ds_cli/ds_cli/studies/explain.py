@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated
@@ -69,7 +70,8 @@ def explain_command(
         failed = {(e.test_id, e.simulator): e for e in data.executions}
         reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
     without = "local" if engine == "auto" else engine
-    settings = with_engine_without_ros(data.config.drive_settings(), workers, without, cluster)
+    settings = replace(data.config.drive_settings(), driver=data.driver)
+    settings = with_engine_without_ros(settings, workers, without, cluster)
     with nullcontext(out) if out is not None else TemporaryDirectory(prefix="ds_explain_") as place:
         # A folder of drives belongs to its simulators, so that other experiments need another one.
         pairs = sorted(f"{one.test.test_id}-{one.fails}-{one.against}" for one in experiments)

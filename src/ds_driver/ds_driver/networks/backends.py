@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from ds_base.installation import CPUINFO, install_command, processor_flags
 from ds_driver.networks.pilot import DriverError
 
 BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
-"""auto: `network_driver.BUILT_IN_BACKEND` for built-in networks, the native backend for a network file."""
+"""auto: `default_backend` for built-in networks and ONNX files, the native backend for other network files."""
 DEVICES = ("cpu", "cuda")
 LARGEST_BATCH = 8
 """Images in one inference; chosen: Dave-2 gains 28 % from 1 to 4 and 3 % from 4 to 8 (benchmarks/inference.py)."""
@@ -64,6 +65,11 @@ class Runner:
     outputs: tuple[str, ...] = ()
     inputs: tuple[NetworkInput, ...] = ()
     largest_batch: int = 1
+
+
+def default_backend() -> str:
+    """Back end of `auto`: OpenVINO in single precision where it is installed (docs/speed.md), else ONNX Runtime."""
+    return "openvino" if find_spec("openvino") else "onnx"
 
 
 def last_line(error: BaseException) -> str:

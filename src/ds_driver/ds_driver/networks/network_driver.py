@@ -17,7 +17,7 @@ from ds_base.installation import ds_command
 from ds_base.words import did_you_mean
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
-from ds_driver.networks.backends import graph_runner
+from ds_driver.networks.backends import default_backend, graph_runner
 from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
@@ -40,8 +40,8 @@ from ds_driver.sim2real.image_translation import (
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
 
-BUILT_IN_BACKEND = "onnx"
-"""Default backend of the built-in networks; chosen by measurement (docs/bring_your_own_network.md)."""
+BACKEND_BEFORE = "onnx"
+"""Back end of `auto` in records that do not name it: those of versions before OpenVINO."""
 
 
 class BuiltInPilot(Pilot):
@@ -72,7 +72,7 @@ class BuiltInPilot(Pilot):
 
             runner = network_runner(network, device)
         else:
-            chosen = BUILT_IN_BACKEND if backend == "auto" else backend
+            chosen = default_backend() if backend == "auto" else backend
             content = for_backend(chosen, to_onnx(load_weights(network)), network, samples)
             runner = graph_runner(content, network, chosen)
         self._compute = runner.compute
@@ -190,7 +190,7 @@ def _image_translation_of(name: DriverName) -> ImageTranslation | None:
     generators = generators_of(name)
     if generators is None:
         return None
-    return ImageTranslation(generators, BUILT_IN_BACKEND if name.backend == "auto" else name.backend, name.device)
+    return ImageTranslation(generators, default_backend() if name.backend == "auto" else name.backend, name.device)
 
 
 _kept_image_translation_of = cache(_image_translation_of)
@@ -258,6 +258,28 @@ def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pil
             "a .safetensors or .yaml file, or module:Class"
         )
     return BuiltInPilot(network, name.backend, name.device, translation)
+
+
+def on_backend(driver: DriverName, backend: str = "") -> DriverName:
+    """Name a driver with the back end that computes it, so that a record says what its bits depend on.
+
+    Args:
+        driver: any driver; one that names its back end, or has but one, stays as it is.
+        backend: in place of `auto`; what `auto` is here, if left out.
+
+    Examples:
+        >>> str(on_backend(DriverName("dave2"), "onnx")), str(on_backend(DriverName("autopilot")))
+        ('dave2@onnx', 'autopilot')
+    """
+    if driver.backend != "auto":
+        return driver
+    if (path := driver.description) is None:
+        return driver.on(backend or default_backend()) if driver.has_weights else driver
+    try:
+        is_onnx = KINDS[file_of(path, read_description(path)).suffix.lower()] == "onnx"
+    except DriverError:  # its files are gone: its record is read, and nothing driven
+        is_onnx = False
+    return driver.on(backend or DescribedNetworkPilot(path).backend) if is_onnx else driver
 
 
 def driver_sha256(driver: DriverName) -> str:

@@ -6,7 +6,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
-from ds_driver.networks.backends import BackendError, Runner, check_onnx, onnx_runner, openvino_runner
+from ds_driver.networks.backends import (
+    BackendError,
+    Runner,
+    check_onnx,
+    default_backend,
+    onnx_runner,
+    openvino_runner,
+)
 from ds_driver.networks.foreign_file import LARGEST_FILE, foreign
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.quantisation import Samples, for_backend
@@ -28,17 +35,29 @@ _BACKENDS_OF = {
     "torchscript": ("torch", "openvino", "openvino-bf16"),
     "tflite": ("openvino", "openvino-bf16"),
 }
-"""Format -> backends that can run it; the first one is `auto`."""
+"""Format -> backends that can run it; `auto` is the first one, for ONNX `default_backend` where it can run the file."""
 
 
-def runner_of(file: Path, backend: str = "auto", device: str = "cpu", samples: Samples = lambda: []) -> Runner:
-    """Load a network file, whatever its description says; see `DescribedNetworkPilot`."""
+def backends_for(file: Path, backend: str = "auto") -> tuple[str, ...]:
+    """Back ends to try for a network file, in order.
+
+    Raises:
+        BackendError: this one cannot run such a file.
+    """
     kind = KINDS[file.suffix.lower()]
     possible = _BACKENDS_OF[kind]
-    chosen = possible[0] if backend == "auto" else backend
-    if chosen not in possible:
+    if backend == "auto":
+        # ONNX Runtime knows every operator of ONNX, OpenVINO most of them.
+        return tuple(dict.fromkeys((default_backend(), "onnx"))) if kind == "onnx" else possible[:1]
+    if backend not in possible:
         expected = ", ".join(possible[:-1]) + f" or {possible[-1]}"
-        raise BackendError(f"backend {chosen} cannot run {file.name}: expected {expected}")
+        raise BackendError(f"backend {backend} cannot run {file.name}: expected {expected}")
+    return (backend,)
+
+
+def runner_of(file: Path, chosen: str, device: str = "cpu", samples: Samples = lambda: []) -> Runner:
+    """Load a network file with one of `backends_for` it, whatever its description says; see `DescribedNetworkPilot`."""
+    kind = KINDS[file.suffix.lower()]
     try:
         content = read_bounded(file, LARGEST_FILE)
     except (BoundedYamlError, OSError) as error:

@@ -16,7 +16,7 @@ from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount
-from ds_driver.networks.driver_name import AUTOPILOT
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName
 from ds_orchestrator.maps.campaign_maps import cells_of
@@ -121,9 +121,11 @@ def _check(store: Store, config: CampaignConfig) -> None:
 
 DRIVER_SHA256 = "sha256 of the driver's weights"
 """Name of the fact that holds the digest of the driver's files."""
+BACKEND = "back end of the network"
+"""Name of the fact that holds what computes a network whose name does not say so."""
 
 
-def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> None:
+def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> DriveSettings:
     """Record versions and digests; a campaign does not continue with another network or another car.
 
     Args:
@@ -131,18 +133,26 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> No
         settings: how its tests are driven.
         folder: its folder, for messages.
 
+    Returns:
+        The settings with the back end on which the campaign began, so that it goes on with the same bits.
+
     Raises:
         ConfigError: the driver or a simulator has changed since the campaign began.
     """
-    from ds_driver.networks.network_driver import driver_sha256
+    from ds_driver.networks.network_driver import BACKEND_BEFORE, driver_sha256, on_backend
     from ds_sim.registry import make_simulator
 
     if settings.driver != AUTOPILOT:
         weights = driver_sha256(settings.driver)
+        known = store.notes()
+        driver = on_backend(settings.driver, known.get(BACKEND, BACKEND_BEFORE if DRIVER_SHA256 in known else ""))
+        if driver != settings.driver:
+            store.note(BACKEND, driver.backend)
         if store.note(DRIVER_SHA256, weights) != weights:
             raise ConfigError(
                 f"the weights of {settings.driver} have changed since {folder} began: choose another --out"
             )
+        settings = replace(settings, driver=driver)
     for name, version in versions().items():
         if store.note(f"version {name}", version) != version:
             store.note(f"version {name}, later", version)
@@ -155,6 +165,7 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> No
                     f"{name}: the file has changed since the campaign began: restore it, or choose another --out"
                 )
             store.note(key, content)
+    return settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +193,13 @@ class CampaignData:
     given_up: frozenset[str] = frozenset()
     searches: tuple[tuple[str, int, str, int], ...] = ()
     results: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def driver(self) -> DriverName:
+        """The driver with the back end that computed it, to drive it again with the same bits."""
+        from ds_driver.networks.network_driver import BACKEND_BEFORE, on_backend
+
+        return on_backend(self.config.driver, self.notes.get(BACKEND, BACKEND_BEFORE))
 
     @cached_property
     def verdicts(self) -> tuple[Execution, ...]:

@@ -98,7 +98,7 @@ def drive_tests(
     callbacks = callbacks or Callbacks()
     preflight(settings)
     tests = {test.test_id: test for of in work.values() for test in of}
-    with open_drives(settings, folder, tests=list(tests.values())) as store:
+    with open_drives(settings, folder, tests=list(tests.values())) as (store, settings):
         for test in tests.values():
             store.add_test(test)
         for (test_id, simulator), gate in (gates or {}).items():
@@ -112,8 +112,10 @@ def drive_tests(
 
 
 @contextmanager
-def open_drives(settings: DriveSettings, folder: Path, *, tests: Sequence[Test] = ()) -> Iterator[Store]:
-    """Open and lock the store of a folder of given tests, created if missing.
+def open_drives(
+    settings: DriveSettings, folder: Path, *, tests: Sequence[Test] = ()
+) -> Iterator[tuple[Store, DriveSettings]]:
+    """Open and lock the store of a folder of given tests, created if missing; its driver names its back end.
 
     Args:
         settings: how they are driven; see `drive_tests` for what may not have changed since the folder began.
@@ -128,10 +130,10 @@ def open_drives(settings: DriveSettings, folder: Path, *, tests: Sequence[Test] 
             runs=1 + max((test.run for test in tests), default=0),
             budget=max(1, len(tests), *(1 + test.number for test in tests)),
         )
-        record_provenance(store, settings, folder)
+        settings = record_provenance(store, settings, folder)
         if store.note("code", (code := code_sha256())) != code:
             LOG.warning("the code has changed since %s began: its drives are kept, another --out has none", folder)
-        yield store
+        yield store, settings
 
 
 def _drive(

@@ -113,11 +113,12 @@ def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     return f"+{{folder}}/driver/{GENERATORS}" if name.generators else ""
 
 
-def _pack_driver(name: DriverName, files: dict[str, bytes], renamed: dict[str, str]) -> str:
+def _pack_driver(driver: DriverName, files: dict[str, bytes], renamed: dict[str, str]) -> str:
     """Add a driver's files; return its back end."""
     from ds_driver.networks.description import file_of, read_description
-    from ds_driver.networks.network_driver import BUILT_IN_BACKEND
+    from ds_driver.networks.network_driver import on_backend
 
+    name = on_backend(driver)
     path = Path(name.network)
     ending = _pack_generators(name, files) + name.suffix
     if name.file_type in DESCRIPTIONS:
@@ -133,10 +134,8 @@ def _pack_driver(name: DriverName, files: dict[str, bytes], renamed: dict[str, s
     elif name.file_type == WEIGHTS:
         files[f"driver/{path.name}"] = path.read_bytes()
     else:  # shipped, or a class: the worker has it, and its digest is compared
-        if name.network + ending != str(name):
-            renamed[str(name)] = name.network + ending
-        return "" if name.python_class else BUILT_IN_BACKEND if name.backend == "auto" else name.backend
-    renamed[str(name)] = f"{{folder}}/driver/{path.name}{ending}"
-    if name.backend == "auto":
-        return BUILT_IN_BACKEND if name.file_type == WEIGHTS else "torch onnx openvino"
-    return name.backend
+        if name.network + ending != str(driver):
+            renamed[str(driver)] = name.network + ending
+        return "" if name.python_class else name.backend
+    renamed[str(driver)] = f"{{folder}}/driver/{path.name}{ending}"
+    return "torch openvino" if name.backend == "auto" else name.backend

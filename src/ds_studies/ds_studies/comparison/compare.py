@@ -68,7 +68,7 @@ class GivenTests:
 
 def network_of_campaign(data: CampaignData) -> Network:
     """The network that a campaign tested."""
-    return Network(driver=data.config.driver, sha256=data.notes.get(DRIVER_SHA256, ""))
+    return Network(driver=data.driver, sha256=data.notes.get(DRIVER_SHA256, ""))
 
 
 def tests_of_campaign(folder: Path, data: CampaignData) -> GivenTests:

@@ -15,7 +15,7 @@ from ds_base.installation import ds_command
 from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.described_network import DescribedNetworkPilot, sizes
 from ds_driver.networks.description import GUIDE, DescribedNetwork
-from ds_driver.networks.network_file import NETWORK_MEMORY, runner_of
+from ds_driver.networks.network_file import NETWORK_MEMORY, backends_for, runner_of
 from ds_driver.networks.pilot import DriverError
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_studies.network_check.agreement import FOUND, GAIN, Agreement, agreement
@@ -68,7 +68,7 @@ def forms_of(file: Path) -> list[DescribedNetwork]:
     if described.exists():
         raise DriverError(f"{described} describes {file.name} already: `{ds_command('check', described)}` checks it")
     with limited_memory(NETWORK_MEMORY):
-        runner = runner_of(file)
+        runner = runner_of(file, backends_for(file)[-1])
     known = list(runner.inputs) or [NetworkInput(shape=(None,) * 4)]
     images = {place: found for place, one in enumerate(known) if (found := _images(one))}
     if len(images) != 1:

@@ -127,14 +127,14 @@ def analyse_sensitivity(
     preflight(settings)
     with ExitStack() as stack:
         place = folder or Path(stack.enter_context(TemporaryDirectory(prefix="ds_sensitivity_")))
-        tested = stack.enter_context(open_drives(settings, place / TESTED))
+        tested, driven = stack.enter_context(open_drives(settings, place / TESTED))
         autopilot = replace(settings, driver=AUTOPILOT)
-        gate_store = stack.enter_context(open_drives(autopilot, gates or place / GATE))
-        engine = stack.enter_context(running_engine(settings, logs=place / "logs"))
+        gate_store, _ = stack.enter_context(open_drives(autopilot, gates or place / GATE))
+        engine = stack.enter_context(running_engine(driven, logs=place / "logs"))
         capacity = engine.capacity or settings.workers * len(settings.simulators)
         pool = stack.enter_context(ThreadPoolExecutor(capacity))
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
-        drives = Drives(settings, engine, tested, gate_store)
+        drives = Drives(driven, engine, tested, gate_store)
         stack.callback(drives.stop)  # first of all, so that no thread waits for a drive
         candidates = candidate_roads(roads, seed, segments=segments)
         chosen = _choose(drives, settings, candidates, roads, pool)

@@ -286,7 +286,7 @@ def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
     by_id = {test.test_id: test for test in data.tests}
     return Suite(
         campaign=folder.resolve().name,
-        driver=config.driver,
+        driver=data.driver,
         driver_sha256=data.notes.get(DRIVER_SHA256, ""),
         siblings=list(config.siblings),
         twin=config.twin,
