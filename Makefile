@@ -10,7 +10,7 @@ help:  ## show this list
 setup:  ## create the virtual environment and build the colcon workspace, once
 	@$(RUN_SETUP)
 
-demo: setup  ## run the whole method, small, into demo/ (ARGS="..." for `ds demo`)
+demo:  ## run the whole method, small, into demo/, while the rest is set up (ARGS="..." for `ds demo`)
 	@./ds demo --out demo $(ARGS)
 
 torcs:  ## build and install the simulator torcs of plugins/ (docs/torcs.md says what it needs)

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import multiprocessing
+import os
 import shutil
+import subprocess
 import sys
 import time
 import venv
@@ -17,7 +20,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from setup_tool import machine, ros, steps, workspace
+from setup_tool import first_use, machine, ros, steps, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
 from setup_tool.machine import Python
 from setup_tool.stamps import Stamps, one_at_a_time
@@ -78,11 +81,11 @@ def make_wheel(folder: Path, name: str) -> None:
         wheel.writestr(f"{name}-1.0.dist-info/RECORD", record)
 
 
-def test_pip_installs_where_uv_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """uv is offline; pip has a folder of wheels, which uv is not told of. What neither has ends in one line."""
+def test_packages_come_from_the_indexes_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only pip is told of a folder of wheels. What is not in it ends in one line, and counts as not installed."""
     (tmp_path / "wheels").mkdir()
     make_wheel(tmp_path / "wheels", "only_here")
-    for name, value in (("UV_OFFLINE", "1"), ("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(tmp_path / "wheels"))):
+    for name, value in (("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(tmp_path / "wheels"))):
         monkeypatch.setenv(name, value)
     venv.create(tmp_path / ".venv", with_pip=True)
     (tmp_path / ".venv/bin/uv").symlink_to(Path(sys.executable).with_name("uv"))
@@ -91,20 +94,26 @@ def test_pip_installs_where_uv_finds_nothing(tmp_path: Path, monkeypatch: pytest
         setup._install("only_here==1.0")
         with pytest.raises(CommandFailedError, match="is the network there"):
             setup._install("nowhere==1.0")
-    assert list(tmp_path.glob(".venv/lib/python3.*/site-packages/only_here.py"))
-    log = (tmp_path / ".venv/setup.log").read_text()
-    assert "uv pip install" in log and "nowhere" in log
+        installed, *others = setup._found(["only_here==1.0", "only_here==2.0", "nowhere==1.0"])
+    assert installed.is_dir() and others == [Path("only_here==2.0"), Path("nowhere==1.0")]
+    assert "nowhere" in (tmp_path / ".venv/setup.log").read_text()
 
 
-def test_a_stamp_counts_for_its_inputs_only_and_not_while_its_step_runs(tmp_path: Path) -> None:
-    stamps = Stamps(tmp_path / "stamps")
+def test_a_stamp_counts_for_its_inputs_only_and_while_what_was_made_is_there(tmp_path: Path) -> None:
+    stamps, wheel = Stamps(tmp_path / "stamps"), tmp_path / "wheel"
     assert not stamps.is_done("wheels", "1")
-    stamps.begin("wheels")
-    assert stamps.unfinished() == "wheels"
-    stamps.finish("wheels", "1")
-    assert stamps.unfinished() is None and stamps.is_done("wheels", "1") and not stamps.is_done("wheels", "2")
-    stamps.begin("wheels")
-    assert not stamps.is_done("wheels", "1") and Stamps(tmp_path / "stamps").unfinished() == "wheels"
+    assert not stamps.begin("wheels")
+    assert not stamps.is_done("wheels", "1")
+    with pytest.raises(SetupError, match="wheel was not made"):
+        stamps.finish("wheels", "1", [wheel])
+    assert not stamps.is_done("wheels", "1")
+    assert stamps.begin("wheels"), "it was interrupted"
+    wheel.touch()
+    stamps.finish("wheels", "1", [wheel])
+    assert stamps.is_done("wheels", "1") and not stamps.is_done("wheels", "2")
+    wheel.unlink()
+    assert not stamps.is_done("wheels", "1")
+    assert not stamps.begin("wheels"), "it ended before"
 
 
 def _hold(folder: Path, held: Event, release: Event) -> None:
@@ -166,8 +175,9 @@ def test_a_clean_environment_has_no_other_ros_in_it() -> None:
     assert clean == {"ROS_DOMAIN_ID": "7", "PATH": "/usr/bin", "HOME": "/home/someone"}
 
 
-def test_the_modules_that_set_up_imports_exist() -> None:
-    assert [name for name in steps.USED_MODULES if importlib.util.find_spec(name) is None] == []
+def test_what_set_up_uses_first_exists() -> None:
+    assert [name for name in first_use.MODULES if importlib.util.find_spec(name) is None] == []
+    assert all(hasattr(importlib.import_module(module), car) for module, car in first_use.CARS)
 
 
 def test_a_ros_that_is_gone_is_reported_in_one_line(tmp_path: Path) -> None:
@@ -189,28 +199,59 @@ def test_cmake_paths_of_the_builder_become_those_of_this_machine(tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("change", "changed"),
+    ("change", "is_built_again"),
     [
-        (lambda src: (src / "ds_interfaces/msg/Outcome.msg").open("a").write("# more\n"), {"ds_interfaces"}),
-        (lambda src: (src / "ds_bringup/launch/new.launch.py").touch(), {"ds_bringup"}),
-        (lambda src: (src / "ds_sim/setup.cfg").open("a").write("# more\n"), {"ds_sim"}),
-        (lambda src: (src / "ds_sim/ds_sim/new_module.py").touch(), set()),
-        (lambda src: (src / "ds_sim/README.md").touch(), set()),
+        (lambda src: (src / "ds_interfaces/msg/Outcome.msg").open("a").write("# more\n"), True),
+        (lambda src: (src / "ds_bringup/launch/new.launch.py").touch(), True),
+        (lambda src: (src / "ds_sim/setup.cfg").open("a").write("# more\n"), True),
+        (lambda src: (src / "ds_sim/ds_sim/new_module.py").touch(), False),
+        (lambda src: (src / "ds_sim/README.md").touch(), False),
     ],
     ids=["message", "launch file", "setup.cfg", "module", "text"],
 )
-def test_only_what_a_change_touches_is_built_again(
-    tmp_path: Path, change: Callable[[Path], object], changed: set[str]
+def test_the_workspace_is_built_again_only_where_it_must(
+    tmp_path: Path, change: Callable[[Path], object], is_built_again: bool
 ) -> None:
     source = tmp_path / "src"
     for package in ("ds_interfaces", "ds_bringup", "ds_sim"):
         ignore = shutil.ignore_patterns("__pycache__", "*.egg-info")
         shutil.copytree(REPOSITORY / "src" / package, source / package, ignore=ignore)
-    before = workspace.packages(source)
+    before = workspace.inputs(source)
     change(source)
-    after = workspace.packages(source)
-    assert set(after) == {"ds_interfaces", "ds_bringup", "ds_sim"}
-    assert {name for name in after if after[name] != before[name]} == changed
+    assert (workspace.inputs(source) != before) is is_built_again
+
+
+def test_python_packages_are_linked_as_colcon_does_and_their_executables_run(tmp_path: Path) -> None:
+    source, install = tmp_path / "src", tmp_path / "ros_ws/install"
+    shutil.copytree(REPOSITORY / "src/ds_cli", source / "ds_cli")
+    workspace.build(install.parent, source, None, Path(sys.executable), os.environ, Console(tmp_path / "log", 0))
+    made = workspace.products(install.parent, source)
+    assert all(path.exists() for path in made) and install / "ds_cli/lib/ds_cli/ds" in made
+    assert (install / "ds_cli/share/ament_index/resource_index/packages/ds_cli").is_file()
+    answer = subprocess.run([made[-1], "--version"], capture_output=True, text=True, check=True, timeout=60)
+    assert answer.stdout.startswith("ds ")
+    shutil.rmtree(install / "ds_cli/lib")
+    assert not all(path.exists() for path in made)
+
+
+def test_a_definition_is_parsed_once_for_all_generators(tmp_path: Path) -> None:
+    """A process whose program is one of rosidl's reads what another parsed; anything else is left alone."""
+    parser = pytest.importorskip("rosidl_parser").__path__[0]
+    program = tmp_path / "rosidl_generator.py"
+    program.write_text(
+        "import sys\nfrom rosidl_parser import parser\n"
+        "if len(sys.argv) > 1: parser.get_ast_from_idl_string = None  # nothing can be parsed any more\n"
+        "content = parser.parse_idl_string('module a { module msg { struct B { double c; }; }; };')\n"
+        "print([member.name for message in content.elements for member in message.structure.members])\n"
+    )
+    path = os.pathsep.join([str(REPOSITORY / "tools/setup_tool/build_path"), str(Path(parser).parent)])
+    environment = {**os.environ, "PYTHONPATH": path, "DS_PARSED": str(tmp_path)}
+
+    def run(*arguments: str) -> str:
+        command: list[str | Path] = [sys.executable, program, *arguments]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60).stdout
+
+    assert run() == run("again") == "['c']\n"
 
 
 def test_an_installed_standard_package_is_preferred(tmp_path: Path) -> None:

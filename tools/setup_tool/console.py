@@ -60,6 +60,15 @@ class Console:
             raise
         print(f" {time.monotonic() - begin:.1f} s", flush=True)
 
+    def leave_terminal(self) -> None:
+        """Go on in a session of its own, with a lower priority, and with all output in the log."""
+        os.setsid()
+        os.nice(10)
+        log = os.open(self.log, os.O_WRONLY | os.O_APPEND)
+        null = os.open(os.devnull, os.O_RDWR)
+        for descriptor, target in ((null, 0), (null, 1), (log, 2)):
+            os.dup2(descriptor, target)
+
     def note(self, line: str) -> None:
         """Print one line outside a step."""
         print(line, flush=True)

