@@ -25,7 +25,6 @@ KEYS = {
     "google": "python3-protobuf",
     "gymnasium": "python3-gymnasium-pip",
     "jinja2": "python3-jinja2",
-    "junitparser": "python3-junitparser",
     "matplotlib": "python3-matplotlib",
     "numpy": "python3-numpy",
     "pandas": "python3-pandas",
@@ -49,7 +48,7 @@ ROS_KEYS = {
     "std_srvs", "tf2_msgs", "visualization_msgs",
 }  # fmt: skip
 WITHOUT_KEY = (
-    *("distributed", "lazy_loader", "llvmlite", "lz4", "markupsafe", "mcap", "msgspec", "numba", "onnx", "openvino"),
+    *("distributed", "llvmlite", "lz4", "markupsafe", "mcap", "numba", "onnx", "openvino"),
     *("panda3d", "plotly", "pyarrow", "pymunk", "safetensors", "statsmodels", "zstandard"),
 )
 NO_KEY = {

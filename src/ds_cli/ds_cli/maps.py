@@ -147,8 +147,7 @@ def maps_command(
 
     Every simulator's map, and the siblings' merged into one; --map shows another one alone. With --json, all of them.
     """
-    from ds_analysis.outcomes.maps import maps_of_study
-    from ds_analysis.outcomes.study import is_study, read_study
+    from ds_analysis.common.outcome_table import is_study
     from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -156,6 +155,9 @@ def maps_command(
 
     data = None
     if is_study(folder):
+        from ds_analysis.outcomes.maps import maps_of_study
+        from ds_analysis.outcomes.study import read_study
+
         named = None if axes is None else [one.strip() for one in axes.split(",")]
         every = maps_of_study(read_study(folder), named)
     else:

@@ -126,8 +126,9 @@ def outcomes_export_command(
     out: Annotated[Path, typer.Option(help="Table to write: .csv or .parquet.")],
 ) -> None:
     """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
+    from ds_analysis.common.outcome_table import is_study
     from ds_analysis.outcomes.reading import read_table
-    from ds_analysis.outcomes.study import is_study, read_study, study_of, write_rows
+    from ds_analysis.outcomes.study import read_study, study_of, write_rows
 
     study = read_study(folder) if is_study(folder) else study_of(read_table(folder))
     write_rows(out, study)

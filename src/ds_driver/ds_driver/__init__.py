@@ -4,6 +4,6 @@
 Public names are imported when they are first used; `__init__.pyi` lists them.
 """
 
-import lazy_loader
+from ds_base.lazy_names import names_of_stub
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = names_of_stub(__name__, __file__)

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Encodes a run as msgpack, to send it from one process or machine to another; every number keeps its bits.
+"""Encodes a run as JSON, to send it from one process or machine to another; every number keeps its bits.
 
 The road is not sent, since the receiver has asked for it: the identity of the test is.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterator
-from operator import attrgetter, methodcaller
-from typing import Annotated
+from operator import attrgetter
+from typing import Annotated, Any, NamedTuple
 
-import msgspec
-from msgspec import Meta, Struct
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
 from ds_base.errors import InputError
 from ds_sim.conditions.text import format_conditions
@@ -32,32 +32,43 @@ class RunCodecError(InputError):
     """A run that cannot be encoded, or bytes that are no encoded run."""
 
 
-class _Frame(Struct, array_like=True, forbid_unknown_fields=True, gc=False):
+class _Frame(NamedTuple):
     """Observation without its image."""
 
-    step: Annotated[int, Meta(ge=0)]
+    step: Annotated[int, Field(ge=0)]
     time: float
     vehicle: VehicleState
     lane: LaneState
     outcome: Outcome
 
 
-class _Run(Struct, array_like=True, forbid_unknown_fields=True):
+class _Run(NamedTuple):
     test: str
-    frames: Annotated[list[_Frame], Meta(max_length=MAX_FRAMES)]
+    frames: Annotated[list[_Frame], Field(max_length=MAX_FRAMES)]
     outcome: Outcome
     reason: Reason
-    message: Annotated[str, Meta(max_length=MAX_MESSAGE)]
-    commands: Annotated[list[Command], Meta(max_length=MAX_FRAMES)]
-    visible_contrasts: Annotated[list[float], Meta(max_length=MAX_FRAMES)]
+    message: Annotated[str, Field(max_length=MAX_MESSAGE)]
+    commands: Annotated[list[Command], Field(max_length=MAX_FRAMES)]
+    visible_contrasts: Annotated[list[float], Field(max_length=MAX_FRAMES)]
 
 
-_ENCODER = msgspec.msgpack.Encoder(enc_hook=methodcaller("item"))  # called with numbers of NumPy
-_DECODER = msgspec.msgpack.Decoder(_Run)
+_DECODER = TypeAdapter(_Run, config=ConfigDict(strict=True))
+_MEMBERS = {kind: attrgetter(*kind.__dataclass_fields__) for kind in (VehicleState, LaneState, Command)}
+
+
+def _plain(value: Any) -> Any:
+    """What `json` does not know: states and commands as their fields, numbers of NumPy as those of Python."""
+    kind = type(value)
+    if kind in _MEMBERS:
+        return dict(zip(kind.__dataclass_fields__, _MEMBERS[kind](value), strict=True))
+    return value.item()
+
+
+_ENCODER = json.JSONEncoder(default=_plain, separators=(",", ":"))
 
 
 def encode_run(run: RunRecord) -> bytes:
-    """Encode a run; about 330 bytes a frame.
+    """Encode a run; about 500 bytes a frame.
 
     Raises:
         RunCodecError: a number is not finite or no number, or the run is longer than `MAX_FRAMES`.
@@ -75,7 +86,7 @@ def encode_run(run: RunRecord) -> bytes:
     try:
         _check(run)
         frames = [_Frame(*values) for values in map(attrgetter(*_FRAME_FIELDS), run.observations)]
-        return _ENCODER.encode(_Run(_test_of(run.scenario), frames, *attrgetter(*_RUN_FIELDS)(run)))
+        return _ENCODER.encode(_Run(_test_of(run.scenario), frames, *attrgetter(*_RUN_FIELDS)(run))).encode()
     except (TypeError, AttributeError, OverflowError) as error:  # a simulator of a user may give anything as a number
         raise RunCodecError(f"the run of road {run.road.road_id} cannot be sent: {error}") from None
 
@@ -91,12 +102,14 @@ def decode_run(data: bytes, scenario: Scenario) -> RunRecord:
         RunCodecError: the data is damaged, or of another road, seed or conditions.
     """
     try:
-        sent = _DECODER.decode(data)
-    except (msgspec.DecodeError, ValueError, RecursionError) as error:
-        raise RunCodecError(f"a run cannot be read ({error}): send it again, from the same version") from None
+        sent = _DECODER.validate_json(data)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        reason = " ".join(f"{'.'.join(map(str, first['loc']))}: {first['msg']}".split())
+        raise RunCodecError(f"a run cannot be read ({reason}): send it again, from the same version") from None
     if sent.test != _test_of(scenario):
         raise RunCodecError("a run is of another road, seed or conditions: send it again")
-    frames = [Observation(image=NO_IMAGE, **msgspec.structs.asdict(frame)) for frame in sent.frames]
+    frames = [Observation(image=NO_IMAGE, **frame._asdict()) for frame in sent.frames]
     values = {name: getattr(sent, name) for name in _RUN_FIELDS}
     run = RunRecord(scenario=scenario, observations=frames, **values)
     _check(run)

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from contextlib import suppress
 from dataclasses import fields
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -120,28 +120,28 @@ def test_the_answer_to_another_request_is_refused(asked: Scenario) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "line"),
     [
-        ((2,), 99, "Invalid enum value 99"),
-        ((3,), 99, "Invalid enum value 99"),
+        ((2,), 99, "2: Input should be 0, 1"),
+        ((3,), 99, "3: Input should be 0, 1"),
         ((5,), [], "2 frames and 0 commands"),
         ((1, 0, 2, "x"), math.nan, "vehicle.x is nan in frame 0"),
         ((1, 1, 3, "arc_length"), math.inf, "lane.arc_length is inf in frame 1"),
-        ((1, 0, 2, "x"), "far", "Expected `float`, got `str`"),
-        ((1, 0, 0), -1, "Expected `int` >= 0"),
+        ((1, 0, 2, "x"), "far", "1.0.2.x: Input should be a valid number"),
+        ((1, 0, 0), -1, "1.0.0: Input should be greater than or equal to 0"),
         ((5, 0, "steering"), 1.5, "steering is 1.5"),
-        ((4,), b"\xff", "Expected `str`, got `bytes`"),
-        ((4,), "x" * 70_000, "length <= 65536"),
+        ((4,), 7, "4: Input should be a valid string"),
+        ((4,), "x" * 70_000, "at most 65536 characters"),
         ((6,), [math.nan], "visible_contrast is nan"),
     ],
 )
 def test_content_that_makes_no_sense_is_refused_by_name(path: tuple[Any, ...], value: object, line: str) -> None:
-    sent = msgspec.msgpack.decode(encode_run(a_run()))
+    sent = json.loads(encode_run(a_run()))
     *parents, last = path
     part = sent
     for one in parents:
         part = part[one]
     part[last] = value
     with pytest.raises(RunCodecError, match=line):
-        decode_run(msgspec.msgpack.encode(sent), Scenario(ROAD, seed=7))
+        decode_run(json.dumps(sent).encode(), Scenario(ROAD, seed=7))
 
 
 def test_contrasts_of_lines_arrive() -> None:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 SIBLINGS, SIBLINGS_VERSION = "siblings.json", 1
 """File of `ds siblings compare --out`, and the version of its format."""
+STUDY = "outcomes.parquet"
+"""File of `ds outcomes import`."""
 MOST_TESTS = 20_000
 """Tests of a comparison; chosen: far more than a fit of the population can take in minutes."""
 MOST_ANALYSED = 2_000
@@ -325,6 +327,11 @@ def _sample_of(tests: Sequence[Test], most: int) -> Sequence[Test]:
 def siblings_file(folder: Path) -> str:
     """Name of the file of `ds siblings compare --out` in a folder: until 0.2 that of `ds compare`, too."""
     return SIBLINGS if (folder / SIBLINGS).exists() else "comparison.json"
+
+
+def is_study(folder: Path) -> bool:
+    """Whether a folder holds imported outcomes."""
+    return (folder / STUDY).exists()
 
 
 def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTable:

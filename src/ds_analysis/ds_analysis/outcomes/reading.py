@@ -10,11 +10,11 @@ from ds_analysis.common.outcome_table import (
     SIBLINGS,
     OutcomeTable,
     OutcomeTableError,
+    is_study,
     siblings_file,
     table_of_campaign,
     table_of_comparison,
 )
-from ds_analysis.outcomes.study import is_study, read_study
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 
 
@@ -38,6 +38,8 @@ def read_table(folder: Path, *, twin: str | None = None, most: int | None = None
     if (folder / siblings_file(folder)).exists():
         return table_of_comparison(folder, twin=twin)
     if is_study(folder):
+        from ds_analysis.outcomes.study import read_study
+
         table = read_study(folder).table()
         return table.with_twin(twin) if twin else table
     raise OutcomeTableError(

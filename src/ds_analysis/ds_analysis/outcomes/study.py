@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, OutcomeTableError, State
+from ds_analysis.common.outcome_table import MOST_TESTS, STUDY, OutcomeTable, OutcomeTableError, State
 from ds_analysis.outcomes.columns import (
     Columns,
     Margin,
@@ -38,7 +38,6 @@ from ds_base.bounded_tables import plain_cell, read_csv, read_parquet
 from ds_orchestrator.search.features import column_axis
 from ds_sim.conditions.model import FIELDS
 
-FILE = "outcomes.parquet"
 KEY = b"digital siblings study 1"
 """Key of the metadata of that file."""
 BINS, MOST_BINS, MOST_REPEATS = 10, 200, 2**31
@@ -387,14 +386,9 @@ def write_study(folder: Path, study: Study) -> Path:
     about |= {"conditions": study.conditions} if study.conditions else {}
     table = pa.Table.from_pandas(study.rows, preserve_index=False)
     table = table.replace_schema_metadata({KEY: json.dumps(about).encode()})
-    with whole_file(folder / FILE) as partial:
+    with whole_file(folder / STUDY) as partial:
         pq.write_table(table, partial, compression="zstd")
-    return folder / FILE
-
-
-def is_study(folder: Path) -> bool:
-    """Whether a folder holds imported outcomes."""
-    return (folder / FILE).exists()
+    return folder / STUDY
 
 
 def read_study(folder: Path) -> Study:
@@ -403,7 +397,7 @@ def read_study(folder: Path) -> Study:
     Raises:
         OutcomeTableError: it is damaged, or not one.
     """
-    path = folder / FILE
+    path = folder / STUDY
     table: pa.Table = _read(read_parquet, path)
     frame = table.to_pandas(ignore_metadata=True)
     damaged = OutcomeTableError(f"{path} is no study: make it again with `ds outcomes import`")

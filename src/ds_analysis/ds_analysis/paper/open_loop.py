@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from ds_analysis.common.statistics import Array
 from ds_base.errors import InputError
 from ds_base.progress import Progress
-from ds_driver.data.recordings import RecordedFrame, Recording
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.images import Crop
 
-Answer = Callable[[RecordedFrame, Crop], float | None]
+if TYPE_CHECKING:
+    from ds_driver.data.recordings import RecordedFrame, Recording  # libraries of bags, which a report does without
+
+Answer: TypeAlias = "Callable[[RecordedFrame, Crop], float | None]"
 """Computes steering, -1 full left to +1 full right, from a frame with an image; None if the driver does not answer."""
 WORST = 6
 """Images with the largest errors to keep for a picture; chosen: as many as fit side by side."""

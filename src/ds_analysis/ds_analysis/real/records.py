@@ -14,7 +14,7 @@ from typing import Annotated
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from ds_analysis.outcomes.study import FILE, is_study, read_study
+from ds_analysis.common.outcome_table import STUDY, is_study
 from ds_base.atomic_files import write_json
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
@@ -209,6 +209,8 @@ def read_drives(folder: Path) -> list[RealDrive]:
     """
     if not is_study(folder):
         return read_recorded(folder)
+    from ds_analysis.outcomes.study import read_study
+
     study = read_study(folder)
     imported = [
         RealDrive(
@@ -218,7 +220,7 @@ def read_drives(folder: Path) -> list[RealDrive]:
             max_lateral_position=None,
             who="imported",
             when="",
-            source=FILE,
+            source=STUDY,
             drawn=study.car_drawn,
         )
         for test_id, failed in study.car_outcomes().items()

@@ -10,7 +10,7 @@ from itertools import combinations
 from typing import Literal, get_args
 
 import numpy as np
-from statsmodels.stats.proportion import proportion_confint
+from scipy.stats import beta
 
 from ds_analysis.common.driven_road import GRID
 from ds_analysis.common.outcome_table import OutcomeTable
@@ -83,8 +83,11 @@ def _share(failed: Bools, families: Indices) -> tuple[float | None, Interval | N
         if interval is not None:
             return share, interval
     # Where all are alike, a bootstrap has no width, and a family counts as one observation.
+    # The interval is that of Clopper and Pearson.
     alone = len(np.unique(families))
-    low, high = proportion_confint(round(share * alone), alone, alpha=0.05, method="beta")
+    failures = round(share * alone)
+    low = beta.ppf(0.025, failures, alone - failures + 1) if failures else 0.0
+    high = beta.isf(0.025, failures + 1, alone - failures) if failures < alone else 1.0
     return share, (float(low), float(high))
 
 

@@ -271,9 +271,9 @@ def campaign_compare_command(
     Tests that one of them has not driven are driven first, without ROS unless --engine says otherwise. Writes
     comparison.html, comparison.md and comparison.json under --out.
     """
+    from ds_analysis.common.outcome_table import is_study
     from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_analysis.comparison.tables import networks_table
-    from ds_analysis.outcomes.study import is_study
     from ds_base.folder_files import make_folder
 
     if (second is None) == (driver is None):

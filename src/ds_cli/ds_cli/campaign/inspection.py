@@ -124,12 +124,14 @@ def report_command(folder: Folder, trust: Trust = None) -> None:
 
     A campaign's maps and tables are made again, too.
     """
-    from ds_analysis.outcomes.study import is_study, read_study
+    from ds_analysis.common.outcome_table import is_study
     from ds_cli.progress import StageLines
-    from ds_report.study_page import write_study_page
     from ds_studies.whole_campaign import rebuild_report
 
     if is_study(folder):
+        from ds_analysis.outcomes.study import read_study
+        from ds_report.study_page import write_study_page
+
         print(write_study_page(folder, read_study(folder)))
     else:
         print(rebuild_report(folder, StageLines(), trusted=trust or []))

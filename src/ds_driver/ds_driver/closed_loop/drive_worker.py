@@ -2,8 +2,8 @@
 """Process that drives roads for `ds_driver.closed_loop.worker_process.WorkerProcess`, without ROS.
 
 Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (the key and
-a `ds_driver.closed_loop.drive_request.DriveRequest`); an answer is the key and the run of `ds_sim.run_codec`, in
-msgpack. The first answer says whether the driver was loaded. Nothing is pickled.
+a `ds_driver.closed_loop.drive_request.DriveRequest`); an answer is the key and the run of `ds_sim.run_codec`.
+The first answer says whether the driver was loaded. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ import struct
 import sys
 from multiprocessing.connection import Connection
 
-import msgspec
-
 from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
 from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.networks.driver_name import DriverName
@@ -28,8 +26,8 @@ from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
 
 _LAYOUT = struct.Struct("<QqI")
-ANSWER = msgspec.msgpack.Decoder(tuple[int, bytes])
-"""Decodes an answer: key of the drive, and encoded run."""
+KEY = struct.Struct("<q")
+"""Key of the drive, which an answer begins with; the encoded run follows."""
 LARGEST_ANSWER = 2**30
 """Bytes of an answer at most; chosen: a run of `ds_sim.run_codec.MAX_FRAMES` frames takes a third."""
 
@@ -107,7 +105,7 @@ def _answer(connection: Connection, key: int, run: RunRecord) -> None:
     except RunCodecError as error:  # a simulator whose numbers are not finite
         failed = RunRecord(scenario=run.scenario, outcome=Outcome.SIM_ERROR, message=str(error))
         encoded = encode_run(failed)
-    connection.send_bytes(msgspec.msgpack.encode((key, encoded)))
+    connection.send_bytes(KEY.pack(key) + encoded)
 
 
 def main() -> None:

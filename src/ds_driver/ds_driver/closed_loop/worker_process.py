@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import sys
 import threading
 import time
@@ -12,12 +13,10 @@ from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
 
-import msgspec
-
 from ds_base.errors import RunError
 from ds_base.processes import ChildProcesses, last_line_of, python_environment
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.drive_worker import ANSWER, LARGEST_ANSWER, PhaseMemory, encoded_request
+from ds_driver.closed_loop.drive_worker import KEY, LARGEST_ANSWER, PhaseMemory, encoded_request
 from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
 from ds_driver.networks.driver_name import DriverName
 from ds_sim.run_codec import RunCodecError, decode_run
@@ -201,7 +200,7 @@ class _Process:
                 if self._connection.poll(_POLL):
                     self._receive(self._connection.recv_bytes(LARGEST_ANSWER))
                     continue
-            except (EOFError, OSError, RunCodecError, msgspec.DecodeError, KeyError):  # it ended, or talks nonsense
+            except (EOFError, OSError, RunCodecError, struct.error, KeyError):  # it ended, or talks nonsense
                 self.child.kill()
                 break
             if self.child.poll() is not None:
@@ -224,8 +223,8 @@ class _Process:
         self._memory.close()
 
     def _receive(self, message: bytes) -> None:
-        key, encoded = ANSWER.decode(message)
-        run = decode_run(encoded, self._drives[key][0].scenario)
+        (key,) = KEY.unpack_from(message)
+        run = decode_run(message[KEY.size :], self._drives[key][0].scenario)
         self._take(key)[1].set_result(run)
 
     def _take(self, key: int) -> tuple[DriveRequest, Future[RunRecord]]:

@@ -14,7 +14,6 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_bags.run_writer import write_bag
 from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -263,6 +262,7 @@ class Executor:
             driver, record = self._settings.driver, self._settings.record
             about = {"test_id": test.test_id, "driver": str(driver)}
             namespace = self._settings.namespaces[simulator]
+            from ds_bags.run_writer import write_bag
             from ds_driver.networks.network_driver import translation_of
 
             translate = None if record == "telemetry" else translation_of(driver, simulator)

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Engine
@@ -133,6 +132,8 @@ def _disk(config: CampaignConfig, simulator: str, run: RunRecord) -> int:
     stored = len(pack_numbers(execution.trajectory)) + len(pack_numbers(execution.steering))
     if config.record == "none":
         return stored
+    from ds_bags.run_writer import write_bag
+
     with tempfile.TemporaryDirectory(prefix="ds_forecast_") as folder:
         bag = Path(folder) / label_of(simulator)
         write_bag(bag, "/ds1", simulator, run, {"driver": str(config.driver)}, config.record)

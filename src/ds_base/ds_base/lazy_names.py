@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Public names of a package that are imported on first use, as its `__init__.pyi` lists them (SPEC 1)."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+
+def names_of_stub(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Make `__getattr__`, `__dir__` and `__all__` of a package from its stub.
+
+    Args:
+        package: its `__name__`.
+        file: its `__file__`; the stub lies beside it.
+    """
+    stub = ast.parse(Path(file).with_suffix(".pyi").read_text("utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom) and node.level == 1]
+    modules = {alias.name: f"{package}.{node.module}" for node in imports for alias in node.names}
+
+    def imported(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(modules[name]), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return imported, lambda: sorted(modules), sorted(modules)
