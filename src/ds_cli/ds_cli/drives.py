@@ -274,7 +274,10 @@ def drive_command(
     device: Device = "cpu",
     road: Annotated[
         Path | None,
-        typer.Option(help="File with one road as JSON, such as from `ds campaign roads`; random if left out."),
+        typer.Option(
+            help="File with one road as JSON, such as from `ds campaign roads`; if left out, random, or its "
+            "simulator's own."
+        ),
     ] = None,
     seed: Annotated[
         int | None,
@@ -321,14 +324,16 @@ def drive_command(
     from ds_orchestrator.campaign.engine import engine_here
     from ds_orchestrator.campaign.executor import trajectory_sha256
     from ds_sim.conditions.text import parse_conditions
+    from ds_sim.registry import own_road_of
     from ds_sim.resimulation import resimulate
     from ds_sim.video import write_video
 
     chosen = seed if seed is not None else seed_of(road)
     network = driver_named(driver, backend, device)
     under = conditions_in(road) if conditions is None else parse_conditions(conditions)
+    way = one_road(road, chosen, max_angle, lane, own=own_road_of(sim) if road is None else None)
     request = DriveOptions(
-        sim=sim, driver=network, scenario=Scenario(one_road(road, chosen, max_angle, lane), under, seed=chosen),
+        sim=sim, driver=network, scenario=Scenario(way, under, seed=chosen),
         bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
         engine=engine_here(engine, attach=attach),
     )  # fmt: skip

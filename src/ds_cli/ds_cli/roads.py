@@ -49,7 +49,9 @@ def roads_of(
     return roads
 
 
-def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = None) -> Road:
+def one_road(
+    file: Path | None, seed: int, max_angle: int, lane: Side | None = None, *, own: Road | None = None
+) -> Road:
     """The road of a file that holds one, or a random one.
 
     Args:
@@ -57,6 +59,7 @@ def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = N
         seed: of the random road.
         max_angle: of the random road, degrees.
         lane: lane to drive; None for the road's own.
+        own: road in the place of a random one.
 
     Raises:
         ds_road.RoadError: the file holds none, or several.
@@ -65,6 +68,8 @@ def one_road(file: Path | None, seed: int, max_angle: int, lane: Side | None = N
 
     import ds_road
 
+    if file is None and own is not None:
+        return own if lane is None else own.in_lane(lane)
     if file is None:
         return ds_road.generate(np.random.default_rng(seed), max_angle=max_angle, lane=lane or "right")
     roads = ds_road.read_roads(file)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Collection, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
@@ -19,6 +20,7 @@ from ds_base.palette import SERIES
 from ds_base.words import did_you_mean, listed
 
 if TYPE_CHECKING:
+    from ds_road import Road
     from ds_sim.simulator import Simulator, SimulatorSpec  # NumPy would delay every help text
 
 SIMULATORS = {
@@ -309,8 +311,11 @@ def spec_of(name: str) -> SimulatorSpec:
         >>> spec_of("donkey").camera.width
         320
     """
-    made = make_simulator(name)
-    try:
+    with closing(make_simulator(name)) as made:
         return made.spec
-    finally:
-        made.close()
+
+
+def own_road_of(name: str) -> Road | None:
+    """The road of a simulator that takes only its own, such as a recorded track; raises as `make_simulator` does."""
+    with closing(make_simulator(name)) as made:
+        return made.own_road

@@ -320,6 +320,11 @@ class Simulator(ABC):
             ds_sim.NotApplicableError: it cannot realise a condition.
         """
 
+    @property
+    def own_road(self) -> Road | None:
+        """What is driven where no road is named, on a simulator that takes only its own; None if it takes any."""
+        return None
+
     @abstractmethod
     def step(self, command: Command) -> Observation:
         """Advance by one step of 1/20 s simulated time with the command held.

@@ -6,16 +6,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
-from ds_road import Road, RoadError, read_roads
-from ds_road.centre_lines import CentreLine
-from ds_road.tracks import read_track as read_points
+from ds_road import Road, RoadError, Side, read_roads
+from ds_road.centre_lines import in_box
+from ds_road.importing import import_roads
 from ds_sim.oracle import LaneTracker
 from ds_sim.road_simulator import start_of
 from ds_sim_ros.settings import RosSettingsError
 
-LARGEST = 2**20
-"""Bytes of a track; chosen: a road has at most 1000 points."""
 TOLERANCE = 0.1
 """Distance, m, by which a road may differ from the fixed track; chosen: a fortieth of a lane."""
 
@@ -37,8 +34,11 @@ def write_road(road: Road, path: Path) -> None:
     )
 
 
-def read_track(path: Path, lane_width: float) -> Road:
-    """Read the centre line of a fixed track: a CSV file as `ds road import` reads it, or a road file of JSON.
+def read_track(path: Path, lane_width: float | None, lane: Side | None) -> tuple[Road, tuple[float, float]]:
+    """Read a fixed track: a file as `ds road import` reads it, or a road file of JSON.
+
+    Returns:
+        The road, which is in the middle of the box if it was outside and fits; and by how much it was moved, m.
 
     Raises:
         RosSettingsError: in one line, why it is no track.
@@ -46,11 +46,12 @@ def read_track(path: Path, lane_width: float) -> Road:
     try:
         if path.suffix == ".json":
             (road,) = read_roads(path)
-            return road
-        return CentreLine(path.stem, read_points(read_bounded(path, LARGEST)).points, lane_width).road()
+            return in_box(road if lane is None else road.in_lane(lane))
+        (track,) = import_roads(path, lane_width=lane_width, lane=lane)
+        return track.road, track.moved
     except OSError as error:
         raise RosSettingsError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except (ValueError, BoundedYamlError) as error:
+    except ValueError as error:
         reason = " ".join(str(error).split())
         raise RosSettingsError(f"{path}: not one track ({reason})") from None
 
@@ -68,5 +69,5 @@ def check_is_track(road: Road, track: Road, name: str) -> None:
     if max(furthest, ends, abs(road.lane_width - track.lane_width)) > TOLERANCE:
         raise RoadError(
             f"road {road.road_id} is not the track of {name}, which is fixed: drive the road that ds road import makes "
-            f"of its centre_line, with --lane-width {track.lane_width:g}"
+            "of its centre_line, or leave out the road in ds drive"
         )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -12,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from ds_base.config_errors import problems, read_keys
 from ds_base.errors import InputError
 from ds_driver.networks.images import Crop
+from ds_road import Side
 from ds_sim.simulator import FRAME_TIME
 
 REALTIME = "realtime"
@@ -98,14 +100,16 @@ class RoadSettings(_Strict):
         file: file that is written before `reload` is called, relative to the description's folder.
         reload: name of a service of the type std_srvs/srv/Trigger.
         centre_line: file with the track, relative to the description's folder.
-        lane_width: width of each lane of the track of a CSV file, m.
+        lane_width: width of each lane of the track of a CSV file, m; if None, the file's, or 4 m.
+        lane: driven lane of the track; the file's, or the right one, if None.
     """
 
     service: RosName | None = None
     file: FileName | None = None
     reload: RosName | None = None
     centre_line: FileName | None = None
-    lane_width: Annotated[float, Field(ge=1.0, le=20.0)] = 4.0
+    lane_width: Annotated[float, Field(ge=1.0, le=20.0)] | None = None
+    lane: Side | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> RoadSettings:
@@ -145,6 +149,12 @@ class OriginSettings(_Strict):
     x: Finite = 0.0
     y: Finite = 0.0
     yaw: Finite = 0.0
+
+    def of_moved(self, moved: tuple[float, float]) -> OriginSettings:
+        """That of a road frame in which everything lies farther by some metres in x and y."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        x, y = moved
+        return OriginSettings(x=self.x - cos * x + sin * y, y=self.y - sin * x - cos * y, yaw=self.yaw)
 
 
 class CameraSettings(_Strict):

@@ -46,13 +46,19 @@ class RosWorld(Vehicle, Scene):
         settings: description of the simulator.
         camera: of the images.
         folder: folder of the description.
+
+    Attributes:
+        track: the road, where it is fixed.
     """
 
     def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
         super().__init__(camera)
-        self._settings, self._folder = settings, folder
         way, command = settings.road, settings.command
-        self._track = read_track(folder / way.centre_line, way.lane_width) if way.centre_line else None
+        self.track: Road | None = None
+        if way.centre_line:
+            self.track, moved = read_track(folder / way.centre_line, way.lane_width, way.lane)
+            settings = settings.model_copy(update={"origin": settings.origin.of_moved(moved)})
+        self._settings, self._folder = settings, folder
         self._law = SpeedLaw(command.acceleration, command.drag)
         self._reader = OdometryReader(settings)
         self._link: Link | None = None
@@ -67,8 +73,8 @@ class RosWorld(Vehicle, Scene):
         Raises:
             ds_road.RoadError: the track is fixed, and the road is another one.
         """
-        if self._track is not None:
-            check_is_track(road, self._track, self._settings.name)
+        if self.track is not None:
+            check_is_track(road, self.track, self._settings.name)
         self._request = road, seed
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
@@ -234,6 +240,11 @@ class RosSimulator(RoadSimulator):
             return spec
         late, age = (f"{1000 * seconds:.0f} ms" for seconds in latency)
         return replace(spec, extra=spec.extra | {"latency": f"frames up to {late} late, images up to {age} old"})
+
+    @property
+    def own_road(self) -> Road | None:
+        """The fixed track; see `Simulator.own_road`."""
+        return self._world.track
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Load a road there; see `Simulator.load`."""

@@ -77,7 +77,7 @@ def test_a_road_is_written_for_a_simulator_that_reloads_it(tmp_path: Path) -> No
     assert written["start"] == pytest.approx({"x": 127.0, "y": 20.0, "yaw": math.pi / 2})
     assert written["lane"] == "right" and written["centre_line"][1] == [125.0, 25.0]
     write_road(TRACK, tmp_path / "road.csv")
-    assert read_track(tmp_path / "road.csv", 4.0) == TRACK
+    assert read_track(tmp_path / "road.csv", None, None) == (TRACK, (0.0, 0.0))
 
 
 def test_only_the_road_of_a_fixed_track_is_accepted(tmp_path: Path) -> None:
@@ -97,6 +97,21 @@ def test_only_the_road_of_a_fixed_track_is_accepted(tmp_path: Path) -> None:
     (tmp_path / "track.csv").write_text("x,y\n1,2\n")
     with pytest.raises(RosSettingsError, match="track.csv: not one track .*expected at least two lines x,y"):
         RosSimulator(settings, tmp_path)
+
+
+def test_a_track_outside_of_the_box_is_driven_in_it_from_where_the_simulator_has_it(tmp_path: Path) -> None:
+    """A track of 3 m about the origin of a frame that is turned by 90 degrees and moved."""
+    rows = "".join(f"{x},0,1,2\n" for x in range(-30, 31, 3))
+    (tmp_path / "track.csv").write_text("x_m,y_m,w_tr_right_m,w_tr_left_m\n" + rows)
+    origin = {"x": 5.0, "y": 7.0, "yaw": math.pi / 2}
+    road = {"centre_line": "track.csv", "lane": "single"}
+    simulator = RosSimulator(RosSettings.model_validate(GOOD | {"road": road, "origin": origin}), tmp_path)
+    own = simulator.own_road
+    assert own is not None and own.validity.valid and (own.lane, own.lane_width) == ("single", 3.0)
+    reader = simulator._world._reader
+    reader.begin(odometry(4.5, -23.0, math.pi / 2), 0.0)  # the first point of the track's middle: (-30, 0.5)
+    state = reader.state(odometry(4.5, -23.0, math.pi / 2), 0.0)
+    assert (state.x, state.y) == pytest.approx(tuple(own.lane_centre[0]), abs=1e-6)
 
 
 @pytest.mark.parametrize("drag", [0.1, 0.3, 10.0])

@@ -333,10 +333,11 @@ def test_an_image_without_its_top_rows_is_cropped_as_in_donkey_car(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("there", "said"), [(0.0, "it wants the left lane"), (0.25, "it wants the middle of the road")]
+    ("there", "said", "lane"),
+    [(0.0, "it wants the left lane", "left"), (0.25, "it wants the middle of the road", "middle")],
 )
 def test_an_offset_that_another_lane_takes_away_is_a_lane(
-    made: Made, drives: list[Recording], monkeypatch: pytest.MonkeyPatch, there: float, said: str
+    made: Made, drives: list[Recording], monkeypatch: pytest.MonkeyPatch, there: float, said: str, lane: str
 ) -> None:
     """A network that steers to the left by 0.25 in the right lane; in the left one not at all, or to the right."""
     patches = {"ROADS": 1, "LONGEST": 160, "EVERY": 4, "map_in_processes": one_by_one}
@@ -349,7 +350,7 @@ def test_an_offset_that_another_lane_takes_away_is_a_lane(
 
     (finding,) = check(path, drives).findings
 
-    assert finding.kind == "lane" and said in finding.text and "--lane left" in finding.text and not finding.line
+    assert finding.kind == "lane" and said in finding.text and f"--lane {lane}" in finding.text and not finding.line
 
 
 def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[Recording]) -> None:

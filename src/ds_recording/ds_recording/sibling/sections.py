@@ -18,6 +18,10 @@ EVERY, ENOUGH = 20.0, 20
 `ds siblings compare` needs to judge a sibling."""
 
 
+LENGTH = 80.0
+"""Usual length of a road, road metres; chosen: the roads of a campaign have 60 to 150."""
+
+
 def sections(drive: RecordedDrive, length: float, every: float | None = None) -> list[Road]:
     """Cut the driven lane into overlapping roads, each driven in its right lane, where there are photographs.
 

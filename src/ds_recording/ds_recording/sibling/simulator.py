@@ -13,7 +13,7 @@ from ds_base.config_errors import problems, read_keys
 from ds_recording.errors import RecordingError
 from ds_recording.sibling.photo_scene import PhotoScene, camera_spec
 from ds_recording.sibling.recorded_drive import RecordedDrive, read_drive
-from ds_recording.sibling.sections import check_is_section
+from ds_recording.sibling.sections import LENGTH, check_is_section, sections
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -124,6 +124,11 @@ class RecordingSimulator(RoadSimulator):
         """Description of this simulator, with the largest share of a picture of the last run that nothing shows."""
         spec = super().spec
         return replace(spec, extra=spec.extra | {"unseen": f"at most {100 * self._photos.unseen:.1f} % of a picture"})
+
+    @property
+    def own_road(self) -> Road:
+        """The first road of `ds recording roads`; see `Simulator.own_road`."""
+        return sections(self.drive, LENGTH)[0]
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Load a section of the recorded track; see `Simulator.load`."""
