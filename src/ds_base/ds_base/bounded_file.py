@@ -14,6 +14,10 @@ LARGEST_FILE = 16 * 2**20
 """Bytes of a file that is read at once; chosen: a hundred times the usual one."""
 
 
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""Beginning of what Git writes in the place of a large file that it has not fetched."""
+
+
 class FileError(InputError):
     """File that is not read; the message is one line without the file's name."""
 
@@ -37,6 +41,10 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
         raise FileError("not a regular file: give the path of one")
+    if file.read(len(LFS_POINTER)) == LFS_POINTER:
+        file.close()
+        raise FileError("a pointer of Git LFS in the place of the file: fetch it with `git lfs pull`")
+    file.seek(0)
     return file
 
 

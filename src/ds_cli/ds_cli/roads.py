@@ -181,11 +181,16 @@ LaneWidth = Annotated[
         help="Lane width of tracks, m; if left out, half of the track's width, all of it for --lane single, or 4.",
     ),
 ]
+Scale = Annotated[
+    float, typer.Option(min=0.01, max=100.0, help="Metres of the road per metre of a track: 10 for one of a 1:10 car.")
+]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse a file with a road that cannot be read.")]
 
 
 @road_app.command("import")
-def road_import_command(files: Files, lane_width: LaneWidth = None, lane: Lane = None, strict: Strict = False) -> None:
+def road_import_command(
+    files: Files, lane_width: LaneWidth = None, lane: Lane = None, scale: Scale = 1.0, strict: Strict = False
+) -> None:
     """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
 
     The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit; of what is
@@ -195,8 +200,8 @@ def road_import_command(files: Files, lane_width: LaneWidth = None, lane: Lane =
     from ds_road.importing import import_roads
 
     left_out = LeftOut("roads", strict)
-    roads = ((file, import_roads(file, left_out, lane_width=lane_width, lane=lane)) for file in files)
-    _print_roads(left_out, roads, ("import", *files, *_chosen(lane_width, lane)))
+    roads = ((file, import_roads(file, left_out, lane_width=lane_width, lane=lane, scale=scale)) for file in files)
+    _print_roads(left_out, roads, ("import", *files, *_chosen(lane_width, lane, scale)))
 
 
 @road_app.command("cut")
@@ -206,6 +211,7 @@ def road_cut_command(
     every: Annotated[float, typer.Option(min=1.0, help="Distance between the starts of two sections, m.")] = 100.0,
     lane_width: LaneWidth = None,
     lane: Lane = None,
+    scale: Scale = 1.0,
     strict: Strict = False,
 ) -> None:
     """Print sections of roads and tracks as a JSON list, such as those of a track that is larger than the box."""
@@ -213,13 +219,15 @@ def road_cut_command(
     from ds_road.importing import cut_roads
 
     left_out = LeftOut("roads", strict)
-    roads = ((one, cut_roads(one, length, every, left_out, lane_width=lane_width, lane=lane)) for one in files)
-    words = ("cut", *files, "--length", length, "--every", every, *_chosen(lane_width, lane))
+    roads = (
+        (one, cut_roads(one, length, every, left_out, lane_width=lane_width, lane=lane, scale=scale)) for one in files
+    )
+    words = ("cut", *files, "--length", length, "--every", every, *_chosen(lane_width, lane, scale))
     _print_roads(left_out, roads, words)
 
 
-def _chosen(lane_width: float | None, lane: Side | None) -> list[object]:
-    options = {"--lane-width": lane_width, "--lane": lane}
+def _chosen(lane_width: float | None, lane: Side | None, scale: float) -> list[object]:
+    options = {"--lane-width": lane_width, "--lane": lane, "--scale": None if scale == 1.0 else scale}
     return [word for option, value in options.items() if value is not None for word in (option, value)]
 
 
@@ -233,7 +241,9 @@ def _print_roads(
             if any(one.moved):
                 say(f"{file}: {one.name} moved by ({one.moved[0]:g}, {one.moved[1]:g}) m into the box")
             if not one.road.validity.valid:
-                say(f"{file}: {one.name} cannot be driven: {one.road.validity.reason}")
+                reason = one.road.validity.reason
+                remedy = ": try a smaller --lane-width" if "folds" in reason else ": `ds road cut` makes sections of it"
+                say(f"{file}: {one.name} cannot be driven: {reason}{remedy}")
     if left_out.items:
         say(left_out.line())
     print(json.dumps(document))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.bounded_yaml import BoundedYamlError, read_yaml
+from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
 from ds_recording.errors import RecordingError
 from ds_recording.lens import MODELS, Lens, Rays
 from ds_road.road import abbreviated
@@ -162,13 +162,15 @@ def write_camera(path: Path, camera: FloorCamera) -> None:
 def read_camera(path: Path) -> FloorCamera:
     """Read a camera's YAML file, as `write_camera` or ROS's `camera_calibration` writes it.
 
-    Files of former versions, with `focal_px`, `centre_x_px`, `centre_y_px` and `distortion`, are read too.
+    Files of former versions, with `focal_px`, `centre_x_px`, `centre_y_px` and `distortion`, are read too, those of
+    OpenCV's `FileStorage`, and of Kalibr's camera chains the first camera.
 
     Raises:
         RecordingError: it cannot be read, or a value is missing or out of range; one line.
     """
     try:
-        content = read_yaml(path, unique_keys=True)
+        text = read_bounded(path, DEFAULT_LIMITS.size).replace(b"!!opencv-matrix", b"")
+        content = load_yaml(text.replace(b"%YAML:1.0", b"", 1), unique_keys=True)
     except (OSError, BoundedYamlError) as error:
         raise RecordingError(
             f"{path}: {getattr(error, 'strerror', None) or error}: give a camera's YAML file"
@@ -176,6 +178,8 @@ def read_camera(path: Path) -> FloorCamera:
     if not isinstance(content, dict):
         raise RecordingError(f"{path}: expected a camera's YAML file with a camera_matrix: see docs/recordings.md")
     content = {str(name): value for name, value in content.items()}
+    if isinstance(chain := content.get("cam0"), dict):
+        content = _of_kalibr(chain)
     if "focal_px" in content:
         content = _of_former_version(content)
     values: dict[str, Any] = {}
@@ -224,6 +228,19 @@ def _of_former_version(content: Mapping[str, Any]) -> dict[str, Any]:
         **{name: content.get(names.get(name, name)) for name in LIMITS},
         "camera_matrix": {"data": matrix},
         "distortion_coefficients": {"data": content.get("distortion", [])},
+    }
+
+
+def _of_kalibr(camera: Mapping[str, Any]) -> dict[str, Any]:
+    lists = (camera.get(name) for name in ("intrinsics", "resolution", "distortion_coeffs"))
+    intrinsics, resolution, coefficients = (found if isinstance(found, list) else [] for found in lists)
+    fx, fy, cx, cy = [*intrinsics, *[None] * 4][:4]
+    model = camera.get("distortion_model") if camera.get("camera_model") == "pinhole" else camera.get("camera_model")
+    return {
+        **dict(zip(("image_width", "image_height"), resolution, strict=False)),
+        "camera_matrix": {"data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
+        "distortion_model": "plumb_bob" if model == "radtan" else model,
+        "distortion_coefficients": {"data": coefficients},
     }
 
 

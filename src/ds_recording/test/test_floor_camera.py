@@ -109,6 +109,48 @@ def test_ros_camera_files_are_read(tmp_path: Path, model: str, data: list[float]
     assert (camera.centre_x_px, camera.centre_y_px, camera.lens) == (319.7, 239.1, lens) and not camera.mounted
 
 
+OPENCV = """%YAML:1.0
+---
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 400., 0., 320., 0., 410., 240., 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [ -0.25, 0.125, 0., 0., 0. ]
+"""
+KALIBR = """cam0:
+  camera_model: pinhole
+  intrinsics: [400.0, 410.0, 320.0, 240.0]
+  distortion_model: {model}
+  distortion_coeffs: [-0.25, 0.125, 0.0, 0.0]
+  resolution: [640, 480]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "lens"),
+    [
+        (OPENCV, Lens("plumb_bob", (-0.25, 0.125, 0.0, 0.0, 0.0))),
+        (KALIBR.format(model="radtan"), Lens("plumb_bob", (-0.25, 0.125, 0.0, 0.0, 0.0))),
+        (KALIBR.format(model="equidistant"), Lens("equidistant", (-0.25, 0.125, 0.0, 0.0))),
+    ],
+)
+def test_camera_files_of_opencv_and_kalibr_are_read(tmp_path: Path, text: str, lens: Lens) -> None:
+    (tmp_path / "camera.yaml").write_text(text)
+    camera = read_camera(tmp_path / "camera.yaml")
+    assert (camera.width_px, camera.height_px, camera.focal_px) == (640, 480, (400.0, 410.0))
+    assert (camera.centre_x_px, camera.centre_y_px, camera.lens) == (320.0, 240.0, lens)
+    (tmp_path / "camera.yaml").write_text(KALIBR.format(model="radtan").replace("pinhole", "omni"))
+    with pytest.raises(RecordingError, match="distortion_model is 'omni', expected plumb_bob"):
+        read_camera(tmp_path / "camera.yaml")
+
+
 def test_files_of_former_versions_are_read(tmp_path: Path) -> None:
     file = tmp_path / "camera.yaml"
     file.write_text(

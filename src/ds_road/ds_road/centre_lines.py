@@ -12,6 +12,8 @@ from ds_road.geometry import BOX
 from ds_road.road import MAX_POINTS, Road, RoadError, Side
 
 Points = NDArray[np.float64]
+SAME = 0.01
+"""m; distance of two points that are one; chosen: the gap between pieces that ASAM's checker allows."""
 LONGEST_SECTION = 900.0
 """m; chosen: longer ones hardly fit into the box."""
 
@@ -46,6 +48,12 @@ class CentreLine:
         return replace(self, lane=lane, made=self.made and self.made.in_lane(lane))
 
     @property
+    def _without_return(self) -> Points:
+        """Points without the last one where that is the first one again."""
+        again = len(self.points) > 3 and np.hypot(*(self.points[-1] - self.points[0])) < SAME
+        return self.points[:-1] if again else self.points
+
+    @property
     def length(self) -> float:
         """Length, m."""
         return float(_along(self.points)[-1])
@@ -64,7 +72,7 @@ class CentreLine:
         """
         if self.made is not None:
             return self.made
-        points = self.points
+        points = self._without_return
         if len(points) > MAX_POINTS:
             points = points[np.linspace(0, len(points) - 1, MAX_POINTS).round().astype(int)]
         return Road.from_road_points(points, lane_width=self.lane_width, lane=self.lane)
@@ -85,7 +93,7 @@ class CentreLine:
             raise RoadError(f"{self.name} is {self.length:.0f} m long, expected {length:g} m: cut shorter sections")
         points, last = self.points, self.length - length + 1e-9
         if self.closed:
-            points = np.vstack((points, points[:1])) if (points[0] != points[-1]).any() else points
+            points = np.vstack((self._without_return, points[:1]))
             last = _along(points)[-1] - 1e-9
             points = np.vstack((points, points[1:]))
         along = _along(points)

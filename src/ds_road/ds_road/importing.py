@@ -7,6 +7,7 @@ its middle, without turning it.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,8 +22,9 @@ from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import load_json
 from ds_base.bounded_xml import parse_xml
 from ds_base.left_out import LeftOut
+from ds_base.progress import LOGGER
 from ds_road.centre_lines import CentreLine, in_box
-from ds_road.commonroad import constant_width, read_commonroad
+from ds_road.commonroad import WIDTH_SPREAD, constant_width, read_commonroad
 from ds_road.files import LARGEST_FILE, road_from_json, road_to_json
 from ds_road.opendrive import SPACING, read_opendrive
 from ds_road.road import LANE_WIDTH, MAX_POINTS, Road, RoadError, Side
@@ -31,6 +33,7 @@ from ds_road.tracks import Track, read_track
 SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
 
+_LINES = logging.getLogger(LOGGER)
 MOST_ROADS = 2_000
 """Roads of a file of another tool; chosen: as many as a regression suite has tests, read within seconds."""
 
@@ -56,7 +59,12 @@ class ImportedRoad:
 
 
 def import_roads(
-    path: Path, left_out: LeftOut | None = None, *, lane_width: float | None = None, lane: Side | None = None
+    path: Path,
+    left_out: LeftOut | None = None,
+    *,
+    lane_width: float | None = None,
+    lane: Side | None = None,
+    scale: float = 1.0,
 ) -> list[ImportedRoad]:
     """Read the roads of a file; its content tells the format.
 
@@ -65,6 +73,7 @@ def import_roads(
         left_out: takes the roads that cannot be read; if None, the first one is an error.
         lane_width: of tracks, m; if None, half of the track's width, all of it in a single lane, or 4 m.
         lane: to drive in; that of the file, or the right one, if None.
+        scale: metres of the road per metre of a track, such as 10 for a car of 1:10.
 
     Raises:
         RoadError: not one of the formats, or no road that can be used; one line names the file.
@@ -82,7 +91,7 @@ def import_roads(
         True
     """
     left_out = left_out or LeftOut("roads", strict=True)
-    return _roads(path, _lines(path, left_out, lane_width, lane), left_out)
+    return _roads(path, _lines(path, left_out, lane_width, lane, scale), left_out)
 
 
 def cut_roads(
@@ -93,6 +102,7 @@ def cut_roads(
     *,
     lane_width: float | None = None,
     lane: Side | None = None,
+    scale: float = 1.0,
 ) -> list[ImportedRoad]:
     """Read the roads of a file and cut them into sections, as for a track that is too large for the box.
 
@@ -103,6 +113,7 @@ def cut_roads(
         left_out: see `import_roads`.
         lane_width: see `import_roads`.
         lane: see `import_roads`.
+        scale: see `import_roads`.
 
     Raises:
         RoadError: see `import_roads`; or no road is as long.
@@ -110,11 +121,11 @@ def cut_roads(
     """
     left_out = left_out or LeftOut("roads", strict=True)
     sections: list[CentreLine] = []
-    for line in _lines(path, left_out, lane_width, lane):
+    for line in _lines(path, left_out, lane_width, lane, scale):
         try:
             sections += line.sections(length, every)
         except RoadError as error:
-            left_out.add(line.name, RoadError(f"{path}: {error}"))
+            left_out.add(line.name, RoadError(f"{path}: {error}") if left_out.strict else error)
     return _roads(path, sections, left_out)
 
 
@@ -124,20 +135,22 @@ def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut) -> list[I
         try:
             roads.append(ImportedRoad(line.name, *in_box(line.road())))
         except RoadError as error:
-            left_out.add(line.name, RoadError(f"{path}: {error}"))
+            left_out.add(line.name, RoadError(f"{path}: {error}") if left_out.strict else error)
     if not roads:
         raise RoadError(f"{path}: no road can be used: {left_out.line()}")
     return roads
 
 
-def _lines(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None) -> list[CentreLine]:
+def _lines(
+    path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None, scale: float
+) -> list[CentreLine]:
     try:
-        return [line.in_lane(lane) for line in _read(path, left_out, lane_width, lane)]
+        return [line.in_lane(lane) for line in _read(path, left_out, lane_width, lane, scale)]
     except RoadError as error:
         raise RoadError(f"{path}: {error}") from None
 
 
-def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None) -> list[CentreLine]:
+def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None, scale: float) -> list[CentreLine]:
     try:
         content = read_regular(path, LARGEST_FILE)
     except FileError as error:
@@ -147,7 +160,8 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | 
         return _read_sbft(content, path.stem, left_out)
     if beginning[:1] != b"<":
         lanes = 1 if lane == "single" else 2
-        return [_track(read_track(content), path.stem, lane_width, lanes)]
+        left_out.total += 1
+        return [_track(read_track(content), path.stem, lane_width, lanes, scale)]
     try:
         root = parse_xml(content)
     except FileError as error:
@@ -156,19 +170,27 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | 
     if kind == "OpenDRIVE":
         return read_opendrive(root, left_out, most=MOST_ROADS)
     if kind == "commonRoad":
+        left_out.total += 1
         return [CentreLine.of(path.stem, read_commonroad(root))]
     raise RoadError(f"XML of {root.tag[:40]!r}: expected OpenDRIVE or commonRoad")
 
 
-def _track(track: Track, name: str, lane_width: float | None, lanes: int) -> CentreLine:
+def _track(track: Track, name: str, lane_width: float | None, lanes: int, scale: float) -> CentreLine:
     """The line in the middle of a track; where it has no widths, that of the file."""
-    points, right, left = track
+    points, right, left = (None if values is None else scale * values for values in track)
+    assert points is not None
     if right is None or left is None:
         return CentreLine(name, points, lane_width or LANE_WIDTH)
     along = np.gradient(points, axis=0)
     normal = np.stack((-along[:, 1], along[:, 0]), axis=1) / np.maximum(np.hypot(*along.T), 1e-12)[:, None]
     middle = points + ((left - right) / 2.0)[:, None] * normal
-    return CentreLine(name, middle, lane_width or constant_width((left + right) / lanes))
+    widths = (left + right) / lanes
+    if lane_width is None and np.ptp(widths) > WIDTH_SPREAD:  # unlike a lane's, a track's width may vary
+        lane_width = float(widths.min())
+        _LINES.info(
+            "%s: lanes of %.2f to %.2f m: they are as wide as in the narrowest place", name, widths.min(), widths.max()
+        )
+    return CentreLine(name, middle, lane_width or constant_width(widths))
 
 
 def _read_sbft(content: bytes, stem: str, left_out: LeftOut) -> list[CentreLine]:

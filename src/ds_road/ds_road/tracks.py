@@ -2,7 +2,7 @@
 """Reads tracks of CSV files: those of RoboRacer and of `ds recording locate`, race lines, plain lines of x and y.
 
 Columns are separated by commas, semicolons, tabs or spaces. Names stand in a first line, with or without `#`; without
-names, the first two columns are x and y, in metres.
+names, the first two columns are x and y, in metres, or of three with a constant second one the first and the third.
 """
 
 from __future__ import annotations
@@ -74,6 +74,8 @@ def read_track(content: bytes) -> Track:
         if any(found.values()) or len(names) == table.shape[1] or table.shape[1] < 2:
             raise RoadError(f"columns {', '.join(names)[:60] or 'without names'}: expected x and y among them")
         x, y = 0, 1
+        if table.shape[1] == 3 and not np.ptp(table[:, 1]) and np.ptp(table[:, 2]):
+            y = 2  # Unity's heights, as in waypoints of the Donkey simulator
     if not np.isfinite(table[:, [x, y]]).all():
         row = int(np.flatnonzero(~np.isfinite(table[:, [x, y]]).all(axis=1))[0])
         raise RoadError(f"row {row + 1} of the track has no finite x and y: correct or delete it")

@@ -354,6 +354,42 @@ def test_lanes_in_the_middle_come_back(lane: Side, tmp_path: Path) -> None:
         write_all([road], ["r"], tmp_path, "commonroad")
 
 
+def test_a_track_is_as_wide_as_in_its_narrowest_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Unlike that of a lane, a track's width may vary; its lanes fit everywhere then."""
+    (tmp_path / "t.csv").write_text("".join(f"{x},50,{3 + x % 3},{3 + x % 3}\n" for x in range(60)))
+    text = "# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + (tmp_path / "t.csv").read_text()
+    (tmp_path / "t.csv").write_text(text)
+    with caplog.at_level("INFO"):
+        (found,) = import_roads(tmp_path / "t.csv")
+    assert found.road.lane_width == 3.0
+    assert "t: lanes of 3.00 to 5.00 m: they are as wide as in the narrowest place" in caplog.text
+    (scaled,) = import_roads(tmp_path / "t.csv", scale=2.0)
+    assert scaled.road.lane_width == 6.0 and scaled.road.length == pytest.approx(2.0 * found.road.length)
+
+
+@pytest.mark.parametrize("repeat", [0.0, 0.001])
+def test_a_closed_track_ends_before_its_start(tmp_path: Path, repeat: float) -> None:
+    points = [*CIRCLE.tolist(), [60.0 + repeat, 0.0]]
+    (tmp_path / "t.csv").write_text("".join(f"{x},{y}\n" for x, y in points))
+    (found,) = import_roads(tmp_path / "t.csv")
+    assert found.road.validity.valid and len(found.road.points) == len(CIRCLE)
+    cut = cut_roads(tmp_path / "t.csv", 100.0, 90.0)
+    assert [one.name for one in cut] == ["t_0", "t_90", "t_180", "t_270", "t_360"]
+    assert {round(one.road.length, 6) for one in cut} == {100.0}
+
+
+def test_the_second_of_three_columns_may_be_unitys_height(tmp_path: Path) -> None:
+    (tmp_path / "t.txt").write_text("".join(f"{x},0.5,{y}\n" for x, y in CIRCLE.tolist()))
+    (found,) = import_roads(tmp_path / "t.txt")
+    assert found.road.points - np.array(found.moved) == pytest.approx(CIRCLE, abs=1e-9)
+
+
+def test_a_pointer_of_git_lfs_is_called_that(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 7\n")
+    with pytest.raises(RoadError, match="a pointer of Git LFS in the place of the file: fetch it with `git lfs pull`"):
+        import_roads(tmp_path / "t.csv")
+
+
 def test_a_track_that_is_too_large_is_cut(tmp_path: Path) -> None:
     """A circle of 400 m radius: sections of 200 m, each a fourteenth of a turn, over the end, too."""
     angles = np.linspace(0.0, 2 * math.pi, 2500, endpoint=False)
