@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import select
 import shutil
@@ -16,6 +15,8 @@ from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 
+from ds_base.atomic_files import write_whole
+from ds_base.bounded_file import sha256_of
 from ds_sim.camera.mesa import INSTALL, software_rendering
 from ds_sim.simulator import SimulatorError
 
@@ -127,7 +128,7 @@ class TorcsHost:
         """
         self.start()
         built_from, _, renderer = self.ask(Kind.HELLO).decode(errors="replace").partition("\n")
-        if SOURCE.is_file() and not hashlib.sha256(SOURCE.read_bytes()).hexdigest().startswith(built_from or "?"):
+        if SOURCE.is_file() and not sha256_of([SOURCE]).startswith(built_from or "?"):
             raise SimulatorError(f"torcs: {self._program} was built from another {SOURCE.name}: type make torcs")
         if "llvmpipe" not in renderer:
             raise SimulatorError(f"torcs: the host draws with {renderer}, expected Mesa's llvmpipe: {INSTALL}")
@@ -212,8 +213,7 @@ def _lay_out(folder: Path) -> None:
     for name in ("cars", "categories", "data"):
         (folder / name).symlink_to(DATA / name)
     plane = folder / "tracks/road/plane"
-    plane.mkdir(parents=True)
-    (plane / "plane.xml").write_text(_PLANE)
+    write_whole(plane / "plane.xml", _PLANE)
 
 
 def _stop(process: subprocess.Popen[bytes], folder: Path, owner: int) -> None:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import write_whole
 from ds_road import Road
 from ds_road.geometry import arc_lengths
 from ds_sim.camera.look import Look
@@ -82,12 +83,11 @@ def write_world(folder: Path, road: Road, look: Look, conditions: Conditions) ->
         finest.
     """
     track = folder / "tracks/road" / NAME
-    track.mkdir(parents=True, exist_ok=True)
     origin = road.lane_centre[0]
     strips = [_road_strip(road, origin), *_grass_strips(), _sky_strip()]
     mesh = f"AC3Db\n{_MATERIAL}OBJECT world\nkids {len(strips)}\n" + "".join(strip.ac3d() for strip in strips)
-    (track / f"{NAME}.ac").write_text(mesh)
-    (track / f"{NAME}.xml").write_text(_TRACK)
+    write_whole(track / f"{NAME}.ac", mesh)
+    write_whole(track / f"{NAME}.xml", _TRACK)
     write_rgb(track / "road.rgb", road_texture(road.half_width, look, conditions, two_lanes=road.has_centre_line))
     sky = track / "sky.rgb"
     if not sky.is_file():
@@ -127,7 +127,7 @@ def write_rgb(path: Path, image: NDArray[np.uint8]) -> None:
         value.to_bytes(size, "big")
         for value, size in ((474, 2), (0, 1), (1, 1), (3, 2), (columns, 2), (rows, 2), (colours, 2), (0, 4), (255, 4))
     )
-    path.write_bytes(head.ljust(512, b"\0") + np.ascontiguousarray(image.transpose(2, 0, 1)).tobytes())
+    write_whole(path, head.ljust(512, b"\0") + np.ascontiguousarray(image.transpose(2, 0, 1)).tobytes())
 
 
 def _road_strip(road: Road, origin: NDArray[np.float64]) -> _Strip:

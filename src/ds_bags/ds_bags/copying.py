@@ -28,6 +28,7 @@ from ds_bags.layout import (
 from ds_bags.messages import typestore
 from ds_bags.reader import STATE, BagReader
 from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
+from ds_base.bounded_file import open_regular
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 from ds_base.installation import ds_command
 
@@ -63,7 +64,7 @@ def records(file: Path) -> Iterator[tuple[tuple[int, Topic] | Message | Metadata
     opening = Opening(size)
     schemas: dict[int, Schema] = {}
     topics: dict[int, Topic] = {}
-    with file.open("rb") as stream:
+    with open_regular(file) as stream:
         read = iter(StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=size).records)
         while True:
             try:

@@ -11,12 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_bags.layout import BagError, plain_name, printable, regular_file
+from ds_bags.layout import BagError, plain_name, printable
+from ds_base.bounded_file import FileError, read_words
 from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 
 MAX_FILE = 64 * 2**20
 """Bytes of a manifest or catalog; chosen: donkeycar begins a new catalog after 1,000 records, some 300 kB."""
+MAX_TEXT = 512 * 2**20
+"""Bytes of all catalogs; chosen: as many records as a tub may have."""
+MAX_LINE = 2**20
+"""Characters of a record, and of the manifest's lines; chosen: a thousand times the usual one."""
 MAX_RECORDS = 1_000_000
 """Records of a tub; chosen: fourteen hours at 20 Hz."""
 _LARGEST = 2**53
@@ -100,8 +105,13 @@ def read_tub(folder: Path) -> Tub:
             raise ValueError("a catalog is named twice")
         files = tuple(folder / name for name in names)
         records: list[TubRecord] = []
+        left = MAX_TEXT
         for file in files:
-            rows = (_object(line) for line in _text(file).splitlines() if line.strip())
+            text = _text(file)
+            left -= len(text)
+            if left < 0:
+                raise ValueError(f"its catalogs have more than {MAX_TEXT // 2**20} MiB")
+            rows = (_object(line) for line in text.splitlines() if line.strip())
             records += (_record(folder, row) for row in rows if row["_index"] not in deleted)
             if len(records) > MAX_RECORDS:
                 raise ValueError(f"more than {MAX_RECORDS} records")
@@ -112,12 +122,15 @@ def read_tub(folder: Path) -> Tub:
 
 
 def _text(file: Path) -> str:
-    if regular_file(file).stat().st_size > MAX_FILE:
-        raise BagError(f"{file.name} is longer than {MAX_FILE / 2**20:g} MiB, the limit for such a file")
-    return file.read_text()
+    try:
+        return read_words(file, MAX_FILE)
+    except FileError as error:
+        raise BagError(f"{file.name}: {error}") from None
 
 
 def _object(line: str) -> dict[str, Any]:
+    if len(line) > MAX_LINE:
+        raise ValueError(f"a record has more than {MAX_LINE // 2**10} KiB")
     value = load_json(line)
     if not isinstance(value, dict):
         raise ValueError(f"a line is a {type(value).__name__}, expected an object")

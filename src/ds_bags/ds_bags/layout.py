@@ -16,6 +16,7 @@ from typing import Any, Literal, get_args
 
 from ds_base.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_bounded
 from ds_base.errors import InputError
+from ds_base.folder_files import make_parents, place_folder
 
 Level = Literal["telemetry", "compressed", "raw"]
 """What a bag holds: everything but images, images as JPEG too, or images bit by bit."""
@@ -69,12 +70,12 @@ def new_folder(folder: Path) -> Iterator[Path]:
     """
     if os.path.lexists(folder):
         raise BagError(f"{folder} exists already: choose another --out")
-    folder.parent.mkdir(parents=True, exist_ok=True)
+    make_parents(folder)
     # A name of its own: a hidden folder that is there already belongs to somebody else.
     hidden = Path(tempfile.mkdtemp(prefix=f".{folder.name[:100]}.", suffix=".partial", dir=folder.parent))
     try:
         yield hidden / folder.name
-        (hidden / folder.name).rename(folder)
+        place_folder(hidden / folder.name, folder)
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
 

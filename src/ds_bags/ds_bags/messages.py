@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ds_base.bounded_file import read_words
 from ds_base.errors import InputError
 from ds_base.installation import share_folders
 from ds_sim.messages import MessageBuilder
@@ -36,7 +37,7 @@ def typestore() -> Typestore:
         if (folder / "Road.msg").exists():
             types: dict[str, Any] = {}
             for name in _OWN_MESSAGES:
-                types.update(get_types_from_msg((folder / f"{name}.msg").read_text(), f"ds_interfaces/msg/{name}"))
+                types.update(get_types_from_msg(read_words(folder / f"{name}.msg"), f"ds_interfaces/msg/{name}"))
             store.register(types)
             return store
     raise TypesError("ds_interfaces is not on AMENT_PREFIX_PATH: build the workspace and source its setup file")

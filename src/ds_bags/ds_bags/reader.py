@@ -28,6 +28,7 @@ from ds_bags.layout import (
     printable,
     regular_file,
 )
+from ds_base.bounded_file import open_regular
 from ds_base.bounded_json import load_json
 from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_fields, road_from_json
@@ -215,7 +216,7 @@ def _check_finished(path: Path) -> None:
 
 def _check_first_line(file: Path) -> None:
     """Refuse what is no ROS 1 bag before `rosbags` reads its first line, however long it is."""
-    with file.open("rb") as stream:
+    with open_regular(file) as stream:
         if stream.read(len(ROS1_MAGIC)) != ROS1_MAGIC:
             raise ValueError("no ROS 1 bag of version 2.0")
 

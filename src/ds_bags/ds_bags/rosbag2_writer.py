@@ -19,7 +19,9 @@ from mcap.writer import Writer
 from rosbags.typesys.store import Typestore
 
 from ds_bags.layout import MAX_TOPICS, BagError
+from ds_base.atomic_files import write_whole
 from ds_base.bounded_yaml import load_yaml
+from ds_base.folder_files import make_parents
 
 CHUNK_SIZE = 64 * 1024
 """Bytes of a chunk before compression; small, so a killed writer loses few messages."""
@@ -86,7 +88,8 @@ class Rosbag2Writer:
     """
 
     def __init__(self, folder: Path, about: Mapping[str, str]) -> None:
-        folder.mkdir(parents=True)
+        make_parents(folder)
+        folder.mkdir()
         self._folder = folder
         self._file = (folder / f"{folder.name}.mcap").open("wb")
         # Chunks end where `flush` is called, never by themselves.
@@ -147,7 +150,7 @@ class Rosbag2Writer:
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
         self._mcap.finish()
         self._file.close()
-        (self._folder / "metadata.yaml").write_text(_yaml({"rosbag2_bagfile_information": information}))
+        write_whole(self._folder / "metadata.yaml", _yaml({"rosbag2_bagfile_information": information}))
 
     def __enter__(self) -> Rosbag2Writer:
         return self

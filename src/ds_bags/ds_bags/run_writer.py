@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
 from ds_bags.messages import frame_times, message_builder, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_base.folder_files import place_folder
 from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
@@ -130,7 +131,7 @@ def write_bag(
             images = {"images": str(messages.images)} if level != "telemetry" else {}
             writer.close(facts | results_of(run) | images)
         shutil.rmtree(folder, ignore_errors=True)
-        (hidden / folder.name).rename(folder)
+        place_folder(hidden / folder.name, folder)
         hidden.rmdir()
     except OSError as error:
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes files that appear whole or not at all."""
+"""Writes files that appear whole or not at all, inside the folder that the user named."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ds_base.folder_files import StoreError, make_parents
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
@@ -16,8 +18,13 @@ def whole_file(path: Path) -> Iterator[Path]:
 
     Processes that write the same file at once do not disturb each other: the last one wins. A link is replaced, not
     followed; the folder is created if missing.
+
+    Raises:
+        StoreError: there is something else, such as a device, or its folder is a link; see `check_inside`.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_parents(path)
+    if path.exists() and not path.is_file():
+        raise StoreError(f"{path} is neither a file nor a link to one: choose another name")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     partial.unlink(missing_ok=True)
     try:

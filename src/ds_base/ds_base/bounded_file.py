@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -71,3 +73,13 @@ def read_words(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = 
         return read_regular(path, largest, follow_links=follow_links).decode()
     except UnicodeDecodeError as error:
         raise FileError(f"not UTF-8 text (byte {error.start})") from None
+
+
+def sha256_of(files: Iterable[Path]) -> str:
+    """SHA-256 of the content of regular files, one after the other; errors as in `open_regular`."""
+    digest = hashlib.sha256()
+    for path in files:
+        with open_regular(path) as file:
+            while block := file.read(2**20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""JSON that a stranger may have sent: nested as deep as Python reads it, with integers of 64 bits."""
+"""JSON that a stranger may have sent: nested as deep as Python reads it, larger integers infinite."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ def load_json(text: str | bytes) -> Any:
     """Build the value of a document.
 
     Raises:
-        FileError: not JSON, nested too deep, or with a number beyond the limits; one line.
+        FileError: not JSON, or nested too deep; one line.
     """
     try:
         return json.loads(text, parse_int=_integer)
@@ -38,7 +39,8 @@ def read_json(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = T
     return load_json(read_regular(path, largest, follow_links=follow_links))
 
 
-def _integer(digits: str) -> int:
-    if len(digits) > 20 or abs(int(digits)) >= LARGEST_INTEGER:
-        raise FileError(f"a whole number of {len(digits)} digits, expected one of 64 bits")
-    return int(digits)
+def _integer(digits: str) -> int | float:
+    """An integer; infinity beyond 64 bits, as of a float of so many digits, which every reader refuses as no number."""
+    if len(digits) <= 20 and abs(int(digits)) < LARGEST_INTEGER:
+        return int(digits)
+    return -math.inf if digits[0] == "-" else math.inf

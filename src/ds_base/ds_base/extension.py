@@ -10,6 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, TypeVar
 
+from ds_base.bounded_file import read_words
 from ds_base.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def plugin_of(part: str, group: Group) -> str:
     import tomllib
 
     for file in sorted(Path(__file__).resolve().parents[3].glob("plugins/*/pyproject.toml")):
-        groups = tomllib.loads(file.read_text())["project"].get("entry-points", {})
+        groups = tomllib.loads(read_words(file))["project"].get("entry-points", {})
         if part in groups.get(f"digital_siblings.{group}", ()):
             return f"plugins/{file.parent.name}"
     return ""

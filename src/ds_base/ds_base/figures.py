@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import whole_file
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -57,7 +59,8 @@ def draw_figure(
         canvas.draw()
         if vector is not None:
             for suffix, date in ((".pdf", "CreationDate"), (".svg", "Date")):
-                figure.savefig(vector.with_suffix(suffix), metadata={date: None})
+                with whole_file(vector.with_suffix(suffix)) as partial:
+                    figure.savefig(partial, format=suffix[1:], metadata={date: None})
     return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 

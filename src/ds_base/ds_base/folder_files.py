@@ -31,6 +31,10 @@ class StoreError(InputError):
     """Folder or file of results that cannot be read or written; one line with the remedy."""
 
 
+_entered: set[Path] = set()
+"""Folders of results that this process writes in; a link below one would lead out of it."""
+
+
 class LockError(RunError):
     """Folder that another process uses, or that cannot be written."""
 
@@ -75,13 +79,28 @@ def check_name(folder: Path) -> None:
         raise StoreError(f"{os.fsencode(folder)!r}: the name is not UTF-8: rename the folder") from None
 
 
+def check_inside(path: Path) -> None:
+    """Refuse a path below a folder that `check_folder` has checked, in which a folder is a link by now.
+
+    Raises:
+        StoreError: it names the link.
+    """
+    parents = list(path.absolute().parents)
+    below = max((k for k, parent in enumerate(parents) if parent in _entered), default=0)
+    for parent in parents[:below]:
+        if parent.is_symlink():
+            raise StoreError(f"{parent} is a link, and could lead outside the folder of results: remove it")
+
+
 def check_folder(folder: Path) -> None:
-    """Refuse a folder in which a write would follow a link out of it, or wait for a FIFO.
+    """Refuse a folder in which a write would follow a link out of it, or wait for a FIFO; remember it for later writes.
 
     Raises:
         StoreError: an entry is a link, or neither a file nor a folder, or there are too many.
     """
     check_name(folder)
+    check_inside(folder / "file")
+    _entered.add(folder.absolute())
     try:
         found = [entry for entry in os.scandir(folder) if _OURS.fullmatch(entry.name)]
         left = MOST_ENTRIES
@@ -101,14 +120,37 @@ def check_folder(folder: Path) -> None:
         raise StoreError(f"{folder} cannot be read ({error.strerror}): check its permissions") from None
 
 
-def make_folder(folder: Path) -> None:
-    """Create a folder for results, or check the one that is there; errors as in `check_folder`."""
+def make_parents(path: Path) -> None:
+    """Create the folders above a file or folder that a user named; errors as in `check_inside`, and `OSError`."""
+    check_inside(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+
+
+def place_folder(finished: Path, folder: Path) -> None:
+    """Move a folder that was made under another name to its own; errors as in `make_parents`."""
+    make_parents(folder)
+    finished.rename(folder)
+
+
+def enter_folder(folder: Path) -> None:
+    """Create a folder to write in, unless it is there; later writes below it refuse folders that are links.
+
+    Raises:
+        StoreError: it cannot be created, is a file, or lies below another such folder behind a link.
+    """
+    check_inside(folder / "file")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
         raise StoreError(f"{folder} is a file, expected a folder: choose another --out") from None
     except OSError as error:
         raise StoreError(f"{folder} cannot be created ({error.strerror}): choose another --out") from None
+    _entered.add(folder.absolute())
+
+
+def make_folder(folder: Path) -> None:
+    """Create a folder for results, or check the one that is there; errors as in `enter_folder` and `check_folder`."""
+    enter_folder(folder)
     check_folder(folder)
 
 

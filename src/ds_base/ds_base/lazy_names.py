@@ -10,6 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from ds_base.bounded_file import read_words
+
 
 def names_of_stub(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Make `__getattr__`, `__dir__` and `__all__` of a package from its stub.
@@ -18,7 +20,7 @@ def names_of_stub(package: str, file: str) -> tuple[Callable[[str], Any], Callab
         package: its `__name__`.
         file: its `__file__`; the stub lies beside it.
     """
-    stub = ast.parse(Path(file).with_suffix(".pyi").read_text("utf-8"))
+    stub = ast.parse(read_words(Path(file).with_suffix(".pyi")))
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom) and node.level == 1]
     modules = {alias.name: f"{package}.{node.module}" for node in imports for alias in node.names}
 

@@ -135,9 +135,10 @@ def road_show_command(
 ) -> None:
     """Draw a road as a PNG."""
     import ds_road
+    from ds_base.atomic_files import write_whole
     from ds_sim.camera.encodings import png
 
-    out.write_bytes(png(ds_road.draw(one_road(file, seed, max_angle, lane))))
+    write_whole(out, png(ds_road.draw(one_road(file, seed, max_angle, lane))))
     print(out)
     chosen = ("--seed", seed, "--max-angle", max_angle) if file is None else ("--road", file)
     say_next(ds_command("drive", "--sim", "bullet", *chosen, *(("--lane", lane) if lane else ())))

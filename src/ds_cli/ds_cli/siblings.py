@@ -156,7 +156,7 @@ def _write(
     from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
     from ds_analysis.paper.simulator_agreement import most_different
     from ds_analysis.siblings.analysis import analysis_tables
-    from ds_base.atomic_files import write_json
+    from ds_base.atomic_files import write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.sibling_pictures import draw_failures, draw_matrix
     from ds_sim.camera.encodings import png
@@ -167,13 +167,13 @@ def _write(
     write_tables(analysis_tables(found), out)
     judged = table.judged()
     if len(judged):
-        (out / "failures.png").write_bytes(png(draw_failures(judged, found.feature, out / "failures")))
+        write_whole(out / "failures.png", png(draw_failures(judged, found.feature, out / "failures")))
         matrix = draw_matrix(judged, found.feature, out / "who_fails_where")
-        (out / "who_fails_where.png").write_bytes(png(matrix))
+        write_whole(out / "who_fails_where.png", png(matrix))
     for rank, index in enumerate(most_different(table, PICTURED)):
         paths = {name: of[index].path for name, of in runs.items()}
         picture = ds_road.draw(roads[index], trajectories=paths, colours=colours_of(list(paths)))
-        (out / f"most_different_{rank + 1}.png").write_bytes(png(picture))
+        write_whole(out / f"most_different_{rank + 1}.png", png(picture))
 
 
 def _simulator_table(document: dict[str, Any]) -> Table:
@@ -191,6 +191,7 @@ def _write_all_tables(
     """Write every table and sentence as text for people."""
     from ds_analysis.paper.simulator_agreement import APART
     from ds_analysis.siblings.analysis import analysis_tables
+    from ds_base.atomic_files import whole_file
 
     distances = Table("pair", "Cohen's kappa", "median apart, m", "95 %, m", f"over {APART:g} m apart", "correlation")
     for pair in pairs:
@@ -200,7 +201,7 @@ def _write_all_tables(
         distances.add_row(
             names, kappa, number(pair.median_apart), number(pair.apart_95), share, number(pair.correlation)
         )
-    with (out / TABLES).open("w", encoding="utf-8") as file:
+    with whole_file(out / TABLES) as partial, partial.open("w", encoding="utf-8") as file:
         console = Console(file=file, width=140)
         console.print(_simulator_table(document), distances)
         for reason in sorted({pair.reason for pair in pairs if pair.reason}):

@@ -97,7 +97,6 @@ def show_command(
 
     translator = Translator(load_generator(generator))
     images = [translator.prepared(image) for image in camera_images(source, translator.generator.simulator, count)]
-    out.parent.mkdir(parents=True, exist_ok=True)
     write_whole(out, png(sheet([[image, translator.small(image)] for image in images])))
     document = {"picture": str(out), "images": len(images)}
     following = ds_command("sim2real", "translate", source, "--generator", generator, "--out", "translated")

@@ -59,7 +59,6 @@ def twin_fit_command(
     begin = known.parameters if known else None
     if known and known.taken:
         say(f"taken from {start}: {', '.join(known.taken)}")
-    out.parent.mkdir(parents=True, exist_ok=True)
     drives = [drive for log in recorded for drive in log.drives]
     located = all(log.kind == "located" for log in recorded)
     settings = LOCATED if located else FitSettings()

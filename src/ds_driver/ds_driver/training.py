@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ds_base.atomic_files import whole_file, write_json
+from ds_base.bounded_file import open_regular
+from ds_base.folder_files import enter_folder
 from ds_base.progress import Progress
 from ds_driver.data.dataset import (
     DatasetError,
@@ -150,7 +152,7 @@ def train(
     torch.set_num_threads(plan.threads)
     # Otherwise cuDNN may choose another algorithm each time, with results that differ in the last bits.
     torch.backends.cudnn.deterministic = True
-    out.mkdir(parents=True, exist_ok=True)
+    enter_folder(out)
     folders = [data] if isinstance(data, Path) else list(data)
     samples = [sample for folder in folders for sample in read_samples(folder)]
     check_equal(samples)
@@ -390,7 +392,8 @@ def load_checkpoint(folder: Path, identity: object) -> dict[str, Any]:
     if not path.exists():
         return {}
     try:
-        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        with open_regular(path) as content:
+            state: dict[str, Any] = torch.load(content, weights_only=True, map_location="cpu")
         recorded = state["identity"]
     except Exception as error:  # torch.load may raise anything on a damaged file
         raise TrainingError(f"{path} cannot be read ({type(error).__name__}): delete it and train again") from None

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import write_whole
 from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
 from ds_recording.errors import RecordingError
 from ds_recording.lens import MODELS, Lens, Rays
@@ -156,7 +157,7 @@ def write_camera(path: Path, camera: FloorCamera) -> None:
         "forward_m": camera.forward_m,
         "focal_std": camera.focal_std,
     }
-    path.write_text("".join(f"{name}: {value}\n".replace(": \n", ":\n") for name, value in values.items()))
+    write_whole(path, "".join(f"{name}: {value}\n".replace(": \n", ":\n") for name, value in values.items()))
 
 
 def read_camera(path: Path) -> FloorCamera:

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import write_json
+from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_json import read_json
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.folder_files import enter_folder
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.track import Track, read_track, write_track
@@ -59,11 +60,11 @@ class Located:
 
 def write_located(folder: Path, located: Located) -> None:
     """Write the four files into a folder, which is created if missing."""
-    folder.mkdir(parents=True, exist_ok=True)
+    enter_folder(folder)
     lines = [",".join(COLUMNS)]
     for frame, *values in located.table.tolist():
         lines.append(",".join([str(int(frame)), *("" if value != value else f"{value:.6g}" for value in values)]))
-    (folder / LOCATED).write_text("\n".join(lines) + "\n")
+    write_whole(folder / LOCATED, "\n".join(lines) + "\n")
     write_track(folder / TRACK, located.track, located.lane_width)
     write_camera(folder / CAMERA, located.camera)
     write_json(folder / ABOUT, located.about)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from ds_base.atomic_files import write_whole
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_recording.errors import RecordingError
 
@@ -21,6 +22,8 @@ HEADER = "# x_m,y_m,w_tr_right_m,w_tr_left_m"
 """First line of a RoboRacer track file."""
 MAX_TRACK_FILE = 2**24
 """Largest track file, bytes; chosen: some 300,000 points."""
+MAX_LENGTH = 1000.0
+"""Longest track that is read, m on the floor; chosen: ten laps of a large hall."""
 _WALK = 12
 """Steps in which the nearest piece is found from a start near it; chosen: twice what was ever needed."""
 
@@ -137,7 +140,7 @@ def write_track(path: Path, track: Track, half_width: float) -> None:
         half_width: distance from the centre line to either edge line, m.
     """
     rows = [f"{x:.4f},{y:.4f},{half_width:.4f},{half_width:.4f}" for x, y in track.points.tolist()]
-    path.write_text("\n".join([HEADER, *rows]) + "\n")
+    write_whole(path, "\n".join([HEADER, *rows]) + "\n")
 
 
 def read_track(path: Path) -> tuple[Track, Array]:
@@ -163,5 +166,7 @@ def read_track(path: Path) -> tuple[Track, Array]:
     steps = np.hypot(*np.diff(values[:, :2], axis=0).T)
     if (steps <= 0.0).any():
         raise RecordingError(f"{path}: two neighbouring points are the same: remove one of them")
+    if not steps.sum() <= MAX_LENGTH:
+        raise RecordingError(f"{path}: {steps.sum():.3g} m long, expected at most {MAX_LENGTH:g} m on the floor")
     closed = bool(np.hypot(*(values[-1, :2] - values[0, :2])) <= 2.0 * np.median(steps))
     return Track(values[:, :2], closed), values[:, 2:]

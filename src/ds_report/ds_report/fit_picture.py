@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ds_base.atomic_files import write_whole
 from ds_base.figures import WIDTH, draw_figure
 from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
@@ -47,7 +48,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
         yaw_rates.set(title="Yaw rate, windows side by side", xlabel="s", ylabel="rad/s")
         _histograms(fit, residuals)
 
-    path.write_bytes(png(draw_figure(WIDTH, 836, draw, path)))
+    write_whole(path, png(draw_figure(WIDTH, 836, draw, path)))
 
 
 def _histograms(fit: Fit, axes: Axes) -> None:

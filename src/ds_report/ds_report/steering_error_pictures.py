@@ -13,6 +13,7 @@ import numpy as np
 from ds_analysis.common.statistics import Array
 from ds_analysis.paper.open_loop import WORST, Answers
 from ds_analysis.paper.steering_error_stats import EDGES, density, pooled_errors
+from ds_base.atomic_files import write_whole
 from ds_base.figures import WIDTH, draw_figure
 from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
@@ -45,7 +46,7 @@ def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
         for part, (_, panel) in zip(parts[:, 0], panels, strict=True):
             panel(part)
 
-    path.write_bytes(png(draw_figure(WIDTH, 40 + sum(height for height, _ in panels), draw, path)))
+    write_whole(path, png(draw_figure(WIDTH, 40 + sum(height for height, _ in panels), draw, path)))
 
 
 def _densities(errors: dict[str, Array], figure: SubFigure) -> None:

@@ -27,6 +27,8 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import write_whole
+from ds_base.folder_files import enter_folder
 from ds_road.commonroad import add, commonroad
 from ds_road.geometry import SAMPLES_PER_SEGMENT
 from ds_road.opendrive import LANE_CODE, STEPS_CODE
@@ -71,11 +73,11 @@ def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path, form: F
     files = [_file_name(name) + SUFFIXES[form] for name in names]
     if twice := sorted({file for file in files if files.count(file) > 1}):
         raise RoadError(f"two roads are called {twice[0]}: give them different names")
-    folder.mkdir(parents=True, exist_ok=True)
+    enter_folder(folder)
     paths = [folder / file for file in files]
     writers = {"opendrive": opendrive, "commonroad": commonroad, "sbft": sbft}
     for road, name, path in zip(roads, names, paths, strict=True):
-        path.write_text(writers[form](road, name), "utf-8")
+        write_whole(path, writers[form](road, name))
     return paths
 
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
+from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import load_json
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side, abbreviated
@@ -169,7 +170,7 @@ def read_roads(path_or_text: Path | str) -> list[Road]:
 
 def write_roads(roads: list[Road], path: Path) -> None:
     """Write roads to a file for `read_roads`; every number survives the round trip exactly."""
-    path.write_text(json.dumps([road_to_json(road) for road in roads]) + "\n", "utf-8")
+    write_whole(path, json.dumps([road_to_json(road) for road in roads]) + "\n")
 
 
 def check(raw: Any) -> dict[str, Any]:

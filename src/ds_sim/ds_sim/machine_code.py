@@ -26,6 +26,9 @@ from typing import Any, get_type_hints
 import llvmlite.binding as llvm
 import numpy as np
 
+from ds_base.atomic_files import write_whole
+from ds_base.bounded_file import read_regular
+
 _ENGINES: list[llvm.ExecutionEngine] = []
 """Owners of the loaded code."""
 
@@ -84,16 +87,13 @@ def _object_file(module: str) -> bytes:
     kept = [folder / f"{source.stem}.{sys.implementation.cache_tag}.o" for folder in _folders(source.parent)]
     for path in kept:
         with suppress(OSError):
-            content = path.read_bytes()
+            content = read_regular(path)
             if content.startswith(stamp):
                 return content[len(stamp) :]
     compiled = _compile(module)
     for path in kept:
         with suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            partial = path.with_suffix(f".{os.getpid()}")
-            partial.write_bytes(stamp + compiled)
-            partial.replace(path)
+            write_whole(path, stamp + compiled)
             break
     return compiled
 
@@ -103,7 +103,7 @@ def _stamp(package: Path) -> bytes:
     names = ("numba", "llvmlite", "numpy")
     digest = hashlib.sha256(" ".join((platform.machine(), *map(version, names))).encode())
     for path in (Path(__file__), *sorted(package.glob("*.py"))):
-        digest.update(path.read_bytes())
+        digest.update(read_regular(path))
     return digest.digest()
 
 

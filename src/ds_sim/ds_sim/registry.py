@@ -105,10 +105,13 @@ class SimulatorName:
     def runs_no_foreign_code(self) -> bool:
         """Whether a received file may name it: code that is shipped or was installed, and no other program.
 
-        A shipped simulator reads one file of bounded size, in which nothing can run; of others that is not known.
+        A shipped simulator may read one file of bounded size, in which nothing can run; of others that is not known,
+        and one that is nothing without a file opens what that names, such as a folder of photographs.
         """
         shipped = self.base in SIMULATORS or self.base in SIMULATORS.values()
-        return (shipped or (self.base in installed("simulators") and not self.file)) and not self.is_external
+        if not (shipped or (self.base in installed("simulators") and not self.file)):
+            return False
+        return not self.is_external and not (self.file and simulator_class(self.base).needs_file)
 
 
 def simulators() -> list[str]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ds_base.errors import InputError
 from ds_base.figures import draw_figure
+from ds_base.folder_files import make_parents
 from ds_base.palette import FAIL_ON_DARK, PASS, SERIES, rgb
 from ds_road import Road
 from ds_road.picture import map_axes
@@ -125,6 +126,8 @@ def _write_frames(path: Path, frames: Iterable[NDArray[np.uint8]]) -> None:
     """Write RGB frames of one size as a video."""
     check_path(path)
     partial, writer, last = path.with_name(f".{path.stem}.partial.mp4"), cv2.VideoWriter(), None
+    make_parents(path)
+    partial.unlink(missing_ok=True)  # OpenCV would follow a link
     try:
         for frame in frames:
             if last is None:

@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from ds_base.atomic_files import write_whole
 from ds_sim.simulator import FRAME_TIME
 from ds_sim_bullet.parameters import GRAVITY, BulletParameters
 
@@ -179,7 +180,7 @@ def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: f
     bullet.changeDynamics(floor, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=client)
     with TemporaryDirectory() as folder:  # PyBullet reads URDF from files only
         path = Path(folder) / "car.urdf"
-        path.write_text(car_urdf(p), encoding="utf-8")
+        write_whole(path, car_urdf(p))
         body = bullet.loadURDF(
             str(path),
             basePosition=(x, y, 0.0),

@@ -47,8 +47,15 @@ def _stepped(value: Any) -> Any:
     return value
 
 
+def _inside(text: str) -> str:
+    if Path(text).is_absolute() or ".." in Path(text).parts:
+        raise ValueError(f"{text!r} lies outside of the description's folder, expected a file inside of it")
+    return _file_name(text)
+
+
 RosName = Annotated[str, AfterValidator(_ros_name)]
 FileName = Annotated[str, AfterValidator(_file_name)]
+WrittenName = Annotated[str, AfterValidator(_inside)]
 Length = Annotated[float, Field(gt=0.0, le=100.0)]
 Angle = Annotated[float, Field(gt=0.0, lt=1.5)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -97,7 +104,7 @@ class RoadSettings(_Strict):
 
     Attributes:
         service: name of a service of the type ds_interfaces/srv/LoadRoad.
-        file: file that is written before `reload` is called, relative to the description's folder.
+        file: file that is written before `reload` is called, inside the description's folder.
         reload: name of a service of the type std_srvs/srv/Trigger.
         centre_line: file with the track, relative to the description's folder.
         lane_width: width of each lane of the track of a CSV file, m; if None, the file's, or 4 m.
@@ -105,7 +112,7 @@ class RoadSettings(_Strict):
     """
 
     service: RosName | None = None
-    file: FileName | None = None
+    file: WrittenName | None = None
     reload: RosName | None = None
     centre_line: FileName | None = None
     lane_width: Annotated[float, Field(ge=1.0, le=20.0)] | None = None

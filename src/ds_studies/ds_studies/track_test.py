@@ -19,7 +19,7 @@ import yaml
 
 from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_file import FileError
+from ds_base.bounded_file import FileError, open_regular, read_words
 from ds_base.bounded_json import read_json
 from ds_base.errors import InputError
 from ds_base.folder_files import make_folder
@@ -210,7 +210,7 @@ def _sha256(path: Path, without: Path | None = None) -> str:
             files = [one for one in files if not one.resolve().is_relative_to(without.resolve())]
         for file in files:
             digest.update(f"{file.relative_to(path)}\0{file.stat().st_size}\0".encode(errors="surrogateescape"))
-            with file.open("rb") as stream:
+            with open_regular(file) as stream:
                 while block := stream.read(2**20):
                     digest.update(block)
     except OSError as error:
@@ -268,7 +268,7 @@ def _driven(
             str(driver),
             *names,
             drive.sha256,
-            (test.located / SETTINGS).read_text(),
+            read_words(test.located / SETTINGS),
             *(one.test_id for one in tests),
         ]
         place = test.out / "drives" / hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]

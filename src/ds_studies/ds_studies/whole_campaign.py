@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_analysis.paper.correlation import Correlation
-from ds_base.folder_files import locked
+from ds_base.folder_files import enter_folder, locked
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped, StopSwitch
@@ -89,7 +89,7 @@ def run_campaign(
     ):
         settings = record_provenance(store, settings, folder)
         keep_engine(folder, config)
-        (folder / "bags").mkdir(exist_ok=True)
+        enter_folder(folder / "bags")
         in_error = 0
         if not is_driven(store, config):
             in_error = _drive(config, settings, folder, store, live, stop or StopSwitch())

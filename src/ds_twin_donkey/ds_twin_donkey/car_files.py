@@ -163,7 +163,9 @@ def _of_urdf(root: Element) -> tuple[dict[str, float], list[str]]:
     if any("xacro" in one.tag or "${" in "".join(one.attrib.values()) for one in root.iter()):
         raise ValueError("a xacro, expected a URDF: type `xacro FILE > car.urdf`")
     joints = {child.get("link", ""): joint for joint in root.iter("joint") for child in joint.iter("child")}
-    places = {str(link.get("name")): _place(str(link.get("name")), joints) for link in root.iter("link")}
+    places: dict[str, NDArray[np.float64]] = {}
+    for link in root.iter("link"):
+        _place(str(link.get("name")), joints, places)
     wheels = {name.lower(): place[:3, 3] for name, place in places.items() if "wheel" in name.lower()}
     front = [place for name, place in wheels.items() if "front" in name]
     rear = [place for name, place in wheels.items() if "rear" in name or "back" in name]
@@ -201,17 +203,18 @@ def _of_urdf(root: Element) -> tuple[dict[str, float], list[str]]:
     return found, ["for camera.yaml: " + ", ".join(f"{name}: {value:.4g}" for name, value in pose.items())]
 
 
-def _place(link: str, joints: Mapping[str, Element]) -> NDArray[np.float64]:
-    """Pose of a link in the root's axes, (4, 4) (REP-103)."""
-    pose = np.eye(4)
-    for _ in range(len(joints) + 1):
-        joint = joints.get(link)
-        if joint is None:
-            return pose
-        origin, parent = joint.find("origin"), joint.find("parent")
-        pose = np.einsum("ij,jk->ik", _transform(origin), pose)
+def _place(link: str, joints: Mapping[str, Element], places: dict[str, NDArray[np.float64]]) -> None:
+    """Add the poses of a link and of those above it in the root's axes, (4, 4) (REP-103)."""
+    above: list[tuple[str, Element]] = []
+    while link not in places and (joint := joints.get(link)) is not None:
+        above.append((link, joint))
+        if len(above) > len(joints):
+            raise ValueError(f"the joints of {abbreviated(link)} form a circle")
+        parent = joint.find("parent")
         link = "" if parent is None else parent.get("link", "")
-    raise ValueError(f"the joints of {abbreviated(link)} form a circle")
+    pose = places.setdefault(link, np.eye(4))
+    for below, joint in reversed(above):
+        pose = places[below] = np.einsum("ij,jk->ik", pose, _transform(joint.find("origin")))
 
 
 def _transform(origin: Element | None) -> NDArray[np.float64]:

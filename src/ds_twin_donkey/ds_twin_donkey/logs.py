@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 from ds_bags.donkey_tub import TubError, is_tub, read_tub
 from ds_bags.layout import BagError, printable
 from ds_bags.reader import STATE, BagReader, states_and_commands
-from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_file import FileError, read_regular, sha256_of
 from ds_base.errors import InputError
 from ds_base.words import multiple
 from ds_sim.registry import simulators
@@ -30,7 +28,7 @@ _TABLE_COLUMNS = ("time_s", "steering", "throttle", "x_m", "y_m", "yaw_rad", "sp
 """Columns of a table; of the last five it may have some only."""
 _LOCATED_ONLY = "std_lateral_m"
 """Column that only a located recording has."""
-_LARGEST_TABLE = 2**26
+LARGEST_TABLE = 2**26
 """Bytes of a table; chosen: half a million rows, seven hours."""
 MAX_GAP = 0.25
 """Largest time between two rows, s; chosen: five frames. A longer gap ends a drive, as its commands are unknown."""
@@ -42,7 +40,6 @@ of positions; more than the error of a wheel sensor, less than that of wrong uni
 simulator have differed by a factor of 8)."""
 _STANDING_SPEED = 0.05
 """Speed below which a drive counts as started from rest, model m/s; chosen: above the noise of a speed sensor."""
-_BLOCK = 2**20
 """Bytes of a file that are hashed at a time."""
 
 
@@ -179,7 +176,7 @@ def _read_bag(path: Path) -> Log:
     return Log(
         name=path.name,
         kind="bag",
-        sha256=_digest(sorted(files)),
+        sha256=sha256_of(sorted(files)),
         drives=drives_of(np.array(stamps) / 1e9, commands, measured),
     )
 
@@ -211,7 +208,7 @@ def _read_tub(path: Path) -> Log:
     return Log(
         name=path.name,
         kind="tub",
-        sha256=_digest(tub.files),
+        sha256=sha256_of(tub.files),
         drives=drives_of(times, tub.commands, measured),
     )
 
@@ -219,7 +216,7 @@ def _read_tub(path: Path) -> Log:
 def _read_table(path: Path) -> Log:
     """Read a CSV file with a line of names, such as `ds recording locate` and motion capture write."""
     try:
-        text = read_regular(path, _LARGEST_TABLE).decode()
+        text = read_regular(path, LARGEST_TABLE).decode()
         head, *lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
         rows = np.array(
             [[float(value) if value else np.nan for value in line.split(",")] for line in lines], dtype=np.float64
@@ -241,7 +238,7 @@ def _read_table(path: Path) -> Log:
         )
     commands = np.column_stack((steering, throttle)).clip(-1.0, 1.0)
     kind = "located" if _LOCATED_ONLY in columns else "table"
-    return Log(name=path.name, kind=kind, sha256=_digest([path]), drives=drives_of(times, commands, measured))
+    return Log(name=path.name, kind=kind, sha256=sha256_of([path]), drives=drives_of(times, commands, measured))
 
 
 def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
@@ -255,12 +252,3 @@ def _check_units(path: Path, times: Array, columns: dict[str, Array]) -> None:
             f"{path}: according to its positions the car is {multiple(float(np.median(ratio)))} as fast as "
             "its speed says: record both in metres of the car"
         )
-
-
-def _digest(files: Sequence[Path]) -> str:
-    digest = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as stream:
-            while block := stream.read(_BLOCK):
-                digest.update(block)
-    return digest.hexdigest()

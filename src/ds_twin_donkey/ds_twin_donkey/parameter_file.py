@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from ds_base.atomic_files import write_whole
 from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
 from ds_base.errors import InputError
 from ds_twin_donkey.parameters import DonkeyParameters
@@ -71,7 +72,7 @@ def write_parameters(path: Path, document: dict[str, Any]) -> None:
         "# Drive with them by naming the simulator donkey@THIS_FILE. Status: fitted (95 % interval within 5 %),\n"
         "# weakly fitted (wider), not determined by these logs (left at the start), or held (not fitted).\n"
     )
-    path.write_text(head + yaml.safe_dump(document, sort_keys=False, width=120))
+    write_whole(path, head + yaml.safe_dump(document, sort_keys=False, width=120))
 
 
 def read_parameters(path: Path) -> tuple[DonkeyParameters, str]:

@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Array
+from ds_base.atomic_files import write_whole
+from ds_base.bounded_tables import csv_text
 from ds_base.errors import InputError
 from ds_base.progress import Progress
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -135,16 +136,13 @@ def _by_error(pair: tuple[RecordedFrame, float]) -> float:
 
 def write_answers(path: Path, answers: Iterable[Answers]) -> None:
     """Write one CSV row per image; missing values are empty."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(("group", "recording", "image", "seconds", "recorded", "answered", "error"))
-        for one in answers:
-            for index, seconds, recorded, answered in zip(
-                one.index, one.seconds, one.recorded, one.answered, strict=True
-            ):
-                values = [seconds, recorded, answered, answered - recorded]
-                cells = ["" if np.isnan(value) else repr(float(value)) for value in values]
-                writer.writerow((one.group, one.name, int(index), *cells))
+    rows: list[Sequence[object]] = [("group", "recording", "image", "seconds", "recorded", "answered", "error")]
+    for one in answers:
+        for index, seconds, recorded, answered in zip(one.index, one.seconds, one.recorded, one.answered, strict=True):
+            values = [seconds, recorded, answered, answered - recorded]
+            cells = ["" if np.isnan(value) else repr(float(value)) for value in values]
+            rows.append((one.group, one.name, int(index), *cells))
+    write_whole(path, csv_text(rows))
 
 
 def predict(

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.atomic_files import write_json
+from ds_base.folder_files import enter_folder
 from ds_base.installation import ds_command
 from ds_cli.options import driver_named
 from ds_cli.output import Interrupted, Result, ScreenProgress, say
@@ -74,7 +75,7 @@ def bag_drive(
         "left_out": [line for one in answers for line in one.trouble],
     }
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        enter_folder(out)
         write_answers(out / "answers.csv", answers)
         draw_errors(f"{Path(driver).name} on recorded images", answers, out / "errors.png")
         document |= {"answers": str(out / "answers.csv"), "picture": str(out / "errors.png")}

@@ -116,7 +116,7 @@ def write_comparison(
         markdown_of,
         simulator_table,
     )
-    from ds_base.atomic_files import write_json
+    from ds_base.atomic_files import write_json, write_whole
     from ds_base.installation import as_typed
     from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
@@ -129,14 +129,14 @@ def write_comparison(
         "page": str(out / "comparison.html"),
     }
     write_json(out / "comparison.json", document)
-    (out / "comparison.md").write_text(markdown_of(found, road_files, unmet), "utf-8")
+    write_whole(out / "comparison.md", markdown_of(found, road_files, unmet))
     write_tables([simulator_table(found), cell_table(found), drive_table(found)], out / "tables")
     write_comparison_page(found, out / "comparison.html", road_files, unmet)
     if junit is not None:
         name = f"{found.candidate.driver} against {found.reference.driver}"
-        junit.write_text(junit_of(name, cases_of(found)), "utf-8")
+        write_whole(junit, junit_of(name, cases_of(found)))
     if markdown is not None:
-        markdown.write_text(markdown_of(found, road_files, unmet), "utf-8")
+        write_whole(markdown, markdown_of(found, road_files, unmet))
 
     def show() -> None:
         console = Console()
@@ -170,6 +170,7 @@ def write_comparison(
 
 def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
     """Write a road file for every test that newly fails, as `ds drive --road` takes it; test -> file."""
+    from ds_base.atomic_files import write_whole
     from ds_road import road_to_json
     from ds_sim.conditions.text import format_conditions
 
@@ -178,12 +179,11 @@ def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
         scenario = drive.test.scenario
         if scenario is None:
             continue
-        folder.mkdir(exist_ok=True)
         path = folder / f"{drive.test.name}.json"
         road, conditions = road_to_json(scenario.road), format_conditions(scenario.conditions)
         entry = {**(road if isinstance(road, dict) else {"control_points": road}), "seed": scenario.seed}
         entry |= {"conditions": conditions} if conditions else {}
-        path.write_text(json.dumps([entry], allow_nan=False) + "\n", "utf-8")
+        write_whole(path, json.dumps([entry], allow_nan=False) + "\n")
         files[drive.test.name] = str(path)
     return files
 

@@ -103,6 +103,7 @@ def campaign_roads_command(
     Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
     road drives it with the test's seed, which repeats the recorded run.
     """
+    from ds_base.atomic_files import write_whole
     from ds_orchestrator.campaign.selection import roads_of
 
     found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
@@ -111,7 +112,7 @@ def campaign_roads_command(
     if out is None:
         print(text)
     else:
-        out.write_text(text + "\n", "utf-8")
+        write_whole(out, text + "\n")
         print(out)
     say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
     kept = out or printed_to()

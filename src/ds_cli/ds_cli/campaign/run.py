@@ -147,12 +147,13 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
     if criteria == type(criteria)() and junit is None and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
+    from ds_base.atomic_files import write_whole
     from ds_orchestrator.campaign.folder import open_store, read_campaign
 
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
     if junit is not None:
-        junit.write_text(junit_of(str(data.config.driver), cases_of_campaign(data)), "utf-8")
+        write_whole(junit, junit_of(str(data.config.driver), cases_of_campaign(data)))
     if videos is not None:
         from ds_studies.failure_videos import FailedDrive, write_failure_videos
 
@@ -200,6 +201,7 @@ def campaign_init_command(
 
     Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
     """
+    from ds_base.atomic_files import write_whole
     from ds_orchestrator.campaign.config import ConfigError
 
     ask = sys.stdin.isatty()
@@ -210,7 +212,7 @@ def campaign_init_command(
         raise ConfigError(f"{file} exists already: choose another file, or --force")
     given = {"min_angle": min_angle, "max_angle": max_angle}
     angles = {name: angle for name, angle in given.items() if angle is not None}
-    file.write_text(_template_of(driver, sims, size, sensitivity, file, angles), "utf-8")
+    write_whole(file, _template_of(driver, sims, size, sensitivity, file, angles))
     print(file)
     say_next(ds_command("campaign", "run", file, "--out", file.stem, "--dry-run"))
 
@@ -270,6 +272,8 @@ def search_command(
     As `ds campaign init` and `ds campaign run` do, without ROS unless --engine says otherwise. The configuration is
     campaign.yaml in the folder. The last line is the path of the HTML report.
     """
+    from ds_base.atomic_files import write_whole
+    from ds_base.bounded_file import read_words
     from ds_base.folder_files import make_folder
     from ds_orchestrator.campaign.config import ConfigError, read_config
 
@@ -277,9 +281,9 @@ def search_command(
         file = folder / "campaign.yaml"
         text = _template_of(network, sims, size, sensitivity, file, seed=seed)
         make_folder(folder)
-        if file.exists() and file.read_text("utf-8") != text:
+        if file.exists() and read_words(file) != text:
             raise ConfigError(f"{folder} holds another test: choose another --out")
-        file.write_text(text, "utf-8")
+        write_whole(file, text)
         config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
         return judged(campaign(config, folder), folder, criteria, junit)
 

@@ -43,6 +43,8 @@ def check_command(
     from rich.console import Console
     from rich.table import Table
 
+    from ds_base.atomic_files import write_whole
+    from ds_base.errors import InputError
     from ds_base.folder_files import make_folder
     from ds_driver.networks.described_network import DescribedNetworkPilot
     from ds_driver.networks.network_driver import load_pilot
@@ -71,13 +73,14 @@ def check_command(
         network = str(file.with_suffix(".yaml"))
         say(f"choosing a description for {file}")
         text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None, search=search)
-        with Path(network).open("x", encoding="utf-8") as written:
-            written.write(text)
+        if Path(network).exists():
+            raise InputError(f"{network} exists meanwhile: move it away, and check {file} again")
+        write_whole(Path(network), text)
         say(f"wrote {network}: its comments say what was chosen, and why")
     say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
     found = check_network(driver_named(network), recordings, seed, search=search)
     picture = out / "check.png"
-    picture.write_bytes(png(draw_check(found, recordings)))
+    write_whole(picture, png(draw_check(found, recordings)))
 
     def show() -> None:
         table = Table(title=f"{network} against the autopilot on {found.images} images")

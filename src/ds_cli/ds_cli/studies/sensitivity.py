@@ -84,7 +84,7 @@ def sensitivity_command(
 
     from ds_analysis.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
     from ds_analysis.sensitivity.result import Sensitivity, networks_table
-    from ds_base.atomic_files import write_json
+    from ds_base.atomic_files import write_json, write_whole
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables
     from ds_orchestrator.campaign.engine import DriveSettings
@@ -126,7 +126,7 @@ def sensitivity_command(
         if out is not None:
             write_json(out / "sensitivity.json", document)
             write_tables([found.table(), found.long_table()], out)
-            (out / "sensitivity.png").write_bytes(png(draw_sensitivity(found, out / "sensitivity")))
+            write_whole(out / "sensitivity.png", png(draw_sensitivity(found, out / "sensitivity")))
 
         def show() -> None:
             found.table().show(Console())

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED
 from ds_base.atomic_files import whole_file, write_json, write_whole
-from ds_base.bounded_file import FileError
+from ds_base.bounded_file import FileError, read_regular, read_words
 from ds_base.bounded_json import read_json
 from ds_base.bounded_tables import read_parquet
 from ds_base.errors import InputError
@@ -52,6 +52,8 @@ LONGEST_NAME = 4096
 """Longest name of a simulator, which may contain a path, or road id, characters."""
 GENERATOR = "generator.safetensors"
 """File of the generator, in the folder of its simulator's drives."""
+LARGEST_GENERATOR = 2**28
+"""Bytes of a generator; chosen: ten times the shipped ones."""
 TRUST = "--trust"
 """Command line option that confirms code named by a file."""
 
@@ -114,7 +116,7 @@ def keep_plan(folder: Path, plan: dict[str, object]) -> None:
     path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
     if not path.exists():
         write_whole(path, text)
-    elif path.read_text() != text:
+    elif read_words(path) != text:
         raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
 
 
@@ -290,7 +292,7 @@ def copy_generators(data: Path, digests: Mapping[str, str], folder: Path) -> Non
         source = data / name / GENERATOR
         if not source.is_file():
             raise DatasetError(f"{source} is missing: translate the data set again")
-        write_whole(folder / f"{label_of(name)}.safetensors", source.read_bytes())
+        write_whole(folder / f"{label_of(name)}.safetensors", read_regular(source, LARGEST_GENERATOR))
 
 
 def _digest(mark: Path) -> str:

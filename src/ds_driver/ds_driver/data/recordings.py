@@ -20,6 +20,7 @@ from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.folder_files import place_folder
 from ds_base.left_out import LeftOut
 from ds_base.progress import Progress, logger_of
 from ds_driver.control.autopilot import Autopilot
@@ -382,6 +383,6 @@ def import_recordings(
         raise DatasetError(f"no image has a steering beside it: {advice}")
     about: dict[str, Any] = {"recordings": stems, "kinds": sorted({r.kind for r in recordings}), "images": images}
     keep_import(unfinished, name, about | {"unlabelled": unlabelled, "rows": recordings[0].reading.rows})
-    (unfinished / name).rename(out / name)
+    place_folder(unfinished / name, out / name)
     unfinished.rmdir()
     return Imported(name=name, images=images, unlabelled=unlabelled, files=files)

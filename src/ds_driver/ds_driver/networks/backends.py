@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import write_whole
 from ds_base.installation import CPUINFO, install_command, processor_flags
 from ds_driver.networks.pilot import DriverError
 
@@ -293,7 +294,7 @@ class _Batches:
 def _read(core: Any, content: bytes, kind: str, folder: Path) -> Any:
     if kind == "tflite":
         file = folder / "network.tflite"
-        file.write_bytes(content)
+        write_whole(file, content)
         return core.read_model(file)
     if kind == "torchscript":
         import openvino

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from ds_base.bounded_file import read_regular
 from ds_base.bounded_json import read_json
 from ds_driver.networks.images import Crop, rgb_of_file
 from ds_driver.networks.pilot import Frame
@@ -18,7 +19,7 @@ def calibration_frames() -> list[Frame]:
     crops = read_json(FOLDER / "crops.json")
     found = []
     for name, (top, bottom) in sorted(crops.items()):
-        pixels = rgb_of_file((FOLDER / f"{name}.jpg").read_bytes())
+        pixels = rgb_of_file(read_regular(FOLDER / f"{name}.jpg"))
         images = pixels.reshape(-1, IMAGE_HEIGHT, *pixels.shape[1:])
         found += [Frame(image=image, speed=0.0, crop=Crop(top, bottom), simulator=name) for image in images]
     return found

@@ -12,6 +12,7 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_file import sha256_of
 from ds_base.extension import installed
 from ds_base.installation import ds_command
 from ds_base.words import did_you_mean
@@ -297,7 +298,7 @@ def driver_sha256(driver: DriverName) -> str:
         parts = [source_of(driver.python_class)]
     else:
         return weights_sha256(driver.network)
-    return hashlib.sha256(b"".join(hashlib.sha256(part.read_bytes()).digest() for part in parts)).hexdigest()
+    return hashlib.sha256(b"".join(bytes.fromhex(sha256_of([part])) for part in parts)).hexdigest()
 
 
 def _command(prediction: Prediction, speed: float) -> Command:

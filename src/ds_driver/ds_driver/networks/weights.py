@@ -6,7 +6,6 @@ Large layers may be stored as 8-bit integers with a scale per row, which halves 
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ from safetensors import deserialize, safe_open
 from safetensors.numpy import save_file
 
 from ds_base.atomic_files import whole_file
+from ds_base.bounded_file import read_regular, sha256_of
 from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
@@ -79,7 +79,7 @@ def shipped_sets() -> dict[str, Path]:
 
 def weights_sha256(name_or_path: str) -> str:
     """Compute the SHA-256 of the weights file that `load_weights` would read."""
-    return hashlib.sha256(path_of_weights(name_or_path).read_bytes()).hexdigest()
+    return sha256_of([path_of_weights(name_or_path)])
 
 
 def metadata_of(architecture: str, generators: dict[str, str]) -> dict[str, str]:
@@ -177,7 +177,7 @@ def load_weights(name_or_path: str) -> Weights:
         with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinity, which is refused below
             stored = {
                 key: _FLOAT32[part["dtype"]](part["data"]).reshape(part["shape"])
-                for key, part in deserialize(path.read_bytes())  # type: ignore[no-untyped-call]
+                for key, part in deserialize(read_regular(path, LARGEST_FILE))  # type: ignore[no-untyped-call]
             }
             tensors = expand(stored)
     except WeightsError:

@@ -16,6 +16,7 @@ from safetensors import safe_open
 from safetensors.numpy import save
 
 from ds_base.atomic_files import write_whole
+from ds_base.bounded_file import read_regular
 from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
 
@@ -187,7 +188,7 @@ def load_generator(path: Path) -> StoredGenerator:
         raise Sim2RealError(f"{path} cannot be read ({text}): the file is damaged, copy it again") from None
     if not all(bool(np.isfinite(value).all()) for value in tensors.values()):
         raise Sim2RealError(f"{path} holds NaN or infinity: train the generator again")
-    content = path.read_bytes()
+    content = read_regular(path, LARGEST_FILE)
     return StoredGenerator(
         simulator=simulator, shape=shape, window=window, real_window=real_window, tensors=tensors, content=content
     )

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_file import sha256_of
 from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.weights import GENERATORS, shipped_sets
@@ -131,7 +132,7 @@ def _files_in(folder: Path) -> dict[str, Path]:
 def _sha256(path: Path) -> str:
     if path.stat().st_size > LARGEST_FILE:
         raise DriverError(f"{path} has more than {LARGEST_FILE // 2**20} MiB: expected a generator")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return sha256_of([path])
 
 
 class ImageTranslation:

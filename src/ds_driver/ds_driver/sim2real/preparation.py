@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_json
+from ds_base.folder_files import enter_folder
 from ds_base.progress import Progress
 from ds_driver.sim2real.generator import Window, prepare
 from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
@@ -61,7 +62,7 @@ def read_sources(
     photographs = read_photographs(source, limit=settings.photographs)
     # Before the drives, which take minutes.
     real = measure_lane(photographs, "photographs")
-    out.mkdir(parents=True, exist_ok=True)
+    enter_folder(out)
     frames = simulated_frames(simulator, settings, out / FRAMES, progress)
     simulated = measure_lane(frames.images[~frames.held_out], f"images of {simulator}")
     match = match_windows(simulated, network_window(spec), real)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import whole_file
+from ds_base.bounded_file import open_regular
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import make_driver
@@ -86,7 +87,7 @@ def simulated_frames(simulator: str, settings: Sim2RealSettings, file: Path, pro
 
 def _read(file: Path, identity: str, roads: int) -> SimulatedFrames:
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with open_regular(file) as content, np.load(content, allow_pickle=False) as stored:
             found = str(stored["identity"])
             images, drives = stored["images"], stored["drives"]
             if drives.shape != images.shape[:1] or drives.dtype != np.int32 or images.dtype != np.uint8:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from ds_base.atomic_files import write_whole
+from ds_base.folder_files import enter_folder
 from ds_base.progress import Progress
 from ds_driver.sim2real.generator import Sim2RealError, Window, save_generator
 from ds_driver.sim2real.lane_pairs import align_lane
@@ -156,7 +157,7 @@ def train(
     gan = CycleGan(settings, device)
     identity = _identity(domains, settings)
     history = _resume(out, gan, identity, device)
-    (out / EPOCHS).mkdir(exist_ok=True)
+    enter_folder(out / EPOCHS)
     steps = settings.steps or max(len(domains.simulated), len(domains.real))
     progress.start(settings.epochs * steps)
     progress.advance(len(history) * steps)

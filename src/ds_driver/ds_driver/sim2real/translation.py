@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.copying import rewrite_bag
-from ds_bags.donkey_tub import is_tub, read_tub
+from ds_bags.donkey_tub import MAX_FILE, is_tub, read_tub
 from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_file import read_regular
 from ds_base.bounded_json import read_json
 from ds_base.bounded_tables import read_parquet
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
@@ -181,7 +182,7 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
         progress.advance(line=_images_of(folder, done, len(images)))
     # Last, so that an unfinished folder is no tub.
     for file in (*tub.files, folder / "manifest.json"):
-        write_whole(out / file.name, file.read_bytes())
+        write_whole(out / file.name, read_regular(file, MAX_FILE))
     return len(images)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import yaml
 
+from ds_base.bounded_yaml import load_yaml
 from ds_orchestrator.campaign.config import ConfigError, SearchConfig, parse_config
 from ds_orchestrator.maps.algebra import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
@@ -72,7 +73,7 @@ def template(
         features=", ".join(list(FEATURES)[:6]),
         operators=", ".join(OPERATORS),
     )
-    config = parse_config(yaml.safe_load(text), "the template")
+    config = parse_config(load_yaml(text), "the template")
     drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
     head = f"# {tests} tests, each on {len(config.simulators)} simulators: {drives} drives.\n"
     return head + text

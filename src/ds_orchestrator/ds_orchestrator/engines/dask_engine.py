@@ -13,6 +13,7 @@ from concurrent.futures import CancelledError
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from ds_base.folder_files import enter_folder
 from ds_base.progress import logger_of
 from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
@@ -97,7 +98,7 @@ def running_dask(settings: DriveSettings, *, folder: Path) -> Iterator[DaskEngin
     with ExitStack() as stack:
         address = options.scheduler
         if address is None:
-            folder.mkdir(parents=True, exist_ok=True)
+            enter_folder(folder)
             address = stack.enter_context(own_cluster(settings.workers, options, folder))
             if options.listen != ClusterOptions().listen:
                 LOG.info("further workers may join: dask worker %s", address)

@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
+from ds_base.bounded_file import read_regular
 from ds_base.installation import CPUINFO, processor_flags, versions
 from ds_sim.registry import SIMULATORS, SimulatorName, UnknownSimulatorError, simulator_class
 
@@ -93,7 +94,7 @@ def code_sha256(packages: Collection[str] = CODE) -> str:
             files = sorted([*path.parent.rglob("*.py"), *path.parent.glob("models/calibration/*")])
         for file in files:
             digest.update(f"{package}/{file.relative_to(path.parent)}\n".encode())
-            digest.update(file.read_bytes())
+            digest.update(read_regular(file))
     return digest.hexdigest()
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
+from ds_base.folder_files import enter_folder
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_driver.networks.driver_name import DriverName
@@ -85,7 +86,7 @@ def running_local(driver: DriverName, *, workers: int, command_timeout: float, l
     Raises:
         ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.
     """
-    logs.mkdir(parents=True, exist_ok=True)
+    enter_folder(logs)
     with ExitStack() as stack:
         pool = []
         for number in range(1, workers + 1):

@@ -9,9 +9,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from ds_base.atomic_files import write_whole
+from ds_base.bounded_file import read_regular
 from ds_base.errors import InputError
+from ds_base.folder_files import enter_folder
 from ds_driver.networks.driver_name import AUTOPILOT, DESCRIPTIONS, NO_GENERATORS, WEIGHTS, DriverName
 from ds_sim.registry import SimulatorName
+
+LARGEST_PART = 2**29
+"""Bytes of a file that is sent; chosen: the largest network."""
 
 
 class ParcelError(InputError):
@@ -48,11 +54,9 @@ class Parcel:
 
     def unpack(self, folder: Path) -> None:
         """Write the files into a folder, created if missing."""
-        folder.mkdir(parents=True, exist_ok=True)
+        enter_folder(folder)
         for name, content in self.files.items():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+            write_whole(folder / name, content)
 
     def name_there(self, name: str, folder: Path) -> str:
         """Translate a simulator's name to its name on a worker."""
@@ -77,7 +81,7 @@ def parcel_of(driver: DriverName, simulators: Sequence[str]) -> Parcel:
         name = SimulatorName.parse(simulator)
         if name.file:
             place = f"simulators/{number}/{Path(name.file).name}"
-            files[place] = Path(name.file).read_bytes()
+            files[place] = read_regular(Path(name.file), LARGEST_PART)
             renamed[simulator] = f"{name.base}@{{folder}}/{place}"
     sha256 = backend = ""
     if driver != AUTOPILOT:
@@ -108,7 +112,8 @@ def _pack_generators(name: DriverName, files: dict[str, bytes]) -> str:
     if name.generators or name.file_type == WEIGHTS:
         # Beside the weights, where a network looks for the generators that it was trained with.
         files |= {
-            f"driver/{GENERATORS}/{label}.safetensors": path.read_bytes() for label, path in generators.files.items()
+            f"driver/{GENERATORS}/{label}.safetensors": read_regular(path, LARGEST_PART)
+            for label, path in generators.files.items()
         }
     return f"+{{folder}}/driver/{GENERATORS}" if name.generators else ""
 
@@ -130,9 +135,12 @@ def _pack_driver(driver: DriverName, files: dict[str, bytes], renamed: dict[str,
                 f"{path.name} names the network {network}, outside of its folder: put both into one folder, so that "
                 "they can be sent to other machines"
             ) from None
-        files |= {f"driver/{path.name}": path.read_bytes(), f"driver/{inside}": network.read_bytes()}
+        files |= {
+            f"driver/{path.name}": read_regular(path, LARGEST_PART),
+            f"driver/{inside}": read_regular(network, LARGEST_PART),
+        }
     elif name.file_type == WEIGHTS:
-        files[f"driver/{path.name}"] = path.read_bytes()
+        files[f"driver/{path.name}"] = read_regular(path, LARGEST_PART)
     else:  # shipped, or a class: the worker has it, and its digest is compared
         if name.network + ending != str(driver):
             renamed[str(driver)] = name.network + ending

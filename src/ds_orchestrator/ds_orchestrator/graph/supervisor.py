@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ds_base.errors import RunError
+from ds_base.folder_files import enter_folder
 from ds_base.installation import missing_of_ros
 from ds_base.processes import USER_DOMAIN, ChildProcesses, last_line_of
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -84,7 +85,7 @@ class Supervisor:
     """
 
     def __init__(self, specs: Sequence[ProcessSpec], *, domain: int, logs: Path) -> None:
-        logs.mkdir(parents=True, exist_ok=True)
+        enter_folder(logs)
         self._specs = {spec.name: spec for spec in specs}
         self._logs = logs
         self._environment = os.environ | {

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from ds_base.bounded_file import open_regular
 from ds_base.folder_files import StoreError
 
 SCHEMA_VERSION = 5
@@ -161,7 +162,7 @@ class SqliteFile:
                 raise StoreError(f"{one} has more than {LARGEST_FILE // 2**30} GiB, the limit for a campaign")
         journal = path.with_name(f"{path.name}-journal")
         if journal.exists():
-            with journal.open("rb") as file:
+            with open_regular(journal, follow_links=False) as file:
                 file.seek(max(0, journal.stat().st_size - len(_JOURNAL_MAGIC)))
                 if file.read() == _JOURNAL_MAGIC:
                     raise StoreError(f"{journal} refers to other files, expected a campaign's own journal: remove it")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from ds_bags.donkey_tub import TubError, is_tub, read_tub
 from ds_bags.layout import BagError
@@ -109,7 +110,7 @@ def read_drive(folder: Path) -> RecordedDrive:
 
 def near_photographs(points: Array, poses: Array) -> NDArray[np.bool_]:
     """Which points, (n, 2), have a photograph near them; both in road metres."""
-    return np.array([np.hypot(*(poses[:, :2] - point).T).min() <= NEAR for point in points])
+    return np.asarray(KDTree(poses[:, :2]).query(points)[0] <= NEAR)
 
 
 def _with_photographs(lane: Track, poses: Array) -> Track:

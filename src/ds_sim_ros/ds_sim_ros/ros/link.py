@@ -21,6 +21,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
+from ds_base.folder_files import enter_folder
 from ds_base.processes import USER_DOMAIN
 from ds_driver.control.bicycle import Geometry
 from ds_driver.control.other_stacks import KINDS, Motion, set_part
@@ -148,6 +149,7 @@ class Link:
             fields = {"road": road_to_message(road), "seed": seed}
             self._services.call(way.service, {"ds_interfaces/srv/LoadRoad": fields})
         if way.file is not None and way.reload is not None:
+            enter_folder(self._folder)
             write_road(road, self._folder / way.file)
             self._services.call(way.reload, {TRIGGER: {}})
         if settings.reset is not None:

@@ -13,6 +13,7 @@ from rclpy.action.server import ServerGoalHandle
 
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 from ds_base.config_errors import read_keys
+from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config, rebase_paths
 from ds_orchestrator.campaign.executor import StopSwitch
 from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
@@ -89,8 +90,12 @@ def _config_of(text: str, folder: Path, trusted: Collection[str]) -> CampaignCon
             raise ConfigError(f"the goal's config: not YAML: {error}") from None
         config = parse_config(raw, "the goal's config", received=True)
     else:
-        raw = rebase_paths(read_keys(Path(text), ConfigError), Path(text).parent, Path())
-        config = parse_config(raw, text, received=True)
+        try:
+            raw = rebase_paths(read_keys(Path(text), ConfigError), Path(text).parent, Path())
+            config = parse_config(raw, text, received=True)
+        except ConfigError:  # a goal that names a file does not get to read it
+            check = f"check it with `{ds_command('campaign', 'run', text, '--dry-run')}`"
+            raise ConfigError(f"{text!r:.200} is no configuration that can be read: {check}") from None
     check_trust(config, trusted)
     return config
 

@@ -129,6 +129,8 @@ class OrchestratorNode(Node):
         if not path.name or path.is_absolute() or ".." in path.parts:
             expected = f"expected a folder below {self._root.resolve()}, such as campaign"
             raise RequestRefused(Reason.BAD_GOAL, f"folder {name!r:.60}: {expected}")
+        if any((self._root / one).is_symlink() for one in (path, *list(path.parents)[:-1])):
+            raise RequestRefused(Reason.BAD_GOAL, f"folder {name!r:.60} leads through a link: remove it")
         return self._root / path
 
     def _crowd(self) -> str:

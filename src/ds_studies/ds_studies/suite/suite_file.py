@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
+from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError
 from ds_base.bounded_json import read_json
 from ds_base.config_errors import problems
@@ -168,7 +169,7 @@ def write_suite(suite: Suite, path: Path) -> None:
     tests = document.pop("tests")
     head = json.dumps(document, indent=1, allow_nan=False).removesuffix("\n}")
     lines = ",\n".join("  " + json.dumps(test, allow_nan=False) for test in tests)
-    path.write_text(f'{head},\n "tests": [\n{lines}\n ]\n}}\n', "utf-8")
+    write_whole(path, f'{head},\n "tests": [\n{lines}\n ]\n}}\n')
 
 
 def read_suite(path: Path) -> Suite:
