@@ -29,7 +29,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from ds_analysis.common.driven_road import DrivenRoad
-from ds_analysis.common.outcome_table import OutcomeTable, table_of_runs
+from ds_analysis.common.outcome_table import RoadTable, table_of_runs
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_base.table import Column, Table, Value, write_tables
@@ -88,7 +88,7 @@ def drive(
     return runs, invalid
 
 
-def table_of(runs: Runs, tests: list[Test], rows: list[int]) -> OutcomeTable:
+def table_of(runs: Runs, tests: list[Test], rows: list[int]) -> RoadTable:
     """Outcomes of the tests that are valid everywhere, for every network."""
     known = {name: [run for k in rows if (run := of[k]) is not None] for name, of in runs.items()}
     return table_of_runs(known, conditions=[tests[k].conditions for k in rows])

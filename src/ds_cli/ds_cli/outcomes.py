@@ -127,10 +127,10 @@ def outcomes_export_command(
 ) -> None:
     """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
     from ds_analysis.common.outcome_table import is_study
-    from ds_analysis.outcomes.reading import read_table
+    from ds_analysis.outcomes.reading import read_road_table
     from ds_analysis.outcomes.study import read_study, study_of, write_rows
 
-    study = read_study(folder) if is_study(folder) else study_of(read_table(folder))
+    study = read_study(folder) if is_study(folder) else study_of(read_road_table(folder))
     write_rows(out, study)
     print(f"{out}: {len(study.rows)} drives of {', '.join(study.simulators)}")
     say_next(ds_command("predict", folder))

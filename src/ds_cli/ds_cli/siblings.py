@@ -33,7 +33,7 @@ from ds_cli.output import Result, end, number, say, stopped_in
 
 if TYPE_CHECKING:
     from ds_analysis.common.driven_road import DrivenRoad
-    from ds_analysis.common.outcome_table import OutcomeTable
+    from ds_analysis.common.outcome_table import RoadTable
     from ds_analysis.paper.simulator_agreement import PairComparison
     from ds_analysis.siblings.analysis import SiblingAnalysis
     from ds_road import Road
@@ -148,7 +148,7 @@ def _write(
     document: dict[str, Any],
     roads: Sequence[Road],
     runs: dict[str, list[DrivenRoad]],
-    table: OutcomeTable,
+    table: RoadTable,
     found: SiblingAnalysis,
 ) -> None:
     """Write siblings.json, roads.json, tables and pictures."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,8 +74,6 @@ class OutcomeTable:
         test_ids: (tests,) ids.
         siblings: names of the siblings.
         twin: name of the simulator whose failures are predicted; None if no such simulator was driven.
-        roads: (tests,) roads; () if the tests are known by their features alone.
-        conditions: (tests,) operating conditions; () likewise.
         axes: the feature map's axes.
         cells: (tests,) cell of that map; None for a test without one.
         states: (tests, simulators) values of `State`.
@@ -83,76 +81,27 @@ class OutcomeTable:
             leaving its lane does not tell how it drove; 0 without a verdict. Of imported outcomes whatever tells how
             close a run came to its limit; NaN if only the verdict is known.
         limits: (tests, simulators) lateral position at which a test fails: half a lane, m.
-        drives: (tests, simulators) recorded drives, or None; see `profiles`.
         feature_names: names of the features' columns.
-        features: (tests, features) what is known of a test before anything is driven: `ROAD_FEATURES` of the road, then
-            the conditions that differ between tests, each as a share of its range on its scale.
-        families: (tests,) number of the family: the root of mutation from which a test descends.
+        features: (tests, features) what is known of a test before anything is driven.
+        families: (tests,) number of the family: tests of one resemble each other.
         left_out: number of tests that are not in this sample of a campaign.
     """
 
     test_ids: tuple[str, ...]
     siblings: tuple[str, ...]
     twin: str | None
-    roads: tuple[Road, ...]
-    conditions: tuple[Conditions, ...]
     axes: tuple[Feature, ...]
     cells: tuple[Cell | None, ...]
     states: NDArray[np.int8]
     lateral: Array
     limits: Array
-    drives: NDArray[np.object_]
     feature_names: tuple[str, ...]
     features: Array
     families: Indices
     left_out: int = 0
 
-    @classmethod
-    def of(
-        cls,
-        roads: Sequence[Road],
-        states: NDArray[np.int8],
-        lateral: Array,
-        *,
-        siblings: Sequence[str],
-        twin: str | None = None,
-        test_ids: Sequence[str] | None = None,
-        conditions: Sequence[Conditions] | None = None,
-        axes: Sequence[Feature] = DEFAULT_AXES,
-        cells: Sequence[Cell | None] | None = None,
-        drives: Sequence[Sequence[DrivenRoad | Execution | None]] | None = None,
-    ) -> OutcomeTable:
-        """Make a table, with the features and families of its tests.
-
-        Args:
-            roads: (tests,) roads.
-            states: (tests, simulators) values of `State`.
-            lateral: (tests, simulators) largest absolute lateral position, m.
-            siblings: names of the siblings.
-            twin: name of the last simulator, if it is the twin.
-            test_ids: ids; those of the roads if None.
-            conditions: operating conditions; the default ones if None.
-            axes: the feature map's axes; those of the paper's maps if left out.
-            cells: cells of that map; those of the paper's maps if None.
-            drives: (tests, simulators) recorded drives, of verdicts only; there are none if None.
-        """
-        conditions = [DEFAULT] * len(roads) if conditions is None else conditions
-        half = np.array([road.lane_width / 2 for road in roads], np.float64)
-        limits = np.repeat(half[:, None], states.shape[1], axis=1)
-        return cls(
-            test_ids=tuple(road.road_id for road in roads) if test_ids is None else tuple(test_ids),
-            siblings=tuple(siblings),
-            twin=twin,
-            roads=tuple(roads),
-            conditions=tuple(conditions),
-            axes=tuple(axes),
-            cells=tuple(map(cell_of, roads)) if cells is None else tuple(cells),
-            states=states,
-            lateral=np.minimum(lateral, limits),
-            limits=limits,
-            drives=np.array(drives, object).reshape(states.shape) if drives else np.full(states.shape, None),
-            **_known_undriven(roads, conditions),
-        )
+    PER_TEST: ClassVar[tuple[str, ...]] = ("test_ids", "cells", "states", "lateral", "limits", "features", "families")
+    PER_SIMULATOR: ClassVar[tuple[str, ...]] = ("states", "lateral", "limits")
 
     def __len__(self) -> int:
         return len(self.test_ids)
@@ -166,14 +115,6 @@ class OutcomeTable:
     def rows(self) -> Mapping[str, int]:
         """Test -> its row."""
         return {test_id: row for row, test_id in enumerate(self.test_ids)}
-
-    @cached_property
-    def profiles(self) -> Mapping[str, Sequence[Array]]:
-        """Simulator -> lateral positions every `GRID` m along the lane, m, of every test; decoded when first asked."""
-        return {
-            name: [_profile(road, one) for road, one in zip(self.roads, self.drives[:, k], strict=True)]
-            for k, name in enumerate(self.simulators)
-        }
 
     @property
     def sample_note(self) -> str:
@@ -207,26 +148,27 @@ class OutcomeTable:
         """(tests,) whether a test has a verdict on every sibling."""
         return np.all([self.known(name) for name in self.siblings], axis=0)
 
-    def select(self, rows: Bools | Indices) -> OutcomeTable:
+    def select(self, rows: Bools | Indices) -> Self:
         """Keep some tests, with the features and families that they have among all."""
         kept = np.arange(len(self))[rows]
-        lists = [name for name in ("test_ids", "roads", "conditions", "cells") if getattr(self, name)]
-        arrays = "states", "lateral", "limits", "drives", "features", "families"
-        found: dict[str, Any] = {name: tuple(getattr(self, name)[k] for k in kept) for name in lists}
-        return replace(self, **found, **{name: getattr(self, name)[kept] for name in arrays})
+        columns: dict[str, Any] = {name: getattr(self, name) for name in self.PER_TEST}
+        kept_columns: dict[str, Any] = {
+            name: tuple(values[row] for row in kept) if isinstance(values, tuple) else values[kept]
+            for name, values in columns.items()
+        }
+        return replace(self, **kept_columns)
 
-    def judged(self) -> OutcomeTable:
-        """Keep the tests with a verdict on every simulator; features and families are those among these alone."""
-        kept = self.select(np.all([self.known(name) for name in self.simulators], axis=0))
-        return replace(kept, **_known_undriven(kept.roads, kept.conditions)) if self.roads else kept
+    def judged(self) -> Self:
+        """Keep the tests with a verdict on every simulator."""
+        return self.select(np.all([self.known(name) for name in self.simulators], axis=0))
 
-    def as_population(self) -> OutcomeTable:
+    def as_population(self) -> Self:
         """Let a twin that was driven be one more sibling, to predict a car; one that was not is left out."""
         if self.twin is None or not self.known(self.twin).any():
             return self.with_twin(None)
         return replace(self, siblings=self.simulators, twin=None)
 
-    def with_twin(self, name: str | None) -> OutcomeTable:
+    def with_twin(self, name: str | None) -> Self:
         """Let another simulator play the twin, and all others the siblings; None leaves the twin out.
 
         Raises:
@@ -238,13 +180,93 @@ class OutcomeTable:
         if not siblings:
             raise OutcomeTableError(f"{name} is the only simulator: expected a sibling beside it")
         order = [self.column(s) for s in (*siblings, *([name] if name else []))]
-        columns = {key: getattr(self, key)[:, order] for key in ("states", "lateral", "limits", "drives")}
+        columns = {key: getattr(self, key)[:, order] for key in self.PER_SIMULATOR}
         return replace(self, siblings=siblings, twin=name, **columns)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoadTable(OutcomeTable):
+    """Tests of roads that this project drove.
+
+    Their features are those of the road, `ROAD_FEATURES`, then the conditions that differ between tests, each as a
+    share of its range on its scale; a family is all that descend from one root of mutation.
+
+    Attributes:
+        roads: (tests,) roads.
+        conditions: (tests,) operating conditions.
+        drives: (tests, simulators) recorded drives, or None; see `profiles`.
+    """
+
+    roads: tuple[Road, ...]
+    conditions: tuple[Conditions, ...]
+    drives: NDArray[np.object_]
+    PER_TEST: ClassVar[tuple[str, ...]] = (*OutcomeTable.PER_TEST, "roads", "conditions", "drives")
+    PER_SIMULATOR: ClassVar[tuple[str, ...]] = (*OutcomeTable.PER_SIMULATOR, "drives")
+
+    @classmethod
+    def of(
+        cls,
+        roads: Sequence[Road],
+        states: NDArray[np.int8],
+        lateral: Array,
+        *,
+        siblings: Sequence[str],
+        twin: str | None = None,
+        test_ids: Sequence[str] | None = None,
+        conditions: Sequence[Conditions] | None = None,
+        axes: Sequence[Feature] = DEFAULT_AXES,
+        cells: Sequence[Cell | None] | None = None,
+        drives: Sequence[Sequence[DrivenRoad | Execution | None]] | None = None,
+    ) -> RoadTable:
+        """Make a table, with the features and families of its tests.
+
+        Args:
+            roads: (tests,) roads.
+            states: (tests, simulators) values of `State`.
+            lateral: (tests, simulators) largest absolute lateral position, m.
+            siblings: names of the siblings.
+            twin: name of the last simulator, if it is the twin.
+            test_ids: ids; those of the roads if None.
+            conditions: operating conditions; the default ones if None.
+            axes: the feature map's axes; those of the paper's maps if left out.
+            cells: cells of that map; those of the paper's maps if None.
+            drives: (tests, simulators) recorded drives, of verdicts only; there are none if None.
+        """
+        conditions = [DEFAULT] * len(roads) if conditions is None else conditions
+        half = np.array([road.lane_width / 2 for road in roads], np.float64)
+        limits = np.repeat(half[:, None], states.shape[1], axis=1)
+        return cls(
+            test_ids=tuple(road.road_id for road in roads) if test_ids is None else tuple(test_ids),
+            siblings=tuple(siblings),
+            twin=twin,
+            roads=tuple(roads),
+            conditions=tuple(conditions),
+            axes=tuple(axes),
+            cells=tuple(map(cell_of, roads)) if cells is None else tuple(cells),
+            states=states,
+            lateral=np.minimum(lateral, limits),
+            limits=limits,
+            drives=np.array(drives, object).reshape(states.shape) if drives else np.full(states.shape, None),
+            **_known_undriven(roads, conditions),
+        )
+
+    @cached_property
+    def profiles(self) -> Mapping[str, Sequence[Array]]:
+        """Simulator -> lateral positions every `GRID` m along the lane, m, of every test; decoded when first asked."""
+        return {
+            name: [_profile(road, one) for road, one in zip(self.roads, self.drives[:, k], strict=True)]
+            for k, name in enumerate(self.simulators)
+        }
+
+    def judged(self) -> RoadTable:
+        """Keep the tests with a verdict on every simulator; features and families are those among these alone."""
+        kept = super().judged()
+        return replace(kept, **_known_undriven(kept.roads, kept.conditions))
 
 
 def table_of_runs(
     runs: Mapping[str, Sequence[DrivenRoad]], *, conditions: Sequence[Conditions] | None = None
-) -> OutcomeTable:
+) -> RoadTable:
     """Collect runs; all simulators are siblings.
 
     Args:
@@ -254,7 +276,7 @@ def table_of_runs(
     rows = list(zip(*runs.values(), strict=True))
     shape = len(rows), len(runs)
     lateral = [[run.max_lateral_position if run.outcome.is_verdict else 0.0 for run in row] for row in rows]
-    return OutcomeTable.of(
+    return RoadTable.of(
         [row[0].road for row in rows],
         np.array([[_state(run) for run in row] for row in rows], np.int8).reshape(shape),
         np.array(lateral, np.float64).reshape(shape),
@@ -264,7 +286,7 @@ def table_of_runs(
     )
 
 
-def table_of_campaign(data: CampaignData, *, most: int | None = None) -> OutcomeTable:
+def table_of_campaign(data: CampaignData, *, most: int | None = None) -> RoadTable:
     """Collect the tests of a campaign, finished or not; a road and conditions that it drove twice count once.
 
     Args:
@@ -297,7 +319,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> Outcome
             lateral[at] = one.max_lateral_position
             drives[at] = one
     table = _with_verdicts(
-        OutcomeTable.of(
+        RoadTable.of(
             [test.road for test in tests],
             states,
             lateral,
@@ -334,7 +356,7 @@ def is_study(folder: Path) -> bool:
     return (folder / STUDY).exists()
 
 
-def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTable:
+def table_of_comparison(folder: Path, *, twin: str | None = None) -> RoadTable:
     """Read what `ds siblings compare --out` wrote, without profiles.
 
     Args:
@@ -358,7 +380,7 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
         if not (np.isfinite(lateral).all() and (lateral >= 0.0).all()):
             raise ValueError
         states = np.where(failed, State.FAILED, State.COMPLETED).astype(np.int8)
-        table = OutcomeTable.of([roads[row["road_id"]] for row in rows], states, lateral, siblings=names)
+        table = RoadTable.of([roads[row["road_id"]] for row in rows], states, lateral, siblings=names)
     except (StoreError, OutcomeTableError):
         raise
     except (OSError, ValueError, KeyError, AttributeError, TypeError, ArithmeticError):
@@ -366,7 +388,7 @@ def table_of_comparison(folder: Path, *, twin: str | None = None) -> OutcomeTabl
     return _with_verdicts(table).with_twin(twin)
 
 
-def _with_verdicts(table: OutcomeTable) -> OutcomeTable:
+def _with_verdicts(table: RoadTable) -> RoadTable:
     if not np.isin(table.states, (State.COMPLETED, State.FAILED)).any():
         raise OutcomeTableError("no test has a verdict yet: drive some tests first")
     return table

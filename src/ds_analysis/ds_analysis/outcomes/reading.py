@@ -10,6 +10,7 @@ from ds_analysis.common.outcome_table import (
     SIBLINGS,
     OutcomeTable,
     OutcomeTableError,
+    RoadTable,
     is_study,
     siblings_file,
     table_of_campaign,
@@ -31,17 +32,22 @@ def read_table(folder: Path, *, twin: str | None = None, most: int | None = None
         ds_orchestrator.store.sqlite_file.StoreError: the campaign's file is damaged.
         ds_orchestrator.campaign.config.ConfigError: its configuration is not valid.
     """
+    if (folder / "campaign.sqlite").exists() or (folder / siblings_file(folder)).exists() or not is_study(folder):
+        return read_road_table(folder, twin=twin, most=most)
+    from ds_analysis.outcomes.study import read_study
+
+    table = read_study(folder).table()
+    return table.with_twin(twin) if twin else table
+
+
+def read_road_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> RoadTable:
+    """Read a folder of `ds campaign run` or `ds siblings compare --out`; see `read_table`."""
     if (folder / "campaign.sqlite").exists():
         with closing(open_store(folder)) as store:
             table = table_of_campaign(read_campaign(store), most=most)
         return table.with_twin(twin) if twin else table
     if (folder / siblings_file(folder)).exists():
         return table_of_comparison(folder, twin=twin)
-    if is_study(folder):
-        from ds_analysis.outcomes.study import read_study
-
-        table = read_study(folder).table()
-        return table.with_twin(twin) if twin else table
     raise OutcomeTableError(
         f"{folder} holds no campaign.sqlite, {SIBLINGS} or outcomes.parquet: expected a folder of `ds campaign "
         "run`, `ds siblings compare --out` or `ds outcomes import`"

@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ds_analysis.common.outcome_table import MOST_TESTS, STUDY, OutcomeTable, OutcomeTableError, State
+from ds_analysis.common.outcome_table import MOST_TESTS, STUDY, OutcomeTable, OutcomeTableError, RoadTable, State
 from ds_analysis.outcomes.columns import (
     Columns,
     Margin,
@@ -129,14 +129,11 @@ class Study:
             test_ids=tuple(map(str, place)),
             siblings=tuple(name for name in names if name != self.twin),
             twin=self.twin,
-            roads=(),
-            conditions=(),
             axes=axes,
             cells=tuple(tuple(map(int, cell)) for cell in zip(*binned, strict=True)),
             states=states,
             lateral=lateral,
             limits=limits,
-            drives=np.full(shape, None),
             feature_names=self.features,
             features=features,
             families=families.astype(np.intp),
@@ -439,7 +436,7 @@ def read_study(folder: Path) -> Study:
     return study
 
 
-def study_of(table: OutcomeTable) -> Study:
+def study_of(table: RoadTable) -> Study:
     """Make a study of any table, such as a campaign's, to export it."""
     rows = []
     changed = {name for one in table.conditions for name in one.changed}

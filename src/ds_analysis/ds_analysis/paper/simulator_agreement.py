@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from statsmodels.stats.inter_rater import cohens_kappa
 
 from ds_analysis.common.driven_road import DrivenRoad
-from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.common.statistics import Array, r_or_nan
 from ds_sim.simulator import Outcome
 
@@ -61,7 +61,7 @@ class PairComparison:
     correlation: float | None
 
 
-def compare(table: OutcomeTable) -> list[PairComparison]:
+def compare(table: RoadTable) -> list[PairComparison]:
     """Compare every pair of simulators, in their order, on the tests with a verdict on both."""
     return [_pair(table, a, b) for a, b in combinations(table.simulators, 2)]
 
@@ -80,7 +80,7 @@ def summary(runs: Sequence[DrivenRoad]) -> dict[str, Any]:
     }
 
 
-def most_different(table: OutcomeTable, count: int) -> list[int]:
+def most_different(table: RoadTable, count: int) -> list[int]:
     """Find the rows of the tests on which two simulators get farthest apart, the farthest first."""
     widest = [
         max((float(gap.max()) for a, b in combinations(at, 2) if len(gap := gaps(a, b))), default=0)
@@ -95,7 +95,7 @@ def gaps(one: Array, other: Array) -> Array:
     return np.abs(one[:both] - other[:both])
 
 
-def _pair(outcomes: OutcomeTable, first: str, second: str) -> PairComparison:
+def _pair(outcomes: RoadTable, first: str, second: str) -> PairComparison:
     judged = np.flatnonzero(outcomes.known(first) & outcomes.known(second)).tolist()
     failed, other_failed = outcomes.failed(first)[judged], outcomes.failed(second)[judged]
     table = np.zeros((2, 2), int)

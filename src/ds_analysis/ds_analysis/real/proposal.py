@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, State
+from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, RoadTable, State
 from ds_analysis.common.statistics import Indices
 from ds_analysis.prediction.mixture import Prediction
 from ds_analysis.real.records import FOLDER, MOST_ROWS, RecordError, Text
@@ -183,7 +183,7 @@ def propose(
             f"drives of a car of 1:{known.scale:g} were proposed before, not 1:{scale:g}: keep the scale, or copy the "
             "folder for another car"
         )
-    scale = known.scale or (scale or SCALE if table.roads else 1.0)
+    scale = known.scale or (scale or SCALE if isinstance(table, RoadTable) else 1.0)
     population = known.population or [table.test_ids[row] for row in candidates_of(table)]
     order = np.random.default_rng([_SEED, zlib.crc32("\n".join(population).encode())]).permutation(len(population))
     taken = {*driven, *known.tests}
@@ -211,9 +211,9 @@ def _proposed(table: OutcomeTable, prediction: Prediction, row: int, scale: floa
     features = dict(zip(table.feature_names, table.features[row].tolist(), strict=True))
     return ProposedDrive(
         test_id=table.test_ids[row],
-        road=table.roads[row] if table.roads else None,
-        conditions=table.conditions[row] if table.conditions else DEFAULT,
-        features={} if table.roads else features,
+        road=table.roads[row] if isinstance(table, RoadTable) else None,
+        conditions=table.conditions[row] if isinstance(table, RoadTable) else DEFAULT,
+        features={} if isinstance(table, RoadTable) else features,
         scale=scale,
         probability=float(prediction.probabilities(np.array([row]))[0]),
         drawn=drawn,

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from ds_analysis.common.cross_validation import REPEATS
-from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.siblings.added_information import AddedInformation, Baseline, Score, baseline_of, information_about
 from ds_analysis.siblings.failure_patterns import KINDS, Departures, Nesting, departures_of, nestings
 from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
@@ -78,7 +78,7 @@ class SiblingAnalysis:
         return said
 
 
-def analyse(table: OutcomeTable, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:
+def analyse(table: RoadTable, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:
     """Analyse outcomes on the same roads.
 
     Args:
@@ -112,7 +112,7 @@ def analysis_tables(found: SiblingAnalysis) -> list[Table]:
     ]
 
 
-def outcome_rows(table: OutcomeTable) -> list[dict[str, Any]]:
+def outcome_rows(table: RoadTable) -> list[dict[str, Any]]:
     """Every road with its features and its outcomes, as JSON values."""
     return [
         {

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import beta
 
 from ds_analysis.common.driven_road import GRID
-from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.outcome_table import OutcomeTable, RoadTable
 from ds_analysis.common.statistics import Array, Bools, Indices, Interval, are_alone, interval_over_families
 from ds_road import Road
 from ds_road.geometry import lane_curvature
@@ -128,7 +128,7 @@ class Departures:
     counts: Mapping[Departure, int]
 
 
-def departures_of(table: OutcomeTable) -> list[Departures]:
+def departures_of(table: RoadTable) -> list[Departures]:
     """Classify the failures of every simulator, in their order."""
     found = []
     for name in table.simulators:

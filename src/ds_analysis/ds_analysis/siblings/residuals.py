@@ -16,7 +16,7 @@ from scipy.stats import rankdata
 
 from ds_analysis.common.cross_validation import FOLDS, REPEATS, SEED, best_feature, folds_of
 from ds_analysis.common.driven_road import GRID
-from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.common.statistics import (
     FEWEST_OF_EACH_KIND,
     Array,
@@ -63,7 +63,7 @@ class ResidualCorrelation:
     caution: str
 
 
-def residual_correlations(table: OutcomeTable, *, repeats: int = REPEATS) -> list[ResidualCorrelation]:
+def residual_correlations(table: RoadTable, *, repeats: int = REPEATS) -> list[ResidualCorrelation]:
     """Compute the residual correlations of every pair of simulators, in their order."""
     lateral = {name: table.largest_lateral(name) for name in table.simulators}
     cautions = {name: caution_of_failures(table, name) for name in table.simulators}
@@ -94,7 +94,7 @@ def residual_correlations(table: OutcomeTable, *, repeats: int = REPEATS) -> lis
     return found
 
 
-def _road_residuals(table: OutcomeTable, simulator: str, repeats: int) -> Array:
+def _road_residuals(table: RoadTable, simulator: str, repeats: int) -> Array:
     """Largest lateral positions minus what the best single feature predicts, (roads,), m; mean over the repeats."""
     failed, lateral, features = table.failed(simulator), table.largest_lateral(simulator), table.features
     residuals = np.empty((repeats, len(lateral)))
@@ -105,7 +105,7 @@ def _road_residuals(table: OutcomeTable, simulator: str, repeats: int) -> Array:
     return np.asarray(residuals.mean(axis=0))
 
 
-def _place_residuals(table: OutcomeTable) -> dict[str, list[Array]]:
+def _place_residuals(table: RoadTable) -> dict[str, list[Array]]:
     """Per simulator and road the lateral positions minus what the curvature at the place predicts, m."""
     longest = [
         max((len(table.profiles[name][k]) for name in table.simulators), default=0) for k in range(len(table.roads))

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from report_campaigns import make_campaign
 
-from ds_analysis.common.outcome_table import OutcomeTable
+from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.frames import COLUMNS, write_frames
 from ds_analysis.outcomes.study import import_outcomes, read_study, study_of, write_rows, write_study
@@ -50,7 +50,7 @@ def test_an_export_has_a_column_for_each_condition_that_was_changed(tmp_path: Pa
     roads = [generate(np.random.default_rng(seed)) for seed in range(4)]
     conditions = [DEFAULT, Conditions(visibility=60.0), Conditions(friction=0.5, speed_limit=8.0), DEFAULT]
     states = np.array([[1, 2]] * 4, np.int8)
-    table = OutcomeTable.of(roads, states, np.ones((4, 2)), siblings=["a", "b"], conditions=conditions)
+    table = RoadTable.of(roads, states, np.ones((4, 2)), siblings=["a", "b"], conditions=conditions)
     study = study_of(table)
     write_study(tmp_path, study)
     of_a = pandas.read_parquet(tmp_path / "outcomes.parquet").query("simulator == 'a'")

@@ -15,7 +15,7 @@ from ds_analysis.common.outcome_table import OutcomeTableError, State
 from ds_analysis.outcomes.columns import Columns, read_columns
 from ds_analysis.outcomes.known_before import ImportNotes
 from ds_analysis.outcomes.reading import read_table
-from ds_analysis.outcomes.study import Study, import_outcomes, read_study, study_of, write_rows, write_study
+from ds_analysis.outcomes.study import Study, import_outcomes, read_study, write_rows, write_study
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.real.proposal import propose
@@ -145,7 +145,7 @@ def test_export_and_import_are_inverse(tmp_path: Path, suffix: str) -> None:
     again = import_outcomes([tmp_path / f"out{suffix}"], Columns(twin="car"))
     pd.testing.assert_frame_equal(again.rows, study.rows)
     assert (again.features, again.twin, again.simulators) == (study.features, study.twin, study.simulators)
-    one, other = study.table(), study_of(study.table()).table()
+    one, other = study.table(), again.table()
     assert np.array_equal(one.states, other.states) and np.array_equal(one.features, other.features)
     assert one.test_ids == other.test_ids
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_analysis.common.outcome_table import OutcomeTable, State
+from ds_analysis.common.outcome_table import RoadTable, State
 from ds_road import Road, generate
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ def made_up(
     spread: tuple[float, float] = (0.3, 0.12),
     family: int = 5,
     car: Array | None = None,
-) -> OutcomeTable:
+) -> RoadTable:
     """Draw simulators, tests and outcomes; the last simulator plays the twin, with given coefficients if any."""
     rng = np.random.default_rng(seed)
     features = rng.normal(size=(tests, len(mean) - 1))
@@ -37,13 +37,13 @@ def made_up(
     return table_of_margins(margins, features, family=family)
 
 
-def table_of_margins(margins: Array, features: Array, *, family: int = 5, names: str = "a") -> OutcomeTable:
+def table_of_margins(margins: Array, features: Array, *, family: int = 5, names: str = "a") -> RoadTable:
     """Make a table whose tests fail where their margin is positive; cells are quarters of the first two features."""
     tests, simulators = margins.shape
     bins = np.digitize(features[:, : min(2, features.shape[1])], (-1.0, 0.0, 1.0))
     bins = np.column_stack((bins, np.zeros((tests, 2 - bins.shape[1]), int)))
     states = np.where(margins > 0, State.FAILED, State.COMPLETED).astype(np.int8)
-    table = OutcomeTable.of(
+    table = RoadTable.of(
         (ROAD,) * tests,
         states,
         2.0 * np.exp(margins),

@@ -16,7 +16,7 @@ from sklearn.metrics import roc_auc_score
 
 from ds_analysis.common.cross_validation import auc_roc_by_ranks, best_feature, predict_failures
 from ds_analysis.common.driven_road import GRID, DrivenRoad, lateral_profile, recorded_profile
-from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable, State, table_of_runs
+from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State, table_of_runs
 from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
 from ds_analysis.siblings.analysis import SiblingAnalysis, analyse, analysis_tables
 from ds_analysis.siblings.failure_patterns import nestings
@@ -45,14 +45,14 @@ def made_up(
     profiles: dict[str, Sequence[Array]] | None = None,
     roads: Sequence[Road] = ROADS,
     conditions: Sequence[Conditions] | None = None,
-) -> OutcomeTable:
+) -> RoadTable:
     """Outcomes of runs that fail where the largest lateral position is 2 m or more."""
     together = np.column_stack(list(lateral.values()))
     drives = None
     if profiles is not None:
         rows = zip(roads, *profiles.values(), strict=False)
         drives = [[DrivenRoad(road=road, outcome=Outcome.COMPLETED, profile=one) for one in of] for road, *of in rows]
-    return OutcomeTable.of(
+    return RoadTable.of(
         roads[: len(together)],
         states_of(together >= 2.0),
         together,

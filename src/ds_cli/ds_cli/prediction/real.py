@@ -41,12 +41,15 @@ def _recorded(
     when: str | None,
 ) -> RealDrive:
     """The drive that a bag or tub recorded; the arguments are those of `ds real record`."""
+    from ds_analysis.common.outcome_table import RoadTable
     from ds_analysis.real.records import RecordError, drive_of
     from ds_recording.real_drive import read_recording
 
-    if test not in table.test_ids or not table.roads:
-        known = ", ".join(sorted(table.test_ids)[:6]) if table.roads else "a CSV, as these tests have no roads"
-        raise RecordError(f"{path}: which test is it? expected --test with one of {known}")
+    which = f"{path}: which test is it? expected --test with one of "
+    if not isinstance(table, RoadTable):
+        raise RecordError(f"{which}a CSV, as these tests have no roads")
+    if test is None or test not in table.test_ids:
+        raise RecordError(f"{which}{', '.join(sorted(table.test_ids)[:6])}")
     road = table.roads[table.test_ids.index(test)]
     found = read_recording(path, road, scale=scale, topic=topic)
     outcome = outcome or found.outcome(road.lane_width / 2)
@@ -223,6 +226,7 @@ def record_command(
     """
     from dataclasses import replace
 
+    from ds_analysis.common.outcome_table import RoadTable
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.real.proposal import SCALE, read_proposed
     from ds_analysis.real.records import added, read_csv, read_drives, read_recorded, write_drives
@@ -231,7 +235,7 @@ def record_command(
 
     with locked(folder):
         table, proposed = read_table(folder).as_population(), read_proposed(folder)
-        used_scale = proposed.scale or (scale or SCALE if table.roads else 1.0)
+        used_scale = proposed.scale or (scale or SCALE if isinstance(table, RoadTable) else 1.0)
         if is_recording(file):
             new = [_recorded(file, table, used_scale, test, outcome, topic, who=who, when=when)]
         else:
