@@ -34,6 +34,8 @@ MOST_COLUMNS = 10_000
 TABLE_MEMORY = 4 * 2**30
 """Bytes that a library may map while it reads a table; chosen: a table at its limits, as text and as values."""
 _PACKED: dict[str, Callable[..., Any]] = {".gz": gzip.open, ".bz2": bz2.open, ".xz": lzma.open}
+_COMMA = r"\s*[+-]?\d+(,\d+)?([eE][+-]?\d+)?\s*"
+"""A number with or without a decimal comma."""
 _LONGEST_HEADER = 2**20
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters at which a spreadsheet computes a cell of text (OWASP, CSV Injection)."""
@@ -83,6 +85,8 @@ def _text_of(path: Path) -> Iterator[BinaryIO]:
 def read_csv(path: Path) -> pd.DataFrame:
     """Read comma-, semicolon- or tab-separated values, also of `.gz`, `.bz2` and `.xz`; the index is the line.
 
+    Where commas separate nothing and no number has a decimal point, numbers may have decimal commas.
+
     Raises:
         FileError: no such table, a column twice, or beyond a limit; one line without the file's name.
         OSError: it cannot be opened.
@@ -114,6 +118,10 @@ def read_csv(path: Path) -> pd.DataFrame:
         frame[name] = frame[name].map(
             lambda value: str(value) if isinstance(value, int) and abs(value) >= 2**63 else value
         )
+    if separator != "," and not any((frame[name] % 1).any() for name in frame.select_dtypes("float")):
+        for name in (one for one in frame if frame[one].dtype.kind == "O"):
+            if frame[name].dropna().astype(str).str.fullmatch(_COMMA).all():
+                frame[name] = frame[name].str.replace(",", ".").astype(float)
     frame.index = pd.RangeIndex(2, 2 + len(frame), name="line")  # the first has the names
     return frame.dropna(how="all")
 

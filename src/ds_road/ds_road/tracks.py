@@ -88,7 +88,8 @@ def read_track(content: bytes) -> Track:
 def _cells(line: str) -> list[str]:
     for separator in (";", ",", "\t"):
         if separator in line:
-            return [cell.strip() for cell in line.rstrip(separator).split(separator)]
+            cells = [cell.strip() for cell in line.rstrip(separator).split(separator)]
+            return cells if separator == "," else [cell.replace(",", ".") for cell in cells]  # decimal commas
     return re.split(r"\s+", line.strip()) if line.strip() else []
 
 

@@ -312,6 +312,7 @@ CIRCLE = np.array([(60 * math.cos(a), 60 * math.sin(a)) for a in np.arange(0.0, 
         ("", "{x}, {y}", 4.0),
         ("", "{x} {y}", 4.0),
         ("x;y", "{x};{y}", 4.0),
+        ("x;y", "{x:.9f}|{y:.9f}", 4.0),
         ("# x_m, y_m, w_tr_right_m, w_tr_left_m", "{x}, {y}, 1.5, 1.5", 1.5),
         ("# 9ab3\n# s_m; x_m; y_m; psi_rad; vx_mps", "7; {x}; {y}; 0.5; 3.0", 4.0),
         ("time,y,x", "0.1,{y},{x}", 4.0),
@@ -321,6 +322,7 @@ CIRCLE = np.array([(60 * math.cos(a), 60 * math.sin(a)) for a in np.arange(0.0, 
 def test_tracks_are_read_whoever_wrote_them(tmp_path: Path, header: str, row: str, width: float) -> None:
     path = tmp_path / "track.csv"
     rows = [row.format(x=x, y=y) for x, y in CIRCLE.tolist()]
+    rows = [line.replace(".", ",").replace("|", ";") if "|" in row else line for line in rows]
     path.write_text("\n".join([*([header] if header else []), *rows, ""]))
     (found,) = import_roads(path)
     assert found.name == "track" and found.road.lane_width == width

@@ -21,11 +21,20 @@ MOSTLY = 0.9
 """Share of a column's cells that have to be numbers for the others to be missing ones; chosen."""
 IDENTIFIER = re.compile(r"(^|[\W_])(id|index|seed|uuid|hash|unnamed: \d+)$", re.IGNORECASE)
 AFTERWARDS = re.compile(
-    r"(^|[\W_])(status|outcome|result|verdict|reason|message|error|comment|notes?|description|duration|elapsed|xte|cte|"
+    r"(^|[\W_])(status|outcome|result|verdict|reason|message|error|comment|notes?|description|xte|cte|"
+    r"(duration|elapsed|(wall|sim(ulat(ion|ed))?|run|execution|driving|lap)_?time)([\W_](s|ms|sec|seconds|min))?|"
     r"(score|fitness|collisions?)(_.*)?)$",
     re.IGNORECASE,
 )
 """Names of columns that are written after a drive."""
+MEASURED = re.compile(
+    r"(^|[\W_])(time|t|seconds|frames?|steps?|ticks?|final|end|last|stop|driven|travell?ed|covered|reached|progress|"
+    r"complet(ed|ion)|damage|impact|laps?)([\W_]|$)",
+    re.IGNORECASE,
+)
+"""Names of columns that may be measured in a drive, or be set before it, such as a time of day."""
+FEWEST = 5
+"""Failing and passing tests each from which a column that tells them apart exactly is no chance; chosen."""
 
 
 @dataclass
@@ -52,6 +61,7 @@ def features_of(
     source: str,
     *,
     owners: Sequence[str] | None = (),
+    failed: pd.Series[bool] | None = None,
 ) -> pd.DataFrame:
     """Return the features of each test, a row for each.
 
@@ -66,6 +76,7 @@ def features_of(
         notes: takes what is left out, and what became of words and missing numbers.
         source: name of the table, for errors.
         owners: simulators of a wide table, whose names end their columns; None if all columns are known to be features.
+        failed: verdict of each test, where one simulator drove each once.
 
     Raises:
         OutcomeTableError: a named column is no feature; or a number is missing and `notes.rows` is strict.
@@ -85,9 +96,15 @@ def features_of(
             if of_test.nunique(dropna=False) < 2:
                 continue
             notes.columns.total += 1
-            if reason := reason or ("" if owners is None else _unlike(name, levels, of_test, owners)):
+            reason = reason or ("" if owners is None else _unlike(name, levels, of_test, owners))
+            told = "" if reason or failed is None else _tells(of_test, failed.reindex(of_test.index), is_number)
+            # A number may do so by chance of the tests, such as the sharpest bend; its name decides.
+            may_be_known = is_number and not of_test.isna().any() and not MEASURED.search(name)
+            if reason := reason or ("" if may_be_known else told):
                 notes.columns.add(name, reason)
                 continue
+            if told:
+                notes.features.append(f"{name} {told}: leave it out if it is known only after a drive")
         gaps = of_test.isna()
         if gaps.any() and notes.rows.strict:
             raise OutcomeTableError(f"{source}: {name} is no finite number, or empty, for test {gaps.idxmax()}")
@@ -123,6 +140,20 @@ def _varies(values: pd.Series[Any], tests: Sequence[str], is_number: bool) -> st
         counts = of_test.nunique()
         differing = counts[counts > 1].index
     return f"differs between drives of {len(differing)} tests, as {differing[0]}" if len(differing) else ""
+
+
+def _tells(of_test: pd.Series[Any], failed: pd.Series[bool], is_number: bool) -> str:
+    """How a column says exactly which tests failed; empty if it does not, or these are too few to say."""
+    if min(failed.sum(), (~failed).sum()) < FEWEST:
+        return ""
+    gaps = of_test.isna()
+    if gaps.equals(failed) or gaps.equals(~failed):
+        return f"is filled in for exactly the tests that {'pass' if gaps.equals(failed) else 'fail'}"
+    if not is_number:
+        pure = failed.groupby(of_test).nunique().max() == 1 and failed.groupby(of_test).size().min() >= FEWEST
+        return "has words that say exactly which tests fail" if pure and not gaps.any() else ""
+    low, high = sorted((of_test[failed], of_test[~failed]), key=pd.Series.min)
+    return "tells failing tests from others exactly" if low.max() < high.min() else ""
 
 
 def _unlike(name: str, levels: Sequence[str], of_test: pd.Series[Any], owners: Sequence[str]) -> str:

@@ -178,6 +178,7 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
         notes,
         source,
         owners=None if ours else owners,
+        failed=None if ours or rows["test_id"].duplicated().any() else rows.set_index("test_id")["failed"].astype(bool),
     )
     names = list(features.columns)
     if not names:

@@ -14,7 +14,7 @@ from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.known_before import ImportNotes
 from ds_analysis.outcomes.maps import maps_of_study
-from ds_analysis.outcomes.study import Study, import_outcomes, read_study, write_rows, write_study
+from ds_analysis.outcomes.study import Study, import_outcomes, read_frame, read_study, write_rows, write_study
 from ds_base.left_out import LeftOut
 from ds_orchestrator.maps.feature_map import MapId
 
@@ -193,3 +193,48 @@ def test_types_of_parquet(tmp_path: Path) -> None:
     assert study.features == ("kind=x", "kind=y", "kind missing", "lit", "lit missing", "lanes", "lanes missing")
     assert study.rows["lit"].tolist() == [float(k % 2 == 0) if k != 3 else 1.0 for k in range(20)]
     assert study.rows["lanes"].iloc[3] == np.median([k % 4 for k in range(20) if k != 3])
+
+
+def drives_once(failing: int = 20) -> pd.DataFrame:
+    """Tests that one simulator drove once: two causes, and columns that the drive itself made."""
+    rng = np.random.default_rng(0)
+    failed = np.arange(60) < failing
+    return pd.DataFrame(
+        {
+            "test_id": [f"t{k}" for k in range(60)],
+            "simulator": "a",
+            "failed": failed,
+            "bend": rng.uniform(0.0, 1.0, 60).round(3),
+            "speed": rng.uniform(10.0, 20.0, 60).round(2),
+            "frames": np.where(failed, 200, 500) + rng.integers(0, 99, 60),
+            "arrival_x": np.where(failed, 10.0, 60.0) + rng.uniform(0.0, 40.0, 60).round(2),
+            "gone_after": np.where(failed, rng.uniform(1.0, 9.0, 60), np.nan),
+            "how": np.where(failed, "off", "goal"),
+            "duration_s": rng.uniform(10.0, 30.0, 60),
+        }
+    )
+
+
+def test_what_only_a_drive_can_know_is_left_out_by_evidence(tmp_path: Path) -> None:
+    study, notes = read(tmp_path, drives_once(), Columns())
+    assert study.features == ("bend", "speed", "arrival_x")
+    reasons = dict(notes.columns.items)
+    assert set(reasons) == {"frames", "gone_after", "how", "duration_s"}
+    assert reasons["gone_after"] == "is filled in for exactly the tests that fail"
+    (said,) = notes.features  # it may be the one cause of all failures
+    assert said == "arrival_x tells failing tests from others exactly: leave it out if it is known only after a drive"
+    named, _ = read(tmp_path, drives_once(), Columns(features=["bend", "frames"]))
+    assert named.features == ("bend", "frames")
+    few, notes = read(tmp_path, drives_once(failing=4), Columns())  # too few to say
+    assert {"frames", "how=off"} <= set(few.features) and dict(notes.columns.items).keys() == {"duration_s"}
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_numbers(tmp_path: Path, separator: str) -> None:
+    frame = drives_once()[["test_id", "simulator", "failed", "bend", "speed"]].assign(place="1,5 km")
+    frame.to_csv(tmp_path / "t.csv", sep=separator, decimal=",", index=False)
+    study = import_outcomes([tmp_path / "t.csv"], Columns(), ImportNotes())
+    assert study.features == ("bend", "speed")
+    np.testing.assert_array_equal(study.rows[["bend", "speed"]], frame[["bend", "speed"]])
+    frame.assign(place="1,5").to_csv(tmp_path / "t.csv", sep=separator, index=False)  # points: a comma is none
+    assert read_frame(tmp_path / "t.csv")["place"].eq("1,5").all()
