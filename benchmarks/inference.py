@@ -27,6 +27,7 @@ from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
+from ds_driver.networks.weights import load_weights
 from ds_road import Road
 from ds_sim.registry import STANDARD, make_simulator
 from ds_sim.simulator import Command, Observation
@@ -43,7 +44,7 @@ def speed(name: str, frames: int, table: Table) -> None:
     pilots, loading = {}, {}
     for backend in BACKENDS:
         started = time.process_time()
-        pilots[backend] = BuiltInPilot(name, backend)
+        pilots[backend] = BuiltInPilot(load_weights(name), backend)
         pilots[backend].predict(frame)
         loading[backend] = time.process_time() - started
     rows = [(backend, size) for backend, pilot in pilots.items() for size in BATCHES if size <= pilot.largest_batch]
@@ -77,7 +78,7 @@ def frames_of(driver: str, simulator: str, road: Road, seed: int, every: int) ->
 
 def differences(name: str, roads: list[Road], console: Console) -> None:
     """Print how much the steering of each backend differs from PyTorch on the same frames."""
-    pilots = {backend: BuiltInPilot(name, backend) for backend in BACKENDS}
+    pilots = {backend: BuiltInPilot(load_weights(name), backend) for backend in BACKENDS}
     deviations: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
     for simulator in STANDARD:
         crop = simulator_crop(simulator)

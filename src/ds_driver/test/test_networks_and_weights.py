@@ -98,7 +98,7 @@ version 0.2.0, to the bit."""
 def drawn_weights(name: str) -> Weights:
     rng = np.random.default_rng(1)
     shapes = NETWORKS[name].shapes()
-    return Weights(NETWORKS[name], {key: rng.random(shape, np.float32) for key, shape in shapes.items()})
+    return Weights(name, NETWORKS[name], {key: rng.random(shape, np.float32) for key, shape in shapes.items()})
 
 
 @pytest.mark.parametrize("name", sorted(NETWORKS))

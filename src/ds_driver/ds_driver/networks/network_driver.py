@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from threading import Lock
@@ -30,7 +30,14 @@ from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.quantisation import for_backend
 from ds_driver.networks.user_class import UserClassPilot, source_of
-from ds_driver.networks.weights import generators_in, load_weights, path_of_weights, shipped_networks, weights_sha256
+from ds_driver.networks.weights import (
+    Weights,
+    generators_in,
+    load_weights,
+    path_of_weights,
+    shipped_networks,
+    weights_sha256,
+)
 from ds_driver.sim2real.image_translation import (
     GeneratorSet,
     ImageTranslation,
@@ -46,20 +53,18 @@ BACKEND_BEFORE = "onnx"
 
 
 class BuiltInPilot(Pilot):
-    """Drives with one of the paper's networks: a shipped one by name, or a weights file.
+    """Drives with one of the paper's networks.
 
     `translation` says what translates its images, by which it is then quantised.
 
     Raises:
-        ds_driver.networks.weights.WeightsError: the weights cannot be used.
-        ds_driver.networks.architectures.UnknownNetworkError: the name does not denote a network.
         ds_driver.networks.backends.BackendError: the backend or the device is not available.
     """
 
     sees_crop_only = True
 
     def __init__(
-        self, network: str, backend: str = "auto", device: str = "cpu", translation: ImageTranslation | None = None
+        self, weights: Weights, backend: str = "auto", device: str = "cpu", translation: ImageTranslation | None = None
     ) -> None:
         def samples() -> list[NDArray[np.uint8]]:
             frames = calibration_frames()
@@ -71,11 +76,11 @@ class BuiltInPilot(Pilot):
             # PyTorch takes 2 s and 200 MB to import.
             from ds_driver.networks.torch_networks import network_runner
 
-            runner = network_runner(network, device)
+            runner = network_runner(weights, device)
         else:
             chosen = default_backend() if backend == "auto" else backend
-            content = for_backend(chosen, to_onnx(load_weights(network)), network, samples)
-            runner = graph_runner(content, network, chosen)
+            content = for_backend(chosen, to_onnx(weights), weights.name, samples)
+            runner = graph_runner(content, weights.name, chosen)
         self._compute = runner.compute
         self.largest_batch = runner.largest_batch
 
@@ -104,7 +109,7 @@ class NetworkDriver:
             `dave2+FOLDER`, and `+none` plain ones; a network that was trained on translated images names its own set.
 
     Raises:
-        ValueError: the driver cannot be loaded; see `BuiltInPilot`, `DescribedNetworkPilot` and `UserClassPilot`.
+        ValueError: the driver cannot be loaded; see `load_weights`, `DescribedNetworkPilot` and `UserClassPilot`.
     """
 
     def __init__(self, driver: DriverName | str) -> None:
@@ -181,20 +186,24 @@ def load_pilot(driver: DriverName | str) -> Pilot:
         True
     """
     name = DriverName.of(driver)
-    translation = _image_translation_of(name)
-    pilot = _load_network(name, translation)
+    weights = load_weights(name.network) if name.has_weights else None
+    translation = _image_translation(name, _set_of(name, weights.generators if weights else {}))
+    pilot = _load_network(name) if weights is None else BuiltInPilot(weights, name.backend, name.device, translation)
     return pilot if translation is None else TranslatingPilot(pilot, translation)
 
 
-def _image_translation_of(name: DriverName) -> ImageTranslation | None:
+def _image_translation(name: DriverName, generators: GeneratorSet | None) -> ImageTranslation | None:
     """Make what translates images for a driver; None if it sees them as they are, as the autopilot and classes do."""
-    generators = generators_of(name)
     if generators is None:
         return None
     return ImageTranslation(generators, default_backend() if name.backend == "auto" else name.backend, name.device)
 
 
-_kept_image_translation_of = cache(_image_translation_of)
+@cache
+def _kept_image_translation_of(name: DriverName) -> ImageTranslation | None:
+    return _image_translation(name, generators_of(name))
+
+
 Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
 
@@ -224,9 +233,13 @@ def generators_of(driver: DriverName) -> GeneratorSet | None:
         DriverError: there are no such generators.
         ds_driver.networks.weights.WeightsError: the network's file is missing.
     """
+    return _set_of(driver, generators_in(driver.network) if driver.has_weights and not driver.generators else {})
+
+
+def _set_of(driver: DriverName, trained_with: Mapping[str, str]) -> GeneratorSet | None:
+    """The set that a driver's name gives, or else the one that its network was trained with."""
     if driver.generators:
         return None if driver.generators == NO_GENERATORS else open_set(driver.generators)
-    trained_with = generators_in(driver.network) if driver.has_weights else {}
     return set_of_network(driver.network, path_of_weights(driver.network), trained_with) if trained_with else None
 
 
@@ -240,11 +253,12 @@ def sees_translated(driver: DriverName) -> bool:
         return False
 
 
-def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pilot:
+def _load_network(name: DriverName) -> Pilot:
+    """Load a network that is not of this project's architectures."""
     network = name.network
     if name.description is not None:
         return DescribedNetworkPilot(name.description, name.backend, name.device)
-    if name.file_type in KINDS or not (name.has_weights or name.python_class):
+    if name.file_type in KINDS or not name.python_class:
         refuse_foreign(Path(network))
     if name.file_type in KINDS:
         raise DriverError(f"{network} has no description of its input: `{ds_command('check', network)}` writes one")
@@ -252,13 +266,11 @@ def _load_network(name: DriverName, translation: ImageTranslation | None) -> Pil
         if name.suffix:
             raise DriverError(f"driver {network} is a class, which takes no backend and no device: leave them out")
         return UserClassPilot(name.python_class)
-    if not name.has_weights:
-        names = [str(AUTOPILOT), *dict.fromkeys([*NETWORKS, *shipped_networks(), *installed("drivers")])]
-        raise UnknownNetworkError(
-            f"unknown driver {network!r}{did_you_mean(network, names)}: expected one of {', '.join(names)}, "
-            "a .safetensors or .yaml file, or module:Class"
-        )
-    return BuiltInPilot(network, name.backend, name.device, translation)
+    names = [str(AUTOPILOT), *dict.fromkeys([*NETWORKS, *shipped_networks(), *installed("drivers")])]
+    raise UnknownNetworkError(
+        f"unknown driver {network!r}{did_you_mean(network, names)}: expected one of {', '.join(names)}, "
+        "a .safetensors or .yaml file, or module:Class"
+    )
 
 
 def on_backend(driver: DriverName, backend: str = "") -> DriverName:

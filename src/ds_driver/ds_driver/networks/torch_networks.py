@@ -27,7 +27,7 @@ from ds_driver.networks.architectures import (
     UnknownNetworkError,
 )
 from ds_driver.networks.backends import BackendError, Runner, last_line, shape_and_type
-from ds_driver.networks.weights import load_weights, metadata_of
+from ds_driver.networks.weights import Weights, load_weights, metadata_of
 
 
 class DrivingNetwork(nn.Module):
@@ -110,7 +110,11 @@ def load_network(name_or_path: str) -> nn.Module:
         WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
         UnknownNetworkError: neither a known name nor an existing file.
     """
-    weights = load_weights(name_or_path)
+    return module_of(load_weights(name_or_path))
+
+
+def module_of(weights: Weights) -> nn.Module:
+    """Make the network of some weights; in evaluation mode, float32."""
     network = DrivingNetwork(weights.architecture)
     network.load_state_dict({name: torch.from_numpy(tensor) for name, tensor in weights.tensors.items()})
     return network.eval()
@@ -198,10 +202,10 @@ def replayed(network: Callable[[Tensor], Tensor], device: torch.device) -> Calla
     return replay
 
 
-def network_runner(name_or_path: str, device: str) -> Runner:
-    """Run a shipped network, or a weights file, on images from `ds_driver.networks.images.prepare`."""
+def network_runner(weights: Weights, device: str) -> Runner:
+    """Run one of the paper's networks on images from `ds_driver.networks.images.prepare`."""
     where = torch_device(device)
-    network = load_network(name_or_path).to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
+    network = module_of(weights).to(memory_format=torch.channels_last).to(where)  # type: ignore[call-overload]
     return torch_runner(replayed(lambda batch: network(batch.permute(0, 3, 1, 2).float()), where), where)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +55,19 @@ class WeightsError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """Trained weights of an architecture, with the names and shapes of `Architecture.shapes`."""
+    """Trained weights of an architecture.
 
+    Attributes:
+        name: of the shipped network, or path of the file.
+        architecture: what they are weights of.
+        tensors: with the names and shapes of `Architecture.shapes`.
+        generators: simulator -> SHA-256 of the generator that translated the images of the training; empty if none.
+    """
+
+    name: str
     architecture: Architecture
     tensors: dict[str, NDArray[np.float32]]
+    generators: dict[str, str] = field(default_factory=dict)
 
 
 def shipped_networks() -> dict[str, Path]:
@@ -160,7 +169,7 @@ def load_weights(name_or_path: str) -> Weights:
     path = path_of_weights(name_or_path)
     try:
         with safe_open(path, framework="numpy") as file:
-            name = _read_metadata(file.metadata() or {})[0]
+            name, generators = _read_metadata(file.metadata() or {})
             if name not in NETWORKS:
                 raise WeightsError(
                     f"weights {path.name} name the architecture {name!r:.60}: expected one of {', '.join(NETWORKS)}"
@@ -189,7 +198,7 @@ def load_weights(name_or_path: str) -> Weights:
         ) from None
     if not all(bool(np.isfinite(tensor).all()) for tensor in tensors.values()):
         raise WeightsError(f"weights {path.name} hold NaN or infinity: train the network again")
-    return Weights(NETWORKS[name], tensors)
+    return Weights(name_or_path, NETWORKS[name], tensors, generators)
 
 
 def compress(path: Path, out: Path) -> list[str]:
