@@ -127,7 +127,7 @@ def locate_command(
     try:
         found, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
     except KeyboardInterrupt:
-        raise Interrupted from None
+        raise Interrupted(f"what is finished is in {out}: the same command goes on") from None
     document = found.about | {"out": str(out), "page": str(page)}
 
     def show() -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,7 @@ from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import TURNS, Evidence, Smoother, Solution
 from ds_recording.track import Track
+from ds_recording.unfinished import Unfinished, arrays_of, digest_of, evidence_of
 
 Array = NDArray[np.float64]
 LEAST_MOTION = 0.6
@@ -45,6 +48,7 @@ CLOSED_TURNS, WORSE_CLOSED = 10, 0.03
 one; chosen: a wrong lap loses a third of them."""
 LEAST_LOCATED = 0.5
 """Share of the stretch's images that must be located."""
+FORGETFUL = Unfinished()
 LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 
 
@@ -156,7 +160,7 @@ def check_evidence(evidence: Evidence) -> None:
         )
 
 
-def solve(evidence: Evidence, progress: Progress = SILENT) -> Fit:
+def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: Unfinished = FORGETFUL) -> Fit:
     """Guess the road, smooth the run, and join the ends of a lap where there is one.
 
     Raises:
@@ -174,12 +178,13 @@ def solve(evidence: Evidence, progress: Progress = SILENT) -> Fit:
             "the lines of most images fit no road with a coloured centre line and white edges, one lane width apart: "
             "check --lane-width and the camera"
         )
-    progress.start(TURNS)
-    solution = Smoother(evidence, poses, track).solve(progress=progress)
+    progress.start(TURNS + CLOSED_TURNS)
+    smoother = Smoother(evidence, poses, track)
+    solution = smoother.solve(TURNS, progress, unfinished.load("open"), partial(unfinished.keep, "open"))
     lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading)
     if lap is not None:
-        progress.start(CLOSED_TURNS)
-        closed = Smoother(evidence, lap.poses, lap.track, lap.pieces).solve(CLOSED_TURNS, progress)
+        smoother = Smoother(evidence, lap.poses, lap.track, lap.pieces)
+        closed = smoother.solve(CLOSED_TURNS, progress, unfinished.load("closed"), partial(unfinished.keep, "closed"))
         if np.nanmean(closed.agree) > np.nanmean(solution.agree) - WORSE_CLOSED:
             solution = closed
     located = _trusted(evidence, solution)
@@ -251,9 +256,9 @@ def in_metres(
 
 
 def located_of(
-    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT
+    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT, folder: Path | None = None
 ) -> tuple[Located, Fit]:
-    """Locate a stretch.
+    """Locate a stretch; what an interrupted call has left in the folder is not done again.
 
     Raises:
         RecordingError: it cannot carry a location; with the reason, and the share of images that failed.
@@ -267,11 +272,16 @@ def located_of(
     if not camera.mounted:
         calibration = "chessboard"
         camera = mount(views, camera, lane_width)
-    evidence = gather(views, camera, lane_width, progress)
+    unfinished = Unfinished(folder, digest_of(views, camera, lane_width)) if folder else FORGETFUL
+    kept = unfinished.load("evidence")
+    evidence = gather(views, camera, lane_width, progress) if kept is None else evidence_of(kept)
+    if kept is None:
+        unfinished.keep("evidence", arrays_of(evidence))
     check_evidence(evidence)
     checked: list[Checked] = []
     if views.odometry:
         evidence, checked = with_odometry(evidence, views, camera, lane_width, progress)
     progress.describe("lines and motion found; solving for the whole run")
-    fit = solve(evidence, progress)
+    fit = solve(evidence, progress, unfinished)
+    unfinished.forget()
     return in_metres(views, fit, camera, lane_width, calibration, checked), fit

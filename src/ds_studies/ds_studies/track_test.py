@@ -124,12 +124,14 @@ class TrackTest:
 def locate_recording(of: Recording, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
     """Locate a recording, and write a folder; its page, whose path is returned, too, is written last.
 
+    What an interrupted call has left in the folder is not done again.
+
     Raises:
         ds_recording.errors.RecordingError: it cannot carry a location.
     """
     camera = read_camera(of.camera)
     views = read_views(of.source, of.reading, of.odometry, of.centre)
-    found, fit = located_of(views, camera, of.lane_width, progress)
+    found, fit = located_of(views, camera, of.lane_width, progress, folder)
     about = {"source": os.path.relpath(of.source, folder), "topic": of.reading.camera}
     found = replace(found, about=found.about | about)
     write_located(folder, found)
