@@ -96,11 +96,13 @@ class Scene(ABC):
 
     Attributes:
         conditions: names of the conditions that it realises.
+        drawing: whether images are drawn; otherwise they may be zero, and those that follow are the same.
     """
 
     conditions: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, camera: CameraSpec) -> None:
+        self.drawing = True
         self._spec = camera
         self._rows = (0, camera.height_px)
         """Rows to draw in the runs to come."""

@@ -290,13 +290,14 @@ def make_simulator(name: SimulatorName | str) -> Simulator:
 
 
 def simulator_of_process(name: str) -> Simulator:
-    """Return a simulator by name that this process keeps, as some are slow to make; it draws all rows.
+    """Return a simulator by name that this process keeps, as some are slow to make; it draws every image whole.
 
     The next call with the same name returns the same simulator, so a process has one run on it at a time. Raises as
     `make_simulator` does.
     """
     simulator = _kept(name)
     simulator.draw_rows(0, simulator.spec.camera.height_px)  # the run before may have drawn fewer
+    simulator.draw_images(True)
     return simulator
 
 

@@ -70,6 +70,10 @@ class RoadSimulator(Simulator):
         """Draw only some rows of the images of the runs to come; see `Simulator.draw_rows`."""
         self.scene.draw_rows(top, bottom)
 
+    def draw_images(self, wanted: bool) -> None:
+        """Leave out images; see `Simulator.draw_images`."""
+        self.scene.drawing = wanted
+
     def still(self) -> NDArray[np.uint8]:
         """Take an image without noise and latency; see `Simulator.still`."""
         return self.scene.still(self.vehicle.state())

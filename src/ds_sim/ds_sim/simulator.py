@@ -348,6 +348,14 @@ class Simulator(ABC):
         """
         return
 
+    def draw_images(self, wanted: bool) -> None:
+        """Allow it to leave out the images from the next one exposed on, or no longer; they are zero, or drawn too.
+
+        Every image that is drawn holds the same bits as without this call. A camera with latency delivers what it
+        exposed so many frames before.
+        """
+        return
+
     def still(self) -> NDArray[np.uint8]:
         """Take an image of the present state, without sensor noise and latency; the run is not affected.
 

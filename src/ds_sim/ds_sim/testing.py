@@ -357,9 +357,14 @@ def _image_shows_the_scene(simulator: Simulator) -> None:
 
 
 def _drawn_rows_are_the_same(simulator: Simulator) -> None:
-    def images() -> NDArray[np.uint8]:
-        driver = reference_driver(simulator.spec.autopilot)
+    pilot = reference_driver(simulator.spec.autopilot)
+
+    def images(driver: Driver = pilot) -> NDArray[np.uint8]:
         return np.stack([o.image for o in drive(simulator, WINDING, driver, steps=15)])
+
+    def few(seen: Observation) -> Command:
+        simulator.draw_images((seen.step + 1) % 4 == 0)
+        return pilot(seen)
 
     whole = images()
     for top, bottom in ((simulator.spec.crop_top, IMAGE_HEIGHT - simulator.spec.crop_bottom), (61, 62)):
@@ -376,6 +381,10 @@ def _drawn_rows_are_the_same(simulator: Simulator) -> None:
         )
     simulator.draw_rows(0, IMAGE_HEIGHT)
     _expect(np.array_equal(images(), whole), f"draw_rows(0, {IMAGE_HEIGHT}) does not bring all rows back")
+    some, drawn = images(few), slice(4 + simulator.spec.camera.latency, None, 4)
+    simulator.draw_images(True)
+    _expect(np.array_equal(some[drawn], whole[drawn]), "images differ where others are left out by draw_images(False)")
+    _expect(np.array_equal(images(), whole), "draw_images(True) does not bring all images back")
 
 
 def _stills_change_nothing(simulator: Simulator) -> None:

@@ -60,7 +60,8 @@ def check_command(
     bare = file.suffix.lower() in KINDS
     forms = forms_of(file) if bare else []
     # Refuses what cannot be used before anything is driven.
-    pilot = load(file, forms) if bare else load_pilot(driver_named(network))
+    loaded = load(file, forms) if bare else None
+    pilot = loaded or load_pilot(driver_named(network))
     make_folder(out)
     recordings = record(names, seed, ScreenProgress(), whole=pilot.has_memory)
     pace = pace_of(pilot, recordings[0].frames[0])
@@ -72,13 +73,13 @@ def check_command(
     if bare:
         network = str(file.with_suffix(".yaml"))
         say(f"choosing a description for {file}")
-        text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None, search=search)
+        text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None, search=search, loaded=loaded)
         if Path(network).exists():
             raise InputError(f"{network} exists meanwhile: move it away, and check {file} again")
         write_whole(Path(network), text)
         say(f"wrote {network}: its comments say what was chosen, and why")
     say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
-    found = check_network(driver_named(network), recordings, seed, search=search)
+    found = check_network(driver_named(network), recordings, seed, search=search, loaded=loaded)
     picture = out / "check.png"
     write_whole(picture, png(draw_check(found, recordings)))
 

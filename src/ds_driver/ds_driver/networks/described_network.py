@@ -48,6 +48,7 @@ class DescribedNetworkPilot(Pilot):
         self.description = described or read_description(path)
         self.sees_crop_only = self.description.input.crop == "simulator"
         self.has_memory = self.description.has_memory
+        self._known: dict[tuple[str, int], tuple[Frame, list[NDArray[np.float32]]]] = {}
         file = file_of(path, self.description)
         # The address space does not reflect the memory used on a GPU.
         self._bounded = nullcontext if device == "cuda" else partial(limited_memory, NETWORK_MEMORY)
@@ -81,7 +82,10 @@ class DescribedNetworkPilot(Pilot):
         self.start()
 
     def described_as(self, description: DescribedNetwork) -> DescribedNetworkPilot:
-        """Return a pilot with the same loaded network, of the same input shape, and another description."""
+        """Return a pilot with the same loaded network, of the same input shape, and another description.
+
+        It also knows the answers of `outputs_once`.
+        """
         other = copy.copy(self)
         other.description = description
         return other
@@ -126,6 +130,16 @@ class DescribedNetworkPilot(Pilot):
         inputs = self._memory.inputs(self.pixels(frame), self._place, frame.speed)
         with self._bounded():
             return self._runner.compute(*inputs)
+
+    def outputs_once(self, frame: Frame) -> list[NDArray[np.float32]]:
+        """Compute all outputs for a frame, or return those that the network, without memory, gave to its pixels before.
+
+        Frames are told apart by identity, so that they are kept.
+        """
+        key = self.description.input.model_dump_json(), id(frame)
+        if key not in self._known:
+            self._known[key] = frame, self.outputs(frame)
+        return self._known[key][1]
 
     def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
         """Return what the network sees of a frame, before pixels are scaled; see `Pilot.seen`."""

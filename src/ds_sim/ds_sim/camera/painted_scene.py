@@ -70,7 +70,7 @@ class PaintedScene(Scene):
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Deliver the next camera image; see `Scene.image`."""
         view = self._loaded()
-        return view.sensor.deliver(view.scene(state))
+        return view.sensor.deliver(view.scene(state) if self.drawing else None)
 
     def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Take one image from any pose; see `Scene.still`."""

@@ -15,7 +15,7 @@ from ds_road import Road
 from ds_sim.camera.lens import Vector, optical_axes
 from ds_sim.camera.look import Colour
 from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
-from ds_sim.camera.sensor import Sensor
+from ds_sim.camera.sensor import Sensor, blank
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene
@@ -84,8 +84,10 @@ class RenderedScene(Scene):
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
         """Deliver the next camera image, (rows, columns, 3) uint8 RGB, read-only."""
-        image = self._seen(state, self._run_rows)
-        return image if self._view.sensor is None else self._view.sensor.deliver(image)
+        image = self._seen(state, self._run_rows) if self.drawing else None
+        if self._view.sensor is not None:
+            return self._view.sensor.deliver(image)
+        return blank(self._spec) if image is None else image
 
     def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Take one image from any pose; see `Scene.still`. `rng` is used by conditions alone."""

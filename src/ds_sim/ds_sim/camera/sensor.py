@@ -46,12 +46,21 @@ class Sensor:
             self._noise = (signed.clip(0, 255).astype(np.uint8), (-signed).clip(0, 255).astype(np.uint8))
         self._delayed: list[NDArray[np.uint8]] = []
 
-    def deliver(self, scene: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def deliver(self, scene: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
         """Expose one image and return the one that arrives now, `latency` frames late (at first the very first one).
 
         Args:
-            scene: (rows, columns, 3) uint8 RGB, of which `scene_rows` are read.
+            scene: (rows, columns, 3) uint8 RGB, of which `scene_rows` are read; None for a blank image.
         """
+        # A random window of one precomputed noise plate is much cheaper than new noise for each image.
+        row, column = (0, 0) if self._noise is None else self._rng.integers(0, _NOISE_MARGIN, 2).tolist()
+        self._delayed.append(blank(self._spec) if scene is None else self._exposed(scene, row, column))
+        if len(self._delayed) > self._spec.latency + 1:
+            self._delayed.pop(0)
+        return self._delayed[0]
+
+    def _exposed(self, scene: NDArray[np.uint8], row: int, column: int) -> NDArray[np.uint8]:
+        """Expose one image, with the window of the noise plate that begins at a row and a column."""
         spec = self._spec
         delivered = np.empty(scene.shape, np.uint8)
         delivered[: self._rows.start] = delivered[self._rows.stop :] = 0
@@ -63,18 +72,18 @@ class Sensor:
         if not self._is_linear:
             seen = cv2.LUT(seen, self._response, image)
         if self._noise is not None:
-            # A random window of one precomputed noise plate is much cheaper than new noise for each image.
-            row, column = self._rng.integers(0, _NOISE_MARGIN, 2).tolist()
             rows = slice(self._rows.start + row, self._rows.stop + row)
             more, less = (plate[rows, column : column + spec.width] for plate in self._noise)
             seen = cv2.subtract(cv2.add(seen, more, image), less, image)
         if seen is not image:
             image[:] = seen
         delivered.setflags(write=False)
-        self._delayed.append(delivered)
-        if len(self._delayed) > spec.latency + 1:
-            self._delayed.pop(0)
-        return self._delayed[0]
+        return delivered
+
+
+def blank(spec: CameraSpec) -> NDArray[np.uint8]:
+    """An image that nobody looks at, of zeros, read-only."""
+    return np.broadcast_to(np.zeros(1, np.uint8), (spec.height_px, spec.width, 3))
 
 
 def scene_rows(spec: CameraSpec, rows: tuple[int, int]) -> tuple[int, int]:

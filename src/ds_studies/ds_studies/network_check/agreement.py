@@ -116,7 +116,7 @@ def readings(
     refuses its input or answers NaN.
     """
     try:
-        rows = [pilot.outputs(frame) for one in recordings for frame in one.frames]
+        rows = [pilot.outputs_once(frame) for one in recordings for frame in one.frames]
     except DriverError:
         return
     stacked = [np.stack([row[k].reshape(-1) for row in rows]) for k in range(len(rows[0]))]

@@ -147,6 +147,7 @@ def describe(
     ask: Ask | None,
     *,
     search: bool = True,
+    loaded: DescribedNetworkPilot | None = None,
 ) -> str:
     """Choose what a file does not say, and return its description with comments that say why.
 
@@ -156,11 +157,12 @@ def describe(
         recordings: drives of the autopilot, by which is chosen.
         ask: asks about what they do not decide; None takes the convention of the file's maker, or the commonest.
         search: whether other descriptions are tried than that.
+        loaded: the network, if `load` has returned it already.
 
     Raises:
         DriverError: the network takes none of the inputs.
     """
-    pilot = load(file, forms)
+    pilot = loaded or load(file, forms)
     remembers, comments = pilot.has_memory, {}
     maker = "Donkey Car" if any(map(DONKEY_CAR.search, (*pilot.input_names, *pilot.output_names))) else ""
     # A network with memory is asked about whole drives: few, one part of its input after the other, no combinations.

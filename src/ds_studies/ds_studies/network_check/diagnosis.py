@@ -158,7 +158,12 @@ class NetworkCheck:
 
 
 def check_network(
-    driver: DriverName, recordings: Sequence[Recording], seed: int, *, search: bool = True
+    driver: DriverName,
+    recordings: Sequence[Recording],
+    seed: int,
+    *,
+    search: bool = True,
+    loaded: DescribedNetworkPilot | None = None,
 ) -> NetworkCheck:
     """Ask a network about recorded images, and diagnose how it is connected.
 
@@ -167,11 +172,14 @@ def check_network(
         recordings: of all simulators.
         seed: of the road on which its throttle is tried, if it has one.
         search: whether other descriptions and its throttle are tried, which takes many more images.
+        loaded: the same network file, asked about these images before, so that it is not asked again.
 
     Raises:
         ds_driver.networks.pilot.DriverError: it cannot be loaded, or gives no valid answer.
     """
     pilot = load_pilot(driver)
+    if loaded is not None and isinstance(pilot, DescribedNetworkPilot):
+        pilot = loaded.described_as(pilot.description)
     steering, throttle, milliseconds = ask_open_loop(pilot, recordings)
     described = pilot.description if isinstance(pilot, DescribedNetworkPilot) else None
     best, answers = described, np.concatenate(list(steering.values()))

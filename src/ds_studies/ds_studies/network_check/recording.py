@@ -7,12 +7,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_analysis.common.statistics import Indices
 from ds_base.errors import InputError
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
@@ -24,7 +23,9 @@ from ds_sim.registry import simulator_of_process
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, SimulatorError
-from ds_studies.sensitivity.measurement import candidate_roads
+
+if TYPE_CHECKING:
+    from ds_analysis.common.statistics import Indices
 
 ROADS = 2
 """Short roads, each driven in both directions, which balances left and right; chosen: four drives take each simulator
@@ -121,7 +122,7 @@ def affordable(
 
 class _Job(NamedTuple):
     simulator: str
-    scenario: Scenario
+    scenarios: Sequence[Scenario]
     kept: slice
 
 
@@ -135,32 +136,24 @@ def record(
     Raises:
         SimulatorError: a drive ended in an error.
     """
+    from ds_studies.sensitivity.measurement import candidate_roads  # its libraries take a worker longer than a drive
+
     roads = [one for one in candidate_roads(ROADS, seed) if one.road.reversed().validity.valid][:ROADS]
     kept = WHOLE if whole else slice(None, None, EVERY)
-    jobs = [
-        _Job(name, replace(one, road=way.in_lane(lane)), kept)
-        for name in simulators
-        for one in roads
-        for way in (one.road, one.road.reversed())
-    ]
-    drives: dict[str, list[Recording]] = {}
-    progress.start(len(jobs))
-    for one in map_in_processes(_record, jobs, abandon=True):
-        drives.setdefault(one.simulator, []).append(one)
+    scenarios = [replace(one, road=way.in_lane(lane)) for one in roads for way in (one.road, one.road.reversed())]
+    found = []
+    progress.start(len(simulators))
+    # A simulator in one process, as starting it takes longer than a drive.
+    for one in map_in_processes(_record, [_Job(name, scenarios, kept) for name in simulators], abandon=True):
+        found.append(one)
         progress.advance(line=f"the autopilot drove on {one.simulator}")
-    return [
-        Recording(
-            simulator=name,
-            frames=tuple(frame for one in parts for frame in one.frames),
-            steering=np.concatenate([one.steering for one in parts]),
-            throttle=np.concatenate([one.throttle for one in parts]),
-        )
-        for name, parts in drives.items()
-    ]
+    return found
 
 
 def _record(job: _Job) -> Recording:
-    kept = _drive(job, lambda _: None)[job.kept]
+    kept = [
+        one for scenario in job.scenarios for one in _drive(job.simulator, scenario, job.kept, lambda _: None)[job.kept]
+    ]
     steering, throttle = np.array([(command.steering, command.throttle) for _, command in kept]).T
     return Recording(
         simulator=job.simulator, frames=tuple(frame for frame, _ in kept), steering=steering, throttle=throttle
@@ -169,23 +162,33 @@ def _record(job: _Job) -> Recording:
 
 def speeds_of_throttle(pilot: Pilot, simulator: str, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
-    job = _Job(simulator, candidate_roads(1, seed)[0], slice(None))
+    from ds_studies.sensitivity.measurement import candidate_roads
+
     pilot.start()
-    return np.array([frame.speed for frame, _ in _drive(job, lambda frame: pilot.predict(frame).throttle)])
+    driven = _drive(simulator, candidate_roads(1, seed)[0], slice(None), lambda frame: pilot.predict(frame).throttle)
+    return np.array([frame.speed for frame, _ in driven])
 
 
-def _drive(job: _Job, throttle: Callable[[Frame], float | None]) -> list[tuple[Frame, Command]]:
-    """Let the autopilot drive, with another throttle where there is one; return frames and the autopilot's commands."""
-    simulator = simulator_of_process(job.simulator)
+def _drive(
+    name: str, scenario: Scenario, kept: slice, throttle: Callable[[Frame], float | None]
+) -> list[tuple[Frame, Command]]:
+    """Let the autopilot drive, with another throttle where there is one; return frames and the autopilot's commands.
+
+    Images are drawn in the `kept` frames.
+    """
+    simulator = simulator_of_process(name)
     spec, session = simulator.spec, Session(simulator)
     autopilot = make_driver(AUTOPILOT, spec)
     driven = []
-    seen = session.start(job.scenario)
+    exposed = {max(step - spec.camera.latency, 0) for step in range(LONGEST)[kept]}
+    simulator.draw_images(0 in exposed)
+    seen = session.start(scenario)
     while seen is not None and session.driving and seen.step < LONGEST:
         frame = replace(Frame.of(seen, spec), image=seen.image.copy())
         command, given = autopilot(seen), throttle(frame)
         driven.append((frame, command))
+        simulator.draw_images(seen.step + 1 in exposed)
         seen = session.advance(command if given is None else Command(command.steering, min(max(given, 0.0), 1.0)))
     if seen is None:
-        raise SimulatorError(f"{job.simulator}: {session.run.message if session.run else 'no run'}")
+        raise SimulatorError(f"{name}: {session.run.message if session.run else 'no run'}")
     return driven
