@@ -182,3 +182,33 @@ def replace_with_no_file(path: Path, rng: Rng) -> None:
     """Replace a file with what is none: an entry of `NO_FILE`."""
     path.unlink()
     list(NO_FILE.values())[int(rng.integers(len(NO_FILE)))](path)
+
+
+def damaged_parquet(path: Path, rng: Rng) -> None:
+    """Damage a Parquet file: mostly columns of other types and unusual values, else its bytes."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if rng.random() < 0.4:
+        damaged_file(path, rng)
+        return
+    table = pq.read_table(path)
+    for _ in range(int(rng.integers(1, 3))):
+        at = int(rng.integers(table.num_columns))
+        name = table.column_names[at]
+        found = STRANGE[int(rng.integers(len(STRANGE)))]
+        values: list[Any] = [None, *table[name].to_pylist()[1:]] if rng.random() < 0.2 else [found] * len(table)
+        try:
+            column = pa.array(values, table.schema.field(name).type if rng.random() < 0.5 else None)
+        except (pa.ArrowException, OverflowError, ValueError, TypeError):
+            continue  # Arrow refuses this value
+        table = table.drop_columns([name]) if rng.random() < 0.1 else table.set_column(at, name, column)
+        if not table.num_columns:
+            break
+    content = pa.BufferOutputStream()
+    try:
+        pq.write_table(table, content)
+    except pa.ArrowException:
+        damaged_file(path, rng)  # Parquet refuses this table
+    else:
+        path.write_bytes(content.getvalue().to_pybytes())

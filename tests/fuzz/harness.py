@@ -45,6 +45,8 @@ class Kind:
         damage: changes the copy at a path in place, by the generator alone.
         read: reads a path as the command line would; may write only below the folder of the path.
         errors: errors that the reader documents.
+        sized: writes an undamaged input of so many units; None if its size has no such measure.
+        units: units that take the reader some hundredths of a second.
     """
 
     name: str
@@ -52,6 +54,8 @@ class Kind:
     damage: Callable[[Path, np.random.Generator], None]
     read: Callable[[Path], object]
     errors: tuple[type[Exception], ...]
+    sized: Callable[[Path, int], Path] | None = None
+    units: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,15 @@ from typing import Any
 
 import numpy as np
 from tests.campaign.damaged_stores import lax_tables
-from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_json, replace_with_no_file
+from tests.fuzz.damage import (
+    STRANGE,
+    Rng,
+    damaged_bytes,
+    damaged_file,
+    damaged_json,
+    damaged_parquet,
+    replace_with_no_file,
+)
 from tests.fuzz.harness import Kind
 
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
@@ -245,34 +253,7 @@ def _write_data(folder: Path) -> Path:
 
 
 def _damage_data(folder: Path, rng: Rng) -> None:
-    """Damage a data set: mostly columns of other types and unusual values, else its bytes."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    path = next(folder.glob("*/*.parquet"))
-    if rng.random() < 0.4:
-        damaged_file(path, rng)
-        return
-    table = pq.read_table(path)
-    for _ in range(int(rng.integers(1, 3))):
-        at = int(rng.integers(table.num_columns))
-        name = table.column_names[at]
-        found = STRANGE[int(rng.integers(len(STRANGE)))]
-        values: list[Any] = [None, *table[name].to_pylist()[1:]] if rng.random() < 0.2 else [found] * len(table)
-        try:
-            column = pa.array(values, table.schema.field(name).type if rng.random() < 0.5 else None)
-        except (pa.ArrowException, OverflowError, ValueError, TypeError):
-            continue  # Arrow refuses this value
-        table = table.drop_columns([name]) if rng.random() < 0.1 else table.set_column(at, name, column)
-        if not table.num_columns:
-            break
-    content = pa.BufferOutputStream()
-    try:
-        pq.write_table(table, content)
-    except pa.ArrowException:
-        damaged_file(path, rng)  # Parquet refuses this table
-    else:
-        path.write_bytes(content.getvalue().to_pybytes())
+    damaged_parquet(next(folder.glob("*/*.parquet")), rng)
 
 
 KINDS = [
@@ -282,6 +263,12 @@ KINDS = [
     Kind("weights", _write_weights, _damage_weights, lambda path: load_weights(str(path)), (WeightsError,)),
     Kind("network-description", _write_network, _damage_of("network.yaml"), _read_network, (DriverError,)),
     Kind("network-onnx", _write_network, _damage_of("network.onnx"), _read_network, (DriverError,)),
-    Kind("data-set", _write_data, _damage_data, read_samples, (DatasetError,)),
+    Kind(
+        "data-set",
+        _write_data,
+        lambda folder, rng: damaged_parquet(next(folder.glob("*/*.parquet")), rng),
+        read_samples,
+        (DatasetError,),
+    ),
     Kind("twin-parameters", _text("car.yaml", _CAR), damaged_file, read_parameters, (ParameterFileError,)),
 ]

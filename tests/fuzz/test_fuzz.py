@@ -8,6 +8,7 @@ DS_FUZZ=1 DS_FUZZ_FIRST=SEED pytest tests/fuzz -k KIND
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import replace
 from importlib import import_module
 from itertools import product
@@ -42,6 +43,22 @@ def test_every_damaged_input_is_accepted_or_refused_in_one_line(
     defects = [f"seed {finding.seed}: {finding.defect}" for finding in findings if finding.defect]
     assert not defects, f"{len(defects)} of {COUNT}:\n" + "\n".join(defects[:20])
     assert COUNT < 50 or any(finding.refused for finding in findings), "the damage damaged nothing"
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.sized], ids=lambda kind: kind.name)
+def test_ten_times_the_input_takes_less_than_twenty_times_as_long(kind: Kind, tmp_path: Path) -> None:
+    assert kind.sized is not None
+    took = []
+    for units in (kind.units, 10 * kind.units):
+        (tmp_path / str(units)).mkdir()
+        path = kind.sized(tmp_path / str(units), units)
+        times = []
+        for _ in range(3):  # the first loads libraries, too
+            begun = time.process_time()
+            kind.read(path)
+            times.append(time.process_time() - begun)
+        took.append(min(times))
+    assert took[1] < 20 * max(took[0], 0.005), f"{took[0]:.3f} s for {kind.units} units, {took[1]:.3f} s for tenfold"
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)

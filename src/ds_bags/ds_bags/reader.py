@@ -34,17 +34,13 @@ from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import received_simulator
-from ds_sim.scenario import Scenario
+from ds_sim.scenario import MAX_SEED, Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
 
 STATE, DRIVE = "ds_interfaces/msg/VehicleState", "ds_interfaces/msg/DriveCommand"
 ROAD = "ds_interfaces/msg/Road"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
-MAX_SEED = 2**63 - 1
-"""Largest seed that a bag may have: the limit of a campaign's configuration and store."""
-
-
 _STORAGE = (".mcap", ".db3")
 
 

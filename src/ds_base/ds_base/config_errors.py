@@ -70,7 +70,7 @@ def _problem(error: Mapping[str, Any], model: type[BaseModel]) -> str:
     where = f"{'.'.join(_one_line(str(part)) for part in place)}: " if place else ""
     if error["type"] == "extra_forbidden":
         for part in place[:-1]:
-            model = _model_of(model, str(part))
+            model = _model_of(model, str(part)) if part in model.model_fields else model  # or of a list or mapping
         return f"{where}there is no such key (keys: {', '.join(model.model_fields)})"
     expected = _EXPECTED.get(error["type"])
     if expected is None:

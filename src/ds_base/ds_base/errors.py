@@ -6,9 +6,17 @@
 
 from __future__ import annotations
 
+LONGEST = 1900
+"""Characters of a message; chosen: a screen."""
+
 
 class DsError(Exception):
-    """Base of everything that a user can cause; its message is one line."""
+    """Base of everything that a user can cause; its message is one line, whatever it quotes."""
+
+    def __str__(self) -> str:
+        """The message on one line of at most `LONGEST` characters."""
+        text = "".join(c if c.isprintable() else " " for c in super().__str__())
+        return text if len(text) <= LONGEST else f"{text[:LONGEST]}..."
 
 
 class InputError(DsError, ValueError):

@@ -73,7 +73,7 @@ class Result:
 
 def say(line: str) -> None:
     """Print a line of progress."""
-    print(line, file=sys.stderr, flush=True)
+    print(line.encode("utf-8", "backslashreplace").decode(), file=sys.stderr, flush=True)  # names need be no text
 
 
 def say_next(command: str) -> None:

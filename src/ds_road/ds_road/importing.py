@@ -153,8 +153,8 @@ def _lines(
 def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None, scale: float) -> list[CentreLine]:
     try:
         content = read_regular(path, LARGEST_FILE)
-    except FileError as error:
-        raise RoadError(str(error)) from None
+    except (FileError, OSError) as error:
+        raise RoadError(getattr(error, "strerror", None) or str(error)) from None
     beginning = content.lstrip(b"\xef\xbb\xbf \t\r\n")
     if beginning[:1] in (b"{", b"["):
         return _read_sbft(content, path.stem, left_out)

@@ -44,6 +44,7 @@ BINS, MOST_BINS, MOST_REPEATS = 10, 200, 2**31
 """Bins of an axis whose width nobody gave, and of any axis; number of a repetition."""
 LONG = ("test_id", "repeat", "simulator", "failed", "margin", "limit", "family")
 """Columns of the file, then the features."""
+_TEXTS = ("test_id", "simulator", "family")
 CONDITIONS = {f"condition_{name}": name for name in FIELDS}
 """Column of a condition in SI units -> its name."""
 
@@ -371,7 +372,7 @@ def write_rows(path: Path, study: Study) -> None:
     if path.suffix not in (".csv", ".parquet"):
         raise OutcomeTableError(f"{path}: expected a name that ends in .csv or .parquet")
     if path.suffix == ".csv":
-        rows = study.rows.assign(**{n: study.rows[n].map(plain_cell) for n in ("test_id", "simulator", "family")})
+        rows = study.rows.assign(**{n: study.rows[n].map(plain_cell) for n in _TEXTS})
         write_whole(path, rows.to_csv(index=False))
         return
     with whole_file(path) as partial:
@@ -413,12 +414,16 @@ def read_study(folder: Path) -> Study:
         whole = [*LONG, *study.features, *study.conditions] == list(frame.columns) and set(study.axes) <= set(
             study.features
         )
+        kinds = [(frame[one], pd.api.types.is_string_dtype) for one in _TEXTS]
+        kinds += [(frame[one], pd.api.types.is_numeric_dtype) for one in {*frame.columns} - {*_TEXTS}]
+        if not all(is_kind(column) for column, is_kind in kinds):
+            raise damaged
         numbers = frame[["margin", "limit", *study.features]].to_numpy(np.float64)
         features = numbers[:, 2:]
         if not (whole and len(frame) and np.isfinite(features).all() and not np.isinf(numbers).any()):
             raise damaged
         wrong = (numbers[:, 0] < 0.0) | (numbers[:, 1] <= 0.0) | (frame["repeat"] < 0).to_numpy()
-        wrong |= frame[["test_id", "simulator", "family"]].isna().any(axis=1).to_numpy()
+        wrong |= frame[[*_TEXTS]].isna().any(axis=1).to_numpy()
         if wrong.any():
             row = row_of(frame, int(np.flatnonzero(wrong)[0]), str(path))
             raise OutcomeTableError(f"{row}: an id is missing, or margin or repeat below 0, or limit not above 0")

@@ -17,7 +17,7 @@ from ds_base.errors import InputError
 from ds_road import Road, RoadError
 from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
 from ds_sim.ros.conversions import conditions_from_messages, refusal_result, road_from_message
-from ds_sim.scenario import Scenario
+from ds_sim.scenario import Scenario, ScenarioError
 from ds_sim.simulator import Reason, SimulatorSpec
 
 
@@ -77,7 +77,10 @@ class LoadedRoad:
             raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
         except NotApplicableError as error:
             raise RequestRefused(Reason.NOT_APPLICABLE, str(error)) from None
-        self.scenario = Scenario(road, conditions, seed=request.seed)
+        try:
+            self.scenario = Scenario(road, conditions, seed=request.seed)
+        except ScenarioError as error:
+            raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
         return road
 
 

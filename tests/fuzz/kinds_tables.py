@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kinds of received files: outcomes of tests and what is made of them, roads of other tools, and files of a car."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_parquet
+from tests.fuzz.harness import Kind
+
+from ds_analysis.common.outcome_table import SIBLINGS, OutcomeTableError, table_of_comparison
+from ds_analysis.outcomes.columns import Columns, read_columns
+from ds_analysis.outcomes.guess import guess_columns
+from ds_analysis.outcomes.sbft import read_competition
+from ds_analysis.outcomes.study import import_outcomes, read_study, write_study
+from ds_analysis.real.proposal import PROPOSAL, read_proposed
+from ds_analysis.real.records import FOLDER, RecordError, read_csv
+from ds_base.folder_files import StoreError
+from ds_base.table import Table, TableError, keep_tables, read_tables, styled
+from ds_orchestrator.engines.cluster import ClusterError, read_cluster
+from ds_road import Road, RoadError
+from ds_road.export import write_all
+from ds_road.files import write_roads
+from ds_road.importing import import_roads
+from ds_sim.conditions.model import ConditionsError
+from ds_studies.sensitivity.ranges import RESULT, read_ranges
+from ds_twin_donkey.car_files import read_start
+from ds_twin_donkey.logs import LogError, read_log
+from ds_twin_donkey.parameter_file import ParameterFileError
+
+_COLUMNS = """\
+test: [road, seed]
+simulators: {a: {failed: oob_a}, b: {margin: {column: xte, limit: {b: 2.5}}}}
+where: [{column: road, is_not: ""}]
+map: {turns: 2.0, length: 10}
+twin: b
+"""
+_MYCONFIG = "WHEEL_BASE = 0.17\nMAX_STEERING_ANGLE = math.radians(25)\nPWM = {'STEERING_LEFT_PWM': 460}\n"
+_CLUSTER = "scheduler: tcp://127.0.0.1:8786\nlisten: 127.0.0.1\nunencrypted: true\n"
+
+
+def outcomes(n: int) -> str:
+    """CSV of the outcomes of n tests on two simulators."""
+    rows = [f"{k},{s},{(k + (s == 'b')) % 3 == 0},{k % 5 / 7},{k % 41},{k * k % 97}" for k in range(n) for s in "ab"]
+    return "\n".join(["test_id,simulator,failed,xte,turns,length", *rows]) + "\n"
+
+
+def _study(folder: Path, n: int) -> Path:
+    path = _as(outcomes, "outcomes.csv")(folder, n)
+    write_study(folder / "study", import_outcomes([path], Columns()))
+    return folder / "study"
+
+
+def _parquet(folder: Path, n: int) -> Path:
+    return _study(folder, n).rename(folder / "made") / "outcomes.parquet"
+
+
+def _packed(folder: Path, n: int) -> Path:
+    (folder / "outcomes.csv.gz").write_bytes(gzip.compress(outcomes(n).encode()))
+    return folder / "outcomes.csv.gz"
+
+
+def _sbft(folder: Path, n: int) -> Path:
+    (folder / "sbft").mkdir()
+    for k in range(n):
+        points = [[float(x), float(x * x % (7 + k))] for x in range(0, 60, 4)]
+        text = json.dumps({"test_outcome": ("PASS", "FAIL")[k % 2], "is_valid": True, "road_points": points})
+        (folder / "sbft" / f"{k}.json").write_text(text)
+    return folder / "sbft"
+
+
+def _road(n: int) -> Road:
+    return Road.from_road_points([(100.0 + x, 100.0 + np.sin(x / 20)) for x in np.linspace(0, 60, n)])
+
+
+def _exported(form: Any) -> Callable[[Path, int], Path]:
+    return lambda folder, n: write_all([_road(n)], ["road"], folder, form)[0]
+
+
+def _track(n: int) -> str:
+    return "# x_m,y_m\n" + "".join(f"{100 + k / n * 60},{100 + np.sin(k / n * 3)}\n" for k in range(n))
+
+
+def _urdf(n: int) -> str:
+    names = [f"link{k}" for k in range(n)] + ["front_left_wheel", "back_left_wheel"]
+    links = "".join(f'<link name="{name}"/>' for name in names)
+    joints = "".join(
+        f'<joint name="j{k}" type="fixed"><parent link="{names[min(k, n - 1)]}"/><child link="{child}"/>'
+        f'<origin xyz="{0.3 * (k == n - 1)} 0.1 0" rpy="0 0 0"/></joint>'
+        for k, child in enumerate(names[1:])
+    )
+    return f'<robot name="car">{links}{joints}</robot>'
+
+
+def _log(n: int) -> str:
+    rows = [f"{0.05 * k:.2f},{0.1 * np.sin(k / 9):.3f},0.3,{0.1 * k:.2f},0,0,2,0\n" for k in range(n)]
+    return "time_s,steering,throttle,x_m,y_m,yaw_rad,speed_mps,yaw_rate_radps\n" + "".join(rows)
+
+
+def _drives(n: int) -> str:
+    rows = [f"t{k},{('completed', 'failed')[k % 2]},me,2026-01-02,{(k % 2) * 0.2:.1f}\n" for k in range(n)]
+    return "test_id,outcome,who,when,max_lateral_position\n" + "".join(rows)
+
+
+def _proposed(folder: Path) -> Path:
+    (folder / FOLDER).mkdir()
+    (folder / FOLDER / PROPOSAL).write_text(
+        json.dumps({"scale": 16.0, "population": ["a", "b"], "rounds": [[{"test_id": "a"}], [{"test_id": "b"}]]})
+    )
+    return folder
+
+
+def _tables(folder: Path) -> Path:
+    rows = [(f"t{k}", k, (0.1, 0.5), None) for k in range(4)]
+    columns = [*styled("text", "name"), *styled("number", "a", "b", "c")]
+    keep_tables([Table(name="one", title="One", columns=columns, rows=rows)], folder / "tables.json")
+    return folder / "tables.json"
+
+
+def _comparison(folder: Path) -> Path:
+    write_roads([_road(20 + k) for k in range(2)], folder / "roads.json")
+    from ds_road import read_roads
+
+    found = [
+        {"road_id": road.road_id, "failed": {"a": True, "b": False}, "max_lateral_position": {"a": 2.1, "b": 0.3}}
+        for road in read_roads(folder / "roads.json")
+    ]
+    (folder / SIBLINGS).write_text(json.dumps({"simulators": {"a": {}, "b": {}}, "outcomes": found}))
+    return folder
+
+
+def _ranges(folder: Path) -> Path:
+    row: dict[str, object] = {
+        "condition": "visibility",
+        "end": 5.0,
+        "verdict": "fails",
+        "share_of_range": 0.4,
+        "start": 1e3,
+        "first_fails": 40.0,
+    }
+    (folder / RESULT).write_text(json.dumps({"thresholds": [row, row], "seed": 1}))
+    return folder
+
+
+def _as(text: Callable[[int], str], name: str) -> Callable[[Path, int], Path]:
+    def write(folder: Path, n: int) -> Path:
+        (folder / name).write_text(text(n))
+        return folder / name
+
+    return write
+
+
+def _fixed(text: str, name: str) -> Callable[[Path], Path]:
+    return lambda folder: _as(lambda n: text, name)(folder, 0)
+
+
+def _damage_cells(path: Path, rng: Rng) -> None:
+    """Damage a file of lines of values: mostly one to three values."""
+    if rng.random() < 0.3:
+        damaged_file(path, rng)
+        return
+    rows = [line.split(",") for line in path.read_text().split("\n")]
+    for _ in range(int(rng.integers(1, 4))):
+        row = rows[int(rng.integers(len(rows)))]
+        row[int(rng.integers(len(row)))] = str(STRANGE[int(rng.integers(len(STRANGE)))])
+    path.write_bytes("\n".join(map(",".join, rows)).encode("utf-8", "surrogatepass"))
+
+
+def _damage_packed(path: Path, rng: Rng) -> None:
+    inside = gzip.decompress(path.read_bytes())
+    packed = gzip.compress(damaged_bytes(inside, rng))
+    path.write_bytes(packed if rng.random() < 0.5 else damaged_bytes(packed, rng))
+
+
+def _damage_study(folder: Path, rng: Rng) -> None:
+    damaged_parquet(folder / "outcomes.parquet", rng)
+
+
+def _import(path: Path) -> object:
+    guess = guess_columns(path)
+    columns = Columns() if guess is None else Columns.model_validate(guess.columns)
+    return import_outcomes([path], columns).table()
+
+
+def _read_drives(path: Path) -> object:
+    return read_csv(path, {f"t{k}": 2.0 for k in range(10_000)}, scale=16.0)
+
+
+_OUTCOMES = (OutcomeTableError,)
+_START = (ParameterFileError,)
+
+
+def _sized(
+    name: str,
+    write: Callable[[Path, int], Path],
+    n: int,
+    damage: Callable[[Path, Rng], None],
+    read: Callable[[Path], object],
+    errors: tuple[type[Exception], ...],
+) -> Kind:
+    return Kind(name, lambda folder: write(folder, 12), damage, read, errors, sized=write, units=n)
+
+
+KINDS = [
+    _sized("outcomes-csv", _as(outcomes, "t.csv"), 2000, _damage_cells, _import, _OUTCOMES),
+    _sized("outcomes-gz", _packed, 2000, _damage_packed, _import, _OUTCOMES),
+    _sized("outcomes-parquet", _parquet, 2000, damaged_parquet, _import, _OUTCOMES),
+    _sized("study", _study, 1000, _damage_study, lambda path: read_study(path).table(), _OUTCOMES),
+    _sized("sbft-folder", _sbft, 100, damaged_one_of, lambda path: read_competition([path]), _OUTCOMES),
+    _sized("track", _as(_track, "track.csv"), 10_000, _damage_cells, import_roads, (RoadError,)),
+    _sized("opendrive", _exported("opendrive"), 90, damaged_file, import_roads, (RoadError,)),
+    _sized("commonroad", _exported("commonroad"), 90, damaged_file, import_roads, (RoadError,)),
+    _sized("car-urdf", _as(_urdf, "car.urdf"), 400, damaged_file, read_start, _START),
+    _sized("log-table", _as(_log, "log.csv"), 3000, _damage_cells, read_log, (LogError,)),
+    _sized("real-drives", _as(_drives, "drives.csv"), 900, _damage_cells, _read_drives, (RecordError,)),
+    Kind("columns", _fixed(_COLUMNS, "columns.yaml"), damaged_file, read_columns, _OUTCOMES),
+    Kind("car-myconfig", _fixed(_MYCONFIG, "myconfig.py"), damaged_file, read_start, _START),
+    Kind("cluster", _fixed(_CLUSTER, "cluster.yaml"), damaged_file, read_cluster, (ClusterError,)),
+    Kind("proposed", _proposed, damaged_one_of, read_proposed, (RecordError, ValueError)),
+    Kind("tables", _tables, damaged_file, read_tables, (TableError,)),
+    Kind("comparison", _comparison, damaged_one_of, table_of_comparison, (*_OUTCOMES, StoreError)),
+    Kind("ranges", _ranges, damaged_one_of, read_ranges, (ConditionsError,)),
+]
