@@ -322,7 +322,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
             "condition 'rain': did you mean visibility (20 m or more) or friction",
             ("sensitivity", "--sims", "donkey", "--conditions", "rain,visibility"),
         ),
-        ("--levels 5 is not possible: expected 4, 8, 16", ("sensitivity", "--sims", "donkey", "--levels", "5")),
+        ("--levels 5 is not possible: expected 2, 4, 8, 16", ("sensitivity", "--sims", "donkey", "--levels", "5")),
         ("expected two or three different features", ("maps", "out", "--axes", "curvature,curvature")),
         ("unknown feature 'length'", ("maps", "out", "--axes", "length,curvature")),
         ("no test in", ("maps", campaign, "--axes", "curvature,visible_contrast")),

@@ -18,6 +18,7 @@ from setup_tool.stamps import Stamps, digest
 
 COMPILED_FROM_SOURCE = "pybullet"
 """Has wheels up to Python 3.11 only; a separate step, because compiling it takes minutes."""
+COMPILED_SINCE = (3, 12)
 EXTRAS = {"dev": "tools of the tests", "docs": "tools of the documentation"}
 """Requirements that only some commands need -> their description for the user."""
 _WHERE = """
@@ -102,8 +103,11 @@ class Setup:
             raise SetupError(f"set-up files of ROS do not work in paths with spaces: move {self.root} to another path")
         self._provide_system_packages()
         (self.workspace / "install/setup.bash").unlink(missing_ok=True)  # `./ds` takes it for all of set-up
-        for step in self._steps()[:2]:
-            self._do(step)
+        assert self._python is not None
+        first = ["environment", "project"] + ["compiled"] * (self._python.version < COMPILED_SINCE)
+        for step in self._steps():
+            if step.name in first:
+                self._do(step)
         workspace.write_environment(self.environment, self.workspace, self.root / "src", None)
 
     def finish(self) -> None:
@@ -112,7 +116,7 @@ class Setup:
         Raises:
             SetupError: a step cannot continue; the text says what to do.
         """
-        for step in self._steps()[2:]:
+        for step in self._steps():
             self._do(step)
         workspace.write_environment(
             self.environment, self.workspace, self.root / "src", self._ros_variables(workspace.BASE)

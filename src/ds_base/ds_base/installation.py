@@ -23,7 +23,8 @@ def share_folders(package: str) -> list[Path]:
         package: name of a package without Python modules, such as `ds_interfaces`.
     """
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
-    return [prefix / "share" / package for prefix in [*prefixes, Path(__file__).parent]]
+    shares = [prefix / "share" / package for prefix in [*prefixes, Path(__file__).parent]]
+    return [*shares, Path(__file__).parents[2] / package]  # a checkout whose workspace is not built yet
 
 
 ROS_MODULES = ("rclpy", "ds_interfaces")

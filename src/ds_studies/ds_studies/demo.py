@@ -6,7 +6,9 @@ Every constant but `MOST_SEARCHED` was chosen before a result was seen. A stoppe
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -36,27 +38,21 @@ from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity
 from ds_studies.sensitivity.ranges import ranges_of
 
 DRIVER = DriverName("dave2")
-SIMULATORS, SIBLINGS, TWIN = ("bullet", "softbody", "panda"), ("bullet", "panda"), "donkey"
-"""Siblings whose sensitivity is measured; those that search; the twin."""
+TWIN = "donkey"
+SIBLINGS, SIBLINGS_WITHOUT_BULLET = ("bullet", "softbody"), ("softbody", "panda")
+"""The fastest two; what drives while PyBullet is not there yet, or at all."""
 ROAD_SEED, MAX_ANGLE = 3, 200
 """Of the one road; chosen: that of the README's picture."""
-FOG = (160.0, 80.0, 40.0, 20.0)
-"""Visibilities that are tried one after the other, m; chosen: from haze to the densest fog that conditions know."""
-FACTORS = (
-    "line_contrast",
-    "line_cover",
-    "illuminance",
-    "veiling_luminance",
-    "visibility",
-    "lens_dirt",
-    "steering_lag",
-    "command_delay",
-)
-"""What might break it; chosen: worn and covered lines, night, glare, fog, dirt, and a slow car."""
-ROADS, STEPS, SEED = 1, 4, 1
-"""Of the sensitivity: short roads, levels of strength, seed."""
-SEARCH = {"population": 3, "iterations": 4, "runs": 1, "min_angle": 150}
-"""Of the campaign, with mostly winding roads; chosen: 14 tests, 42 drives, in two to three minutes on two cores."""
+FOG = (80.0, 40.0, 20.0)
+"""Visibilities that are tried one after the other, m; chosen: from fog to the densest that conditions know."""
+FACTORS = ("line_cover", "illuminance", "veiling_luminance", "visibility", "command_delay")
+"""What might break it; chosen: one each of worn lines, night, glare, fog, and a slow car."""
+ROADS, SEED = 1, 1
+"""Of the sensitivity: short roads, and seed."""
+LEVELS, FEWER_LEVELS, SLOW = 4, 2, 100.0
+"""Levels of strength, and how many on a processor that drives fewer frames a second than this in fog on the twin."""
+SEARCH = {"population": 3, "iterations": 2, "runs": 1, "min_angle": 150}
+"""Of the campaign, with mostly winding roads; chosen: 10 tests, 30 drives."""
 MOST_SEARCHED = 1
 """Conditions that it varies; chosen: with the two most sensitive ones at once 18 of 20 tests failed."""
 
@@ -68,7 +64,8 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
         folder: receives `fog.json` and the video `fog.mp4`; if they are there already, nothing is driven.
 
     Returns:
-        Content of the file: `completes_clear`, and `leaves_at`, the visibility in m, or None.
+        Content of the file: `completes_clear`; `leaves_at`, the visibility in m, or None; `levels`, of strength, as
+        many as suit this processor; `siblings` that can drive here.
     """
     result = folder / "fog.json"
     if result.is_file() and (folder / "fog.mp4").is_file():
@@ -80,10 +77,13 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
     def drive(conditions: Conditions) -> RunRecord:
         return drive_road(simulator, driver, road, ROAD_SEED, conditions)
 
+    seconds, frames = 0.0, 0
     try:
-        clear = run = drive(DEFAULT)
+        clear = run = drive(DEFAULT)  # not timed: the first drive compiles the car
         for visibility in FOG if clear.outcome is Outcome.COMPLETED else ():
+            begin = time.process_time()
             run = drive(Conditions(visibility=visibility))
+            seconds, frames = seconds + time.process_time() - begin, frames + run.steps
             if run.outcome.is_failure:
                 break
     finally:
@@ -96,6 +96,8 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
         "completes_clear": clear.outcome is Outcome.COMPLETED,
         "leaves_at": run.conditions.visibility if left else None,
         "tried": list(FOG),
+        "levels": FEWER_LEVELS if frames < SLOW * seconds else LEVELS,
+        "siblings": SIBLINGS if find_spec("pybullet") else SIBLINGS_WITHOUT_BULLET,
     }
     films = [("clear", clear), (f"fog: {run.conditions.visibility:g} m", run)]
     write_together(folder / "fog.mp4", [(title, one, resimulate(TWIN, one)) for title, one in films])
@@ -113,15 +115,26 @@ def fog_in_words(found: dict[str, Any]) -> str:
     return f"{who} completes in clear weather; leaves the lane at a visibility of {found['leaves_at']:g} m."
 
 
-def measure_sensitivity(folder: Path, workers: int, *, progress: Progress, watch: Watch) -> Sensitivity:
-    """Find what breaks the network on the siblings and the twin; `watch` is called after each measurement."""
+def measure_sensitivity(
+    fog: dict[str, Any], folder: Path, workers: int, *, progress: Progress, watch: Watch
+) -> Sensitivity:
+    """Find what breaks the network on the siblings and the twin; `watch` is called after each measurement.
+
+    Args:
+        fog: of `drive_into_fog`, which says how much this machine can do.
+        folder: receives the drives.
+        workers: processes per simulator.
+        progress: counts the measurements.
+        watch: called with what is known.
+    """
     make_folder(folder)
-    settings = DriveSettings(siblings=SIMULATORS, twin=TWIN, driver=DRIVER, engine="local", workers=workers)
+    siblings = tuple(fog["siblings"])
+    settings = DriveSettings(siblings=siblings, twin=TWIN, driver=DRIVER, engine="local", workers=workers)
     return analyse_sensitivity(
         settings,
         factors_named(FACTORS),
         roads=ROADS,
-        levels=STEPS,
+        levels=fog["levels"],
         seed=SEED,
         folder=folder / "drives",
         progress=progress,
@@ -143,11 +156,11 @@ def searched_in_words(ranges: Ranges) -> str:
     return ", ".join(in_words(name, low, high) for name, (low, high) in ranges.items())
 
 
-def campaign_config(ranges: Ranges) -> CampaignConfig:
-    """Campaign of the demo."""
+def campaign_config(ranges: Ranges, siblings: Sequence[str]) -> CampaignConfig:
+    """Campaign of the demo, which searches on the siblings."""
     conditions = {name: {"low": low, "high": high} for name, (low, high) in ranges.items()}
     search = {**SEARCH, "conditions": conditions}
-    return parse_config({"siblings": list(SIBLINGS), "twin": TWIN, "driver": DRIVER, "search": search}, "the demo")
+    return parse_config({"siblings": list(siblings), "twin": TWIN, "driver": DRIVER, "search": search}, "the demo")
 
 
 def _road() -> Road:

@@ -15,8 +15,8 @@ from ds_sim.conditions.text import check_known
 LEVELS = 16
 """Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6 % of the
 range."""
-RESOLUTIONS = (4, 8, 16)
-"""Numbers of levels that may be driven: every fourth, every second, or each of `LEVELS`."""
+RESOLUTIONS = (2, 4, 8, 16)
+"""Numbers of levels that may be driven: every eighth, every fourth, every second, or each of `LEVELS`."""
 VEHICLE_CONDITIONS = COMMAND_CONDITIONS | {"friction", "payload"}
 """Conditions that change how a vehicle moves; the others change what its camera sees, and nothing else."""
 

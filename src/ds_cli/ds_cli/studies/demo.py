@@ -40,14 +40,16 @@ def demo_command(
     say("1 of 4: one road, in clear air and in fog")
     fog = demo.drive_into_fog(out)
     say(f"   {demo.fog_in_words(fog)}\n   video: {out / 'fog.mp4'}")
+    if fog["levels"] < demo.LEVELS:
+        say(f"   this processor is slow: {fog['levels']} levels of strength instead of {demo.LEVELS}")
     place = out / "sensitivity"
     page = SensitivityPage(place / "sensitivity.html")
     say(f"2 of 4: what else breaks it? Open {page.path} in a browser: it fills while you watch")
     with stopped_in(place):
-        found = demo.measure_sensitivity(place, workers, progress=ScreenProgress(), watch=page.write)
+        found = demo.measure_sensitivity(fog, place, workers, progress=ScreenProgress(), watch=page.write)
     ranges = demo.searched(found)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
-    result = campaign(with_engine(demo.campaign_config(ranges), workers, engine), out)
+    result = campaign(with_engine(demo.campaign_config(ranges, fog["siblings"]), workers, engine), out)
     result.document["fog"], result.document["searched"] = fog, ranges
 
     answer = result.show
@@ -55,7 +57,6 @@ def demo_command(
     def show() -> None:
         answer()
         print(f"4 of 4: open {out / 'report.html'}, which begins with the answer")
-        mine = ds_command("check", "my_net.onnx"), ds_command("test", "my_net.yaml")
-        print(f"   with your own network: {mine[0]}, then {mine[1]}")
+        print(f"   with your own network: {ds_command('check', 'my_net.onnx')}")
 
     end(replace(result, show=show), as_json)
