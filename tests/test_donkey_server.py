@@ -30,7 +30,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ds_base.progress import LOGGER
+from ds_base.progress import LOGGER, lines_to
 from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
 from ds_sim import Command, make_simulator
@@ -92,21 +92,10 @@ def pixels(message: dict[str, Any]) -> np.ndarray:
     return cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
-class _Lines(logging.Handler):
-    def __init__(self) -> None:
-        super().__init__()
-        self.messages: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.messages.append(record.getMessage())
-
-
 @contextmanager
 def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[int, list[str]]]:
     """A server in a thread: its port, and the lines that it reports."""
-    lines = _Lines()
-    logging.getLogger(LOGGER).addHandler(lines)
-    logging.getLogger(LOGGER).setLevel(logging.INFO)
+    lines: list[str] = []
     ready = threading.Event()
     found: list[Any] = []
 
@@ -125,9 +114,9 @@ def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[
     thread.start()
     try:
         assert ready.wait(60)
-        yield found[2], lines.messages
+        with lines_to(lines.append):
+            yield found[2], lines
     finally:
-        logging.getLogger(LOGGER).removeHandler(lines)
         found[0].call_soon_threadsafe(found[1].cancel)
         thread.join(30)
         assert not thread.is_alive()

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 import signal
 import subprocess
 import time
@@ -17,7 +16,7 @@ import numpy as np
 import pytest
 from tests.engines.dask_processes import DaskProcesses, wait_until
 
-from ds_base.progress import LOGGER
+from ds_base.progress import lines_to
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT
@@ -56,15 +55,8 @@ def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str =
         command_timeout=20.0,
         cluster=ClusterOptions(scheduler=cluster.address),
     )
-    handler, logger = logging.Handler(), logging.getLogger(LOGGER)
-    handler.emit = lambda record: lines.append(record.getMessage())  # type: ignore[method-assign]
-    logger.addHandler(handler)
-    logger.setLevel(logging.INFO)
-    try:
-        with running_dask(settings, folder=folder) as engine:
-            yield engine
-    finally:
-        logger.removeHandler(handler)
+    with lines_to(lines.append), running_dask(settings, folder=folder) as engine:
+        yield engine
 
 
 def expected(folder: Path, count: int) -> list[bytes]:

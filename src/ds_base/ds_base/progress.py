@@ -10,6 +10,8 @@ Lines go to the logger `digital_siblings` of the standard library, which shows n
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Protocol
 
 LOGGER = "digital_siblings"
@@ -19,6 +21,32 @@ LOGGER = "digital_siblings"
 def logger_of(module: str) -> logging.Logger:
     """The logger of a module, given its `__name__`."""
     return logging.getLogger(f"{LOGGER}.{module}")
+
+
+class LinesTo(logging.Handler):
+    """Hands the lines of loggers to a function."""
+
+    def __init__(self, receive: Callable[[str], object]) -> None:
+        super().__init__()
+        self._receive = receive
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Hand a line on."""
+        self._receive(record.getMessage())
+
+
+@contextmanager
+def lines_to(receive: Callable[[str], object]) -> Iterator[None]:
+    """Hand the lines of the product's loggers to a function while the context lasts."""
+    handler, logger = LinesTo(receive), logging.getLogger(LOGGER)
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
 
 
 class Progress(Protocol):

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ds_base.installation import as_typed
-from ds_base.progress import LOGGER
+from ds_base.progress import LOGGER, LinesTo
 from ds_base.words import duration
 
 if TYPE_CHECKING:
@@ -140,20 +140,12 @@ class ScreenProgress:
         say(f"{share} {line}{left}")
 
 
-class ScreenLines(logging.Handler):
-    """Prints the lines of the product's loggers."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Print a line."""
-        say(record.getMessage())
-
-
 def show_lines() -> None:
     """Print lines of the product's loggers on standard error from now on."""
     logger = logging.getLogger(LOGGER)
     logger.setLevel(logging.INFO)
     if not logger.handlers:
-        logger.addHandler(ScreenLines())
+        logger.addHandler(LinesTo(say))
 
 
 def number(value: float | None) -> str:

@@ -17,6 +17,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ds_road.geometry import apart
 from ds_road.road import MAX_POINTS, MIN_SPACING, Road, RoadError, Side
 
 VERSION = "2020a"
@@ -104,9 +105,8 @@ def read_commonroad(root: Element) -> Road:
     left, right = (np.vstack([getattr(lanelet, side) for lanelet in chain]) for side in ("left", "right"))
     widths = np.hypot(*(left - right).T)
     lane: Side = "left" if chain[0].oncoming_right and not chain[0].oncoming_left else "right"
-    return Road.from_road_points(
-        without_repeats(left if lane == "right" else right), lane_width=constant_width(widths), lane=lane
-    )
+    points = apart(left if lane == "right" else right, math.sqrt(2.0) * MIN_SPACING)
+    return Road.from_road_points(points, lane_width=constant_width(widths), lane=lane)
 
 
 def constant_width(widths: NDArray[np.float64]) -> float:
@@ -119,15 +119,6 @@ def constant_width(widths: NDArray[np.float64]) -> float:
         low, high = (widths.min(), widths.max()) if len(widths) else (math.nan, math.nan)
         raise RoadError(f"the lane is {low:.2f} to {high:.2f} m wide: expected widths within {WIDTH_SPREAD:g} m")
     return round(float(np.median(widths)), 6)
-
-
-def without_repeats(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points without those that are too near to the one before, as at joints."""
-    kept = [points[0]]
-    for point in points[1:]:
-        if np.abs(point - kept[-1]).max() >= MIN_SPACING:
-            kept.append(point)
-    return np.array(kept)
 
 
 def _lanelet(

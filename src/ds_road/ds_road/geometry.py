@@ -87,6 +87,15 @@ def arc_lengths(line: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))))
 
 
+def apart(line: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+    """Points of a line without those that are not farther than `spacing`, m, from the one before, as at joints."""
+    kept = [line[0]]
+    for point in line[1:]:
+        if np.hypot(*(point - kept[-1])) > spacing:
+            kept.append(point)
+    return np.array(kept)
+
+
 def lane_curvature(lane_centre: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed curvature of a lane, averaged over a window of `LANE_WINDOW` around each place, 1/m, right positive.
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ds_base.left_out import LeftOut
 from ds_road.centre_lines import CentreLine
 from ds_road.commonroad import constant_width
+from ds_road.geometry import apart
 from ds_road.road import MAX_POINTS, RoadError, Side
 
 SPACING = 1.25
@@ -85,7 +86,8 @@ def _road(element: Element, name: str) -> CentreLine:
             f"the inner border of its driven lane moves by {np.ptp(inner):.2f} m: expected a constant offset"
         )
     sign = -1.0 if (side == "right") is not against else 1.0
-    points = _without_joints(line + (sign * inner)[:, None] * left)
+    # Joints come twice, or with a gap that is allowed.
+    points = apart(line + (sign * inner)[:, None] * left, JOINT)
     own = _user_data(element, LANE_CODE)
     if own is not None and (of_export := own.get("value")) in ("middle", "single"):
         return CentreLine(name, points, width * (1.0 + (of_export == "single")), cast(Side, of_export))
@@ -111,15 +113,6 @@ def _borders(lanes: Sequence[Element], along: NDArray[np.float64]) -> tuple[NDAr
         else:
             outer = inner + _polynomial(_entries(lane, "width"), "sOffset", along, math.nan)
     return inner, outer
-
-
-def _without_joints(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points without those that are too near to the one before: joints come twice, or with a gap that is allowed."""
-    kept = [points[0]]
-    for point in points[1:]:
-        if np.hypot(*(point - kept[-1])) > JOINT:
-            kept.append(point)
-    return np.array(kept)
 
 
 def _reference_line(

@@ -187,14 +187,14 @@ def is_empty(column: pd.Series[Any]) -> Bools:
 
 def texts_of(frame: pd.DataFrame, names: str | list[str], source: str) -> list[str]:
     """Return a column as text, or several, joined by hyphens; "" where one of them is empty."""
-    for name in listed(names):
+    for name in as_list(names):
         column_of(frame, name, source)
-    empty = np.any([is_empty(frame[name]) for name in listed(names)], axis=0)
-    parts = [[text_of(one) for one in frame[name].tolist()] for name in listed(names)]
+    empty = np.any([is_empty(frame[name]) for name in as_list(names)], axis=0)
+    parts = [[text_of(one) for one in frame[name].tolist()] for name in as_list(names)]
     return ["" if no else "-".join(one) for no, one in zip(empty, zip(*parts, strict=True), strict=True)]
 
 
-def listed(names: str | list[str]) -> list[str]:
+def as_list(names: str | list[str]) -> list[str]:
     """Return one name, or several, as a list."""
     return [names] if isinstance(names, str) else names
 

@@ -20,9 +20,9 @@ from ds_analysis.outcomes.columns import (
     Margin,
     Rule,
     Verdict,
+    as_list,
     column_of,
     is_empty,
-    listed,
     numbers_of,
     place_of,
     row_of,
@@ -156,14 +156,14 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
     if folders:
         columns = columns.model_copy(update={"repeat": columns.repeat or "repeat"})
     frame = read_competition(folders, notes.rows) if folders else read_frame(tables[0])
-    tests = listed(columns.test)
+    tests = as_list(columns.test)
     for path in (path for path in tables[1:] if path not in folders):
         frame = _joined(frame, path, tests, source)
     columns = columns.filled(list(frame.columns))
     frame = frame[np.all([np.ones(len(frame), bool), *(one.holds(frame, source)[0] for one in columns.where)], axis=0)]
     if not len(frame):
         raise OutcomeTableError(f"{source} has no rows{' where they have to be' if columns.where else ''}")
-    used = {*tests, *listed(columns.simulator)}
+    used = {*tests, *as_list(columns.simulator)}
     parts, outcomes = _outcomes(frame, columns, source, notes)
     rows = pd.concat(parts, ignore_index=True)
     test_of = pd.Series(texts_of(frame, tests, source))
@@ -297,7 +297,7 @@ def _outcomes(
         of_repeat = f"{columns.repeat} is no whole number from 0 to {MOST_REPEATS}"
         unread |= dict.fromkeys(np.flatnonzero(~counts).tolist(), of_repeat)
         for texts, named in ((simulators, columns.simulator), (tests, columns.test)):
-            unread |= {row: f"{', '.join(listed(named))} is empty" for row, text in enumerate(texts) if not text}
+            unread |= {row: f"{', '.join(as_list(named))} is empty" for row, text in enumerate(texts) if not text}
         notes.rows.total += len(frame)
         for row in sorted(unread):
             of = f" on {simulators[row]}" if columns.simulators is not None else ""

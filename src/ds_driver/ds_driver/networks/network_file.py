@@ -6,6 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.words import listed
 from ds_driver.networks.backends import (
     BackendError,
     Runner,
@@ -50,8 +51,7 @@ def backends_for(file: Path, backend: str = "auto") -> tuple[str, ...]:
         # ONNX Runtime knows every operator of ONNX, OpenVINO most of them.
         return tuple(dict.fromkeys((default_backend(), "onnx"))) if kind == "onnx" else possible[:1]
     if backend not in possible:
-        expected = ", ".join(possible[:-1]) + f" or {possible[-1]}"
-        raise BackendError(f"backend {backend} cannot run {file.name}: expected {expected}")
+        raise BackendError(f"backend {backend} cannot run {file.name}: expected {listed(possible, 'or')}")
     return (backend,)
 
 

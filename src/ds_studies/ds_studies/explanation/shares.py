@@ -16,6 +16,7 @@ from itertools import chain, combinations
 from typing import Any
 
 from ds_base.table import Column, Table, styled
+from ds_base.words import listed
 from ds_orchestrator.store.model import Execution
 from ds_sim.registry import label_of
 
@@ -143,21 +144,16 @@ class Explanation:
         words = {part: f"the {part} ({share:.2f})" for part, share in shares.items()}
         partly = [words[part] for part in shares if part not in named and shares[part] > INNOCENT]
         innocent = [part for part in shares if part not in named and abs(shares[part]) <= INNOCENT]
-        because = _joined([words[part] for part in named], "and")
-        because += f", partly {_joined(partly, 'and')}" if partly else ""
-        because += f", not the {_joined(innocent, 'or')}" if innocent else ""
+        because = listed([words[part] for part in named])
+        because += f", partly {listed(partly)}" if partly else ""
+        because += f", not the {listed(innocent, 'or')}" if innocent else ""
         cures = [
             f"default {CONDITIONS}" if part == CONDITIONS else f"the {part} of {self.against}"
             for part in filter(self.cures, shares)
         ]
         cured = (
-            f"With {_joined(cures, 'or')} alone it completes there."
+            f"With {listed(cures, 'or')} alone it completes there."
             if cures
             else (f"No single part of {self.against} makes it complete there.")
         )
         return f"{self.test_id} fails on {self.fails} because of {because}. {cured}"
-
-
-def _joined(words: Sequence[str], last: str) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    return f" {last} ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
 from ds_base.extension import confirm
+from ds_base.progress import lines_to
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.graph.signals import IgnoreSignals, listen
 from ds_sim.ros.neighbours import Presence
@@ -78,7 +79,7 @@ class OrchestratorNode(Node):
 
     def _do(self, job: Job) -> None:
         try:
-            with job.listener.hearing():
+            with lines_to(job.listener.hear):
                 job.work(job, self._trusted)
         except (Stopped, KeyboardInterrupt):
             if job.stop.is_on:

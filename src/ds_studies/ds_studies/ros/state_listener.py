@@ -3,14 +3,11 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from queue import SimpleQueue
 
 from ds_interfaces.msg import CampaignState, TestOutcome
 
-from ds_base.progress import LOGGER
 from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
@@ -51,24 +48,10 @@ class StateListener(TimedListener):
             self._state.errors += execution is None
         self.outcomes.put(outcome_message(test.test_id, simulator, execution))
 
-    @contextmanager
-    def hearing(self) -> Iterator[None]:
-        """Make the last line of the product's loggers the state's message."""
-        handler = logging.Handler(logging.INFO)
-        handler.emit = self._heard  # type: ignore[method-assign]
-        logger = logging.getLogger(LOGGER)
-        level = logger.level
-        logger.addHandler(handler)
-        logger.setLevel(logging.INFO)
-        try:
-            yield
-        finally:
-            logger.removeHandler(handler)
-            logger.setLevel(level)
-
-    def _heard(self, record: logging.LogRecord) -> None:
+    def hear(self, line: str) -> None:
+        """Make a line of the product's loggers the state's message."""
         with self._lock:
-            self._state.message = record.getMessage()
+            self._state.message = line
 
     def end(self, state: int, message: str) -> None:
         """Set how the goal ended."""
