@@ -353,6 +353,7 @@ def test_the_command_serves_until_stopped_and_refuses_a_port_in_use(tmp_path: Pa
     server.send_signal(signal.SIGTERM)
     _, log = server.communicate(timeout=30)
     assert server.returncode == 143 and log.splitlines() == [
+        "next: ds drive --sim softbody --driver autopilot",
         "client 1: connected",
         "client 1: disconnected: the server stops",
         "stopped",
