@@ -40,10 +40,17 @@ SIBLINGS, TWIN = ("bullet", "softbody"), "donkey"
 SEARCHES = {14: (3, 4), 24: (4, 8), 40: (8, 12), 120: (12, 48)}
 """Tests -> random roads and mutants of the search on each of two siblings; 24 and 120 are the sizes of `ds test`."""
 CONDITIONS = {
-    "visibility": (20.0, 1000.0), "line_contrast": (0.1, 1.0), "line_cover": (0.0, 0.6),
-    "illuminance": (10.0, 10_000.0), "veiling_luminance": (0.0, 3000.0), "lens_dirt": (0.0, 0.5),
-    "sensor_noise": (0.0, 40.0), "steering_lag": (0.0, 0.6), "command_delay": (0.0, 0.6), "friction": (0.2, 1.0),
-}  # fmt: skip
+    "visibility": (20.0, 1000.0),
+    "line_contrast": (0.1, 1.0),
+    "line_cover": (0.0, 0.6),
+    "illuminance": (10.0, 10_000.0),
+    "veiling_luminance": (0.0, 3000.0),
+    "lens_dirt": (0.0, 0.5),
+    "sensor_noise": (0.0, 40.0),
+    "steering_lag": (0.0, 0.6),
+    "command_delay": (0.0, 0.6),
+    "friction": (0.2, 1.0),
+}
 AXES = (2, 3, 12)
 """Axes that are searched: curvature and turns, with no, one or ten conditions."""
 BANK = 40
@@ -299,10 +306,17 @@ def merged_maps(size: int, noise: Effect, number: int = CAMPAIGNS) -> list[Value
 def _execution(test: Test, name: str, failed: bool, rng: np.random.Generator) -> Execution:
     lateral = float(rng.uniform(2.0, 3.0) if failed else rng.uniform(0.2, 2.0))
     return Execution(
-        test_id=test.test_id, simulator=name, outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
-        message="", fitness=2.0 - lateral, max_lateral_position=lateral, steps=1, simulated_seconds=0.05,
-        trajectory_sha256="", drive=NO_DRIVE,
-    )  # fmt: skip
+        test_id=test.test_id,
+        simulator=name,
+        outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
+        message="",
+        fitness=2.0 - lateral,
+        max_lateral_position=lateral,
+        steps=1,
+        simulated_seconds=0.05,
+        trajectory_sha256="",
+        drive=NO_DRIVE,
+    )
 
 
 def rows_of_claims() -> Iterator[Sequence[Value]]:
@@ -326,10 +340,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of claims.csv")
     columns = [
-        Column("claim"), Column("situation"), Column("tests", "count"), Column("axes", "count"),
-        Column("campaigns", "count"), Column("stated", "number"),
-        Column("covered, harder side", "number"), Column("covered, other side", "number"),
-    ]  # fmt: skip
+        Column("claim"),
+        Column("situation"),
+        Column("tests", "count"),
+        Column("axes", "count"),
+        Column("campaigns", "count"),
+        Column("stated", "number"),
+        Column("covered, harder side", "number"),
+        Column("covered, other side", "number"),
+    ]
     rows, out = [], parser.parse_args().out
     for row in rows_of_claims():
         print(*("" if value is None else value for value in row), sep=", ", flush=True)

@@ -221,10 +221,16 @@ def row(pair: Pair, found: Explanation) -> dict[str, object]:
     """Describe one pair."""
     planted = pair.experiment.planted
     return {
-        "test": found.test_id, "base": pair.experiment.base, "plant": pair.plant, "strength": pair.strength,
-        "planted": planted, "repeats": found.repeats, "largest": next(iter(found.shares), ""), "shares": found.shares,
+        "test": found.test_id,
+        "base": pair.experiment.base,
+        "plant": pair.plant,
+        "strength": pair.strength,
+        "planted": planted,
+        "repeats": found.repeats,
+        "largest": next(iter(found.shares), ""),
+        "shares": found.shares,
         "recovered": next(iter(found.shares), "") == planted,
-    }  # fmt: skip
+    }
 
 
 def main() -> None:

@@ -67,9 +67,12 @@ class Block(nn.Module):
     def __init__(self, a: int, b: int) -> None:
         super().__init__()
         self.way = nn.Sequential(
-            nn.Conv2d(a, b, 3, 2, 1, bias=False), nn.BatchNorm2d(b), nn.ReLU(),
-            nn.Conv2d(b, b, 3, 1, 1, bias=False), nn.BatchNorm2d(b),
-        )  # fmt: skip
+            nn.Conv2d(a, b, 3, 2, 1, bias=False),
+            nn.BatchNorm2d(b),
+            nn.ReLU(),
+            nn.Conv2d(b, b, 3, 1, 1, bias=False),
+            nn.BatchNorm2d(b),
+        )
         self.shortcut = nn.Sequential(nn.Conv2d(a, b, 1, 2, bias=False), nn.BatchNorm2d(b))
 
     def forward(self, x: Tensor) -> Tensor:

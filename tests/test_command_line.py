@@ -73,24 +73,36 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
             failed = number in (1, 2) and simulator != "softbody"
             store.add_execution(
                 Execution(
-                    test_id=test.test_id, simulator=simulator, message="", fitness=-0.1 if failed else 0.5,
-                    outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED, max_lateral_position=1.0 + number,
-                    steps=0, simulated_seconds=0.0, trajectory_sha256=digest,
+                    test_id=test.test_id,
+                    simulator=simulator,
+                    message="",
+                    fitness=-0.1 if failed else 0.5,
+                    outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
+                    max_lateral_position=1.0 + number,
+                    steps=0,
+                    simulated_seconds=0.0,
+                    trajectory_sha256=digest,
                     drive=NO_DRIVE,
                 )
-            )  # fmt: skip
+            )
     store.close()
     return folder
 
 
 @pytest.mark.parametrize("arguments", [(), ("-h",), ("--help",), ("--version",), ("completion", "zsh"), ("help",)])
 def test_help_version_and_completion_need_the_standard_library_alone(arguments: tuple[str, ...]) -> None:
-    command = [sys.executable, "-I", "-S", "-c", f"""
+    command = [
+        sys.executable,
+        "-I",
+        "-S",
+        "-c",
+        f"""
 import sys
 sys.path.insert(0, {str(REPOSITORY / "src/ds_cli")!r})
 sys.argv = {["ds", *arguments]!r}
 from ds_cli.main import main
-main()"""]  # fmt: skip
+main()""",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == (0 if arguments else 2) and done.stderr == "" and done.stdout
     if arguments == ("--version",):

@@ -71,9 +71,14 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
 
 def campaign(folder: Path, *, driver: str = "autopilot", **changed: Any) -> Path:
     raw = {
-        "siblings": ["bullet", "softbody"], "twin": "donkey", "driver": driver, "record": "none", "seed": 3,
-        "search": {"population": 2, "iterations": 2, "runs": 1}, **changed,
-    }  # fmt: skip
+        "siblings": ["bullet", "softbody"],
+        "twin": "donkey",
+        "driver": driver,
+        "record": "none",
+        "seed": 3,
+        "search": {"population": 2, "iterations": 2, "runs": 1},
+        **changed,
+    }
     config = parse_config(raw, "here")
     folder.mkdir()
     with locked(folder):
@@ -365,18 +370,23 @@ def test_the_template_names_every_key_and_is_what_was_asked_for(
 def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: Path, engine: list[OfDriver]) -> None:
     """From the simulator's own world to where the median simulator fails; each end of a signed condition counts."""
     levels: dict[str, list[int | None]] = {
-        "visibility": [2, 4, 8], "camera_yaw": [6, None, 8], "lens_dirt": [8, 12, None],
-        "illuminance": [10, None, None], "shadow_depth": [1, 1, 1],
-    }  # fmt: skip
+        "visibility": [2, 4, 8],
+        "camera_yaw": [6, None, 8],
+        "lens_dirt": [8, 12, None],
+        "illuminance": [10, None, None],
+        "shadow_depth": [1, 1, 1],
+    }
     factors = factors_named(list(levels))
     thresholds = {
         (number, name): Threshold(
-            simulator=name, factor=factor, verdict="fails" if level else "completes",
+            simulator=name,
+            factor=factor,
+            verdict="fails" if level else "completes",
             roads=[RoadResult(completes=(level or 17) - 1, fails=level)],
         )
         for number, factor in enumerate(factors)
         for name, level in zip("abc", levels[factor.name], strict=True)
-    }  # fmt: skip
+    }
     found = Sensitivity(driver=AUTOPILOT, simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
     (tmp_path / "sensitivity.json").write_text(json.dumps(found.document()))
     file = tmp_path / "campaign.yaml"
@@ -537,8 +547,10 @@ def test_several_candidates_share_the_reference_and_come_in_one_sorted_table(
     assert len(fails) == 3 and fails == sorted(fails, reverse=True)
     assert {one["candidate"]["driver"] for one in document["networks"]} == {"dave2", "chauffeur"}
     assert sorted(path.name for path in (out / "drives").iterdir() if path.is_dir()) == [
-        "candidate_chauffeur_on_tests", "candidate_dave2_on_tests", "reference_on_tests",
-    ]  # fmt: skip
+        "candidate_chauffeur_on_tests",
+        "candidate_dave2_on_tests",
+        "reference_on_tests",
+    ]
     assert (out / "networks.csv").is_file() and (out / "chauffeur" / "comparison.html").is_file()
     refused = ds(*two, "--out", out, "--sort", "speed")
     assert refused.returncode == 2 and "expected one of network, fails on bullet, fails," in refused.stderr

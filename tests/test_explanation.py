@@ -54,8 +54,12 @@ def campaign(folder: Path, siblings: list[str], conditions: Conditions = DEFAULT
 def test_shapley_values_are_the_means_over_all_orders() -> None:
     rng = np.random.default_rng(4)
     value = {subset: float(rng.normal()) for subset in subsets(PARTS)}
-    added = {part: [value[frozenset(o[: o.index(part) + 1])] - value[frozenset(o[: o.index(part)])]
-                    for o in permutations(PARTS)] for part in PARTS}  # fmt: skip
+    added = {
+        part: [
+            value[frozenset(o[: o.index(part) + 1])] - value[frozenset(o[: o.index(part)])] for o in permutations(PARTS)
+        ]
+        for part in PARTS
+    }
     found = shapley(PARTS, value)
     assert found == {part: pytest.approx(np.mean(of)) for part, of in added.items()}
     assert sum(found.values()) == pytest.approx(value[frozenset(PARTS)] - value[frozenset()])

@@ -30,17 +30,21 @@ from ds_recording.track import wrap
 from ds_sim.registry import spec_of
 
 Array = NDArray[np.float64]
-PLANS = {
-    f"{simulator}-{course}-{seed}": Plan(simulator=simulator, seed=seed, course=course)
-    for simulator in ("donkey", "panda")
-    for course, seed in (("open", 11), ("open", 12), ("open", 13), ("loop", 14))
-} | {
-    f"{simulator}-blurred-16": Plan(simulator=simulator, seed=16, frames=600, fault="blurred")
-    for simulator in ("donkey", "panda")
-} | {
-    f"donkey-{fault.replace(' ', '-')}": Plan(simulator="donkey", seed=15, frames=500, fault=fault)
-    for fault in ("shuffled", "static", "no lines")
-}  # fmt: skip
+PLANS = (
+    {
+        f"{simulator}-{course}-{seed}": Plan(simulator=simulator, seed=seed, course=course)
+        for simulator in ("donkey", "panda")
+        for course, seed in (("open", 11), ("open", 12), ("open", 13), ("loop", 14))
+    }
+    | {
+        f"{simulator}-blurred-16": Plan(simulator=simulator, seed=16, frames=600, fault="blurred")
+        for simulator in ("donkey", "panda")
+    }
+    | {
+        f"donkey-{fault.replace(' ', '-')}": Plan(simulator="donkey", seed=15, frames=500, fault=fault)
+        for fault in ("shuffled", "static", "no lines")
+    }
+)
 """Recordings; no seed was used for development."""
 COLUMNS = (
     "offset bias", "offset 95 %", "heading rms", "heading bias", "speed bias", "speed rms", "gain error", "track 95 %",
@@ -100,12 +104,18 @@ def compared(found: Located, folder: Path, width: float) -> list[float]:
     gain = pair[0].gain / pair[1].gain - 1.0 if pair[0] and pair[1] else np.nan
     covered = np.abs(offset) <= 2.0 * found.column("std_lateral_m") / width
     return [
-        float(np.median(offset)), float(np.percentile(np.abs(offset), 95)), float(np.sqrt((heading**2).mean())),
-        float(np.median(heading)), float(np.median(speed)), float(np.sqrt((speed**2).mean())), gain,
+        float(np.median(offset)),
+        float(np.percentile(np.abs(offset), 95)),
+        float(np.sqrt((heading**2).mean())),
+        float(np.median(heading)),
+        float(np.median(speed)),
+        float(np.sqrt((speed**2).mean())),
+        gain,
         _track_error(found, rows, folder) / width,
         _driven(found.table[:, 2:4]) / _driven(np.column_stack((rows["x_m"], rows["y_m"]))) - 1.0,
-        len(rows) / len(truth), float(covered.mean()),
-    ]  # fmt: skip
+        len(rows) / len(truth),
+        float(covered.mean()),
+    ]
 
 
 def _driven(places: Array) -> float:

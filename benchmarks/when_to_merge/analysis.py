@@ -311,8 +311,10 @@ def try_out(seed: int, repetitions: int) -> None:
         cases = [cases_of(made_up(known, strength, rng), KEYS_A, 200) for _ in range(repetitions)]
         found, third = [contrast(of) for of in cases], [{one.decision for one in choices(of).values()} for of in cases]
         made = {what: sum(one.decision == what for one in found) for what in ("above 0", "below 0", "undecided")}
-        print(f"strength {strength}: contrast {np.mean([one.mean for one in found]):+.3f}, {made} of {repetitions}, "
-              f"third endpoint met {third.count({'above 0'})} times")  # fmt: skip
+        print(
+            f"strength {strength}: contrast {np.mean([one.mean for one in found]):+.3f}, {made} of {repetitions}, "
+            f"third endpoint met {third.count({'above 0'})} times"
+        )
     power = stats.nct.sf(stats.t.ppf(0.975, 9), 9, 10**0.5)
     print(f"power of ten networks for a contrast of 0.10 whose standard deviation over networks is 0.10: {power:.2f}")
 

@@ -50,11 +50,15 @@ def tub(tmp_path: Path) -> Path:
         cv2.imwrite(str(folder / "images" / f"{index}.png"), np.full((120, 160, 3), 50 * index, np.uint8))
     rows: list[dict[str, Any]] = [
         {
-            "_index": i, "_timestamp_ms": 1000 + 50 * i, "cam/image_array": f"{i}.png", "user/angle": 0.1 * i,
-            "user/throttle": 0.5, "user/mode": "user",
+            "_index": i,
+            "_timestamp_ms": 1000 + 50 * i,
+            "cam/image_array": f"{i}.png",
+            "user/angle": 0.1 * i,
+            "user/throttle": 0.5,
+            "user/mode": "user",
         }
         for i in range(5)
-    ]  # fmt: skip
+    ]
     rows[3] |= {"user/mode": "local", "pilot/angle": -0.7, "pilot/throttle": 0.2}
     (folder / "catalog_0.catalog").write_text("".join(json.dumps(row) + "\n" for row in rows))
     last = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": [2]})
@@ -65,8 +69,11 @@ def tub(tmp_path: Path) -> Path:
 def test_a_tub_is_read_with_its_sign_and_without_what_was_deleted(tub: Path) -> None:
     records = read_tub(tub).records
     assert [(r.index, r.steering, r.throttle) for r in records] == [
-        (0, 0.0, 0.5), (1, 0.1, 0.5), (3, -0.7, 0.2), (4, 0.4, 0.5)
-    ]  # fmt: skip
+        (0, 0.0, 0.5),
+        (1, 0.1, 0.5),
+        (3, -0.7, 0.2),
+        (4, 0.4, 0.5),
+    ]
     (tub / "manifest.json").write_text("[]")
     with pytest.raises(TubError, match="not a tub of version 2"):
         read_tub(tub)
@@ -121,9 +128,14 @@ def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
             grey = np.full((48, 64, 3), 40 * number, np.uint8)
             if request.param == "Image":
                 message = types["sensor_msgs/msg/Image"](
-                    header=header(time), height=48, width=64, encoding="bgr8", is_bigendian=0, step=192,
+                    header=header(time),
+                    height=48,
+                    width=64,
+                    encoding="bgr8",
+                    is_bigendian=0,
+                    step=192,
                     data=grey.reshape(-1),
-                )  # fmt: skip
+                )
             else:
                 data = cv2.imencode(".jpg", grey)[1].reshape(-1)
                 message = types["sensor_msgs/msg/CompressedImage"](header=header(time), format="jpeg", data=data)
@@ -190,10 +202,14 @@ def test_a_bag_without_images_says_what_to_do(bags: Path) -> None:
 @pytest.mark.parametrize(
     ("encoding", "code"),
     [
-        ("rgb8", None), ("bgr8", cv2.COLOR_RGB2BGR), ("rgba8", cv2.COLOR_RGB2RGBA), ("bgra8", cv2.COLOR_RGB2BGRA),
-        ("yuv422", cv2.COLOR_RGB2YUV_UYVY), ("yuv422_yuy2", cv2.COLOR_RGB2YUV_YUY2),
+        ("rgb8", None),
+        ("bgr8", cv2.COLOR_RGB2BGR),
+        ("rgba8", cv2.COLOR_RGB2RGBA),
+        ("bgra8", cv2.COLOR_RGB2BGRA),
+        ("yuv422", cv2.COLOR_RGB2YUV_UYVY),
+        ("yuv422_yuy2", cv2.COLOR_RGB2YUV_YUY2),
     ],
-)  # fmt: skip
+)
 def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code: int | None) -> None:
     """Rows are padded, as by some drivers; subsampled YUV is compared on an image with one colour per row."""
     picture = PICTURE if "yuv" not in encoding else np.repeat(PICTURE[:, :1], 40, axis=1)
@@ -307,8 +323,9 @@ def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_p
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain.number)}
     node = subprocess.Popen(
         [sys.executable, "-m", "ds_driver.ros.driver_node", "--ros-args", "-r", "__ns:=/ds1"],
-        env=environment, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        env=environment,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         command = [
             sys.executable, "-m", "ds_cli.main", "bag", "drive", str(bags / "raw"), "--attach",

@@ -23,8 +23,11 @@ from ds_orchestrator.graph.session import RosDomain
 DS = [sys.executable, "-m", "ds_cli.main", "bag", "replay"]
 MS = 1_000_000
 MESSAGES: list[tuple[Any, int, bytes]] = [
-    ("a", 1000 * MS, b"1"), ("b", 1000 * MS, b"2"), ("a", 1050 * MS, b"3"), ("b", 1200 * MS, b"4"),
-]  # fmt: skip
+    ("a", 1000 * MS, b"1"),
+    ("b", 1000 * MS, b"2"),
+    ("a", 1050 * MS, b"3"),
+    ("b", 1200 * MS, b"4"),
+]
 
 
 class Stage:
@@ -117,9 +120,12 @@ def listener() -> Iterator[Callable[[dict[str, Any]], tuple[dict[str, str], list
         for topic, (kind, latched) in topics.items():
             durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
             node.create_subscription(
-                kind, topic, lambda raw, t=topic: heard.append((t, raw)), QoSProfile(depth=500, durability=durability),
+                kind,
+                topic,
+                lambda raw, t=topic: heard.append((t, raw)),
+                QoSProfile(depth=500, durability=durability),
                 raw=True,
-            )  # fmt: skip
+            )
         return os.environ | {"ROS_DOMAIN_ID": str(domain.number)}, heard
 
     listen.spin = lambda: executor.spin_once(timeout_sec=0.02)  # type: ignore[attr-defined]
@@ -143,8 +149,12 @@ def test_a_subscriber_gets_every_byte_in_order_with_the_clock(bags: Path, listen
     environment, heard = listener(wanted | {"/clock": (Clock, False)})
     process = subprocess.Popen(
         [*DS, str(bags / "raw"), "--rate", "max", "--wait", "20", "--json"],
-        env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, stdin=subprocess.DEVNULL,
-    )  # fmt: skip
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        stdin=subprocess.DEVNULL,
+    )
     expected: dict[str, list[bytes]] = {}
     with BagReader(bags / "raw") as bag:
         for connection, _, raw in bag.messages():
@@ -177,9 +187,12 @@ def test_keys_of_a_terminal_pause_step_and_end(bags: Path) -> None:
     before = termios.tcgetattr(slave)
     process = subprocess.Popen(
         [*DS, str(bags / "telemetry"), "--rate", "0.01", "--wait", "0", "--json"],
-        env=os.environ | {"ROS_DOMAIN_ID": str(domain.number)}, stdin=slave, stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain.number)},
+        stdin=slave,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     assert process.stderr is not None
     said = []
     for line in process.stderr:

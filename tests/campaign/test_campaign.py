@@ -41,9 +41,14 @@ from ds_sim.simulator import Outcome
 
 DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
 CONFIG = CampaignConfig(
-    siblings=DONKEYS, twin=None, driver=AUTOPILOT, seed=7, record="none", retries=1,
+    siblings=DONKEYS,
+    twin=None,
+    driver=AUTOPILOT,
+    seed=7,
+    record="none",
+    retries=1,
     search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
-)  # fmt: skip
+)
 
 
 def run(folder: Path, engine: Engine, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:

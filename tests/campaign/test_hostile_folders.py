@@ -29,9 +29,12 @@ from ds_orchestrator.store.store import Store
 
 __all__ = ["ds"]  # a fixture
 CONFIG = CampaignConfig(
-    siblings=["bullet", "softbody"], twin="donkey", driver=AUTOPILOT, record="none",
+    siblings=["bullet", "softbody"],
+    twin="donkey",
+    driver=AUTOPILOT,
+    record="none",
     search=SearchConfig(population=2, iterations=2, runs=1),
-)  # fmt: skip
+)
 READING: dict[str, tuple[object, ...]] = {
     "status": ("campaign", "status", "DIR"),
     "roads": ("campaign", "roads", "DIR"),
@@ -167,9 +170,11 @@ def test_a_file_is_read_only_from_inside_and_bounded(tmp_path: Path) -> None:
     (folder / "linked").symlink_to(folder / "real")
     (folder / "real" / "good.json").write_text("[]")
     for name, words in (
-        ("real/large.json", "longer than 16 MiB"), ("real/zero.json", "is a link"),
-        ("real/fifo.json", "not a regular file"), ("linked/good.json", "is a link"),
-    ):  # fmt: skip
+        ("real/large.json", "longer than 16 MiB"),
+        ("real/zero.json", "is a link"),
+        ("real/fifo.json", "not a regular file"),
+        ("linked/good.json", "is a link"),
+    ):
         with pytest.raises(StoreError, match=words):
             read_file(folder, name)
     assert read_file(folder, "real/good.json") == b"[]"
@@ -264,9 +269,11 @@ def test_comparisons_that_nobody_made_are_refused(tmp_path: Path) -> None:
     write([row])
     assert len(table_of_comparison(tmp_path)) == 1
     for rows in (
-        [{**row, "max_lateral_position": {"a": 10**400}}], [{**row, "max_lateral_position": {"a": float("nan")}}],
-        [{**row, "max_lateral_position": {"a": -1.0}}], [row] * 30_000,
-    ):  # fmt: skip
+        [{**row, "max_lateral_position": {"a": 10**400}}],
+        [{**row, "max_lateral_position": {"a": float("nan")}}],
+        [{**row, "max_lateral_position": {"a": -1.0}}],
+        [row] * 30_000,
+    ):
         write(rows)
         with pytest.raises(OutcomeTableError, match="holds no comparison"):
             table_of_comparison(tmp_path)

@@ -33,9 +33,12 @@ def large_campaign(folder: Path, runs: int) -> Path:
     """Create a finished campaign whose executions are copies of a few."""
     folder.mkdir()
     config = CampaignConfig(
-        siblings=list(SIMULATORS[:2]), twin=SIMULATORS[2], driver=AUTOPILOT, record="none",
+        siblings=list(SIMULATORS[:2]),
+        twin=SIMULATORS[2],
+        driver=AUTOPILOT,
+        record="none",
         search=SearchConfig(population=BUDGET, iterations=0, runs=runs),
-    )  # fmt: skip
+    )
     make_campaign(folder, config, 1).close()
     count = f"WITH n(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM n WHERE n < {runs * BUDGET - 1}) "
     test_id = f"printf('%s-%d-%04d', sibling, n / {BUDGET}, n % {BUDGET})"

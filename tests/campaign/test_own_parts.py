@@ -28,10 +28,15 @@ OWN = "tests.campaign.own_parts"
 
 def config_of(**changes: Any) -> CampaignConfig:
     raw = {
-        "siblings": CONFIG.siblings, "twin": CONFIG.twin, "driver": "autopilot", "engine": "local", "record": "none",
+        "siblings": CONFIG.siblings,
+        "twin": CONFIG.twin,
+        "driver": "autopilot",
+        "engine": "local",
+        "record": "none",
         "search": {"population": 2, "iterations": 3, "runs": 1, "method": f"{OWN}:StraightSearch"},
-        "features": ["turns_count", f"{OWN}:EASTING:5"], "operators": {"probability": f"{OWN}:MEDIAN"},
-    }  # fmt: skip
+        "features": ["turns_count", f"{OWN}:EASTING:5"],
+        "operators": {"probability": f"{OWN}:MEDIAN"},
+    }
     return parse_config({**raw, **changes}, "mine.yaml")
 
 
@@ -89,9 +94,12 @@ def test_a_received_folder_runs_no_code_that_the_user_has_not_named(tmp_path: Pa
     script = f"import sys; from ds_cli.application import run; code = run(['campaign', 'status', {str(tmp_path)!r}])\n"
     script += f"print('imported' if {OWN!r} in sys.modules else 'not imported'); sys.exit(code)"
     done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, timeout=120,
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=120,
         env={"DS_TRUST": allowed, "PYTHONPATH": ":".join(map(str, sys.path)), "PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
+    )
     assert done.returncode == status, done.stderr
     assert ("not imported" in done.stdout) == (not allowed)
     if not allowed:

@@ -28,9 +28,14 @@ CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}
 
 def config_with(file: Path) -> CampaignConfig:
     return CampaignConfig(
-        siblings=["donkey"], twin=f"donkey@{file}", driver=AUTOPILOT, seed=7, record="telemetry", retries=0,
+        siblings=["donkey"],
+        twin=f"donkey@{file}",
+        driver=AUTOPILOT,
+        seed=7,
+        record="telemetry",
+        retries=0,
         search=SearchConfig(population=2, iterations=1, runs=1, min_angle=40, max_angle=90),
-    )  # fmt: skip
+    )
 
 
 def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

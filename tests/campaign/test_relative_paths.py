@@ -76,13 +76,22 @@ def test_a_suite_finds_the_car_beside_it(project: Path) -> None:
     from ds_studies.suite.suite_file import road_sha256
 
     test = {
-        "name": "a", "why": ["cell"], "control_points": points, "road_sha256": road_sha256(points), "seed": 1,
+        "name": "a",
+        "why": ["cell"],
+        "control_points": points,
+        "road_sha256": road_sha256(points),
+        "seed": 1,
         "outcomes": {"bullet": outcome, "donkey@car.yaml": outcome},
-    }  # fmt: skip
+    }
     raw = {
-        "format": "digital-siblings-suite", "version": 1, "campaign": "c", "driver": "nets/mine.yaml",
-        "siblings": ["bullet"], "twin": "donkey@car.yaml", "tests": [test],
-    }  # fmt: skip
+        "format": "digital-siblings-suite",
+        "version": 1,
+        "campaign": "c",
+        "driver": "nets/mine.yaml",
+        "siblings": ["bullet"],
+        "twin": "donkey@car.yaml",
+        "tests": [test],
+    }
     (project / "suite.json").write_text(json.dumps(raw))
     suite = read_suite(project / "suite.json")
     assert suite.twin == "donkey@../my project/car.yaml" and set(suite.tests[0].outcomes) == {"bullet", suite.twin}

@@ -53,8 +53,10 @@ def test_maps_of_the_usual_conditions_are_drawn_beside_those_of_the_paper() -> N
     config = parse_config({"search": {"conditions": searched}}, "here")
     assert config.features == ["lane_curvature", "line_contrast"]
     assert config.further_axes == [
-        ("lane_curvature", "visibility"), ("lane_curvature", "veiling_luminance"), ("turns_count", "curvature"),
-    ]  # fmt: skip
+        ("lane_curvature", "visibility"),
+        ("lane_curvature", "veiling_luminance"),
+        ("turns_count", "curvature"),
+    ]
     of_paper = parse_config({"search": {"conditions": SEARCHED}, "features": ["turns_count", "curvature"]}, "here")
     assert of_paper.further_axes == [("lane_curvature", "line_contrast"), ("lane_curvature", "visibility")]
     assert parse_config({}, "here").further_axes == []
@@ -68,16 +70,24 @@ def test_a_search_by_measured_contrast_fills_its_cells(tmp_path: Path) -> None:
     data = read_campaign(run(tmp_path, GatedEngine(), config)[1])
     own = {test.test_id: data.gates[test.test_id, test.sibling].visible_contrast for test in data.tests}
     cells = {
-        i: cell[1] for i, cell in data.cells.items() if (i, next(t.sibling for t in data.tests if t.test_id == i))
+        i: cell[1]
+        for i, cell in data.cells.items()
+        if (i, next(t.sibling for t in data.tests if t.test_id == i))
         in {(e.test_id, e.simulator) for e in data.executions}
-    }  # fmt: skip
+    }
     assert cells and all(0.05 * 2**bin_ <= own[i] < 0.05 * 2 ** (bin_ + 1) for i, bin_ in cells.items())
 
 
 def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
     assert set(json.loads(CONFIG.identity())["search"]) == {
-        "method", "population", "iterations", "runs", "min_angle", "max_angle", "extent",
-    }  # fmt: skip
+        "method",
+        "population",
+        "iterations",
+        "runs",
+        "min_angle",
+        "max_angle",
+        "extent",
+    }
 
 
 @pytest.mark.parametrize(

@@ -125,8 +125,13 @@ def softbody() -> Subject:
     def axle(stiffness: float, toe: float) -> Axle:
         # The arms are springs in series with the tyre: their flex lengthens the distance over which slip builds up.
         relaxation = p.lateral_relaxation + 0.5 * stiffness / sideways
-        return Axle(distance=p.wheelbase / 2.0, stiffness=stiffness, relaxation=relaxation,
-                    damping=p.carcass_damping, compliance=toe)  # fmt: skip
+        return Axle(
+            distance=p.wheelbase / 2.0,
+            stiffness=stiffness,
+            relaxation=relaxation,
+            damping=p.carcass_damping,
+            compliance=toe,
+        )
 
     return Subject(
         name="softbody",

@@ -59,7 +59,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
             "max_steering_angle": 0.4,
             "max_speed": 2.0,
             "speed_from": "none",
-        },  # fmt: skip
+        },
         remappings={"camera/image_raw": "/front/image", "cmd_vel": "/mux/cmd_vel"},
     )
     supervisor = Supervisor([spec], domain=domain.number, logs=logs)

@@ -165,9 +165,14 @@ def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any
 def shown(value: Any) -> str:
     """Format a parameter's value as the document does."""
     found = {
-        1: value.bool_value, 2: value.integer_value, 3: value.double_value, 4: value.string_value,
-        7: list(value.integer_array_value), 8: list(value.double_array_value), 9: list(value.string_array_value),
-    }[value.type]  # fmt: skip
+        1: value.bool_value,
+        2: value.integer_value,
+        3: value.double_value,
+        4: value.string_value,
+        7: list(value.integer_array_value),
+        8: list(value.double_array_value),
+        9: list(value.string_array_value),
+    }[value.type]
     if isinstance(found, bool):
         return str(found).lower()
     if isinstance(found, list):

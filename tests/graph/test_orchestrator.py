@@ -112,9 +112,13 @@ def campaign(graph: Graph) -> tuple[int, Any, list[Any]]:
 
     states: list[Any] = []
     handle = graph.send(
-        RunCampaign, "run_campaign", lambda message: states.append(message.feedback.state),
-        config=CONFIG, folder="c", engine="attach",
-    )  # fmt: skip
+        RunCampaign,
+        "run_campaign",
+        lambda message: states.append(message.feedback.state),
+        config=CONFIG,
+        folder="c",
+        engine="attach",
+    )
     found = graph.wait(handle.get_result_async())
     return found.status, found.result, states
 
@@ -151,8 +155,13 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     outcomes: list[Any] = []
     seen: dict[str, Any] = {}
     graph.node.create_subscription(TestOutcome, "finished_tests", outcomes.append, latched)
-    for name, kind in (("map_legend", MapLegend), ("maps/union_bullet", OccupancyGrid), ("maps/merged", OccupancyGrid),
-                       ("maps/twin_donkey", OccupancyGrid), ("campaign_state", CampaignState)):  # fmt: skip
+    for name, kind in (
+        ("map_legend", MapLegend),
+        ("maps/union_bullet", OccupancyGrid),
+        ("maps/merged", OccupancyGrid),
+        ("maps/twin_donkey", OccupancyGrid),
+        ("campaign_state", CampaignState),
+    ):
         graph.node.create_subscription(kind, name, lambda message, name=name: seen.update({name: message}), latched)
     graph.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.update({m.status[0].name: m}), 10)
     graph.until(lambda: len(outcomes) == DRIVES and len(seen) == 5 + len(STATUSES))
@@ -228,9 +237,12 @@ def test_given_roads_are_driven(graph: Graph) -> None:
 
     roads = [generate(np.random.default_rng(seed), max_angle=100) for seed in (1, 2)]
     fields: dict[str, Any] = {
-        "folder": "given", "driver": "autopilot", "simulators": ["bullet", "softbody"], "seeds": [7, 8],
+        "folder": "given",
+        "driver": "autopilot",
+        "simulators": ["bullet", "softbody"],
+        "seeds": [7, 8],
         "roads": [road_to_message(road) for road in roads],
-    }  # fmt: skip
+    }
     status, result = graph.run(DriveTests, "drive_tests", **fields)
     assert (status, result.message) == (4, "")
     assert [(one.test_id, one.simulator) for one in result.outcomes] == [

@@ -37,8 +37,12 @@ BENDS = Road([(125, 25), (125, 40), (127, 55), (130, 69), (132, 84), (132, 100)]
 TIMEOUT = 1.5
 """Limit of every wait, s; chosen: starved processors delay an answer by tenths of a second."""
 SHORT = (
-    "left_is_left", "run_begins_at_rest", "the_left_lane_is_driven", "drawn_rows_are_the_same", "bad_input_is_refused",
-)  # fmt: skip
+    "left_is_left",
+    "run_begins_at_rest",
+    "the_left_lane_is_driven",
+    "drawn_rows_are_the_same",
+    "bad_input_is_refused",
+)
 """Checks of a second or two; none is left out for what the simulator is, the others are `long`."""
 CLIENT = """
 import rclpy, rclpy.node

@@ -113,10 +113,15 @@ def test_excluded_tests_are_counted_apart_and_in_no_probability() -> None:
     assert found == {
         map_id.name: {x: count}
         for map_id, count in {
-            search: 1, migration: 1, on_twin: 1, MapId.union("a"): 1, MapId.union("c"): 1, MapId.twin("twin"): 1,
+            search: 1,
+            migration: 1,
+            on_twin: 1,
+            MapId.union("a"): 1,
+            MapId.union("c"): 1,
+            MapId.twin("twin"): 1,
             M: 2,
         }.items()
-    }  # fmt: skip
+    }
     assert probabilities(maps[MapId.union("a")])[x] == (8, pytest.approx(2 / 8))
     document = json.loads(json.dumps(to_json(maps), allow_nan=False))
     assert document[M.name]["excluded"] == [{"turns_count": x[0], "curvature": x[1], "tests": 2}]

@@ -333,10 +333,17 @@ def drive_command(
     under = conditions_in(road) if conditions is None else parse_conditions(conditions)
     way = one_road(road, chosen, max_angle, lane, own=own_road_of(sim) if road is None else None)
     request = DriveOptions(
-        sim=sim, driver=network, scenario=Scenario(way, under, seed=chosen),
-        bag=bag, level=level, video=video, attach=attach, wait=wait, namespace=namespace,
+        sim=sim,
+        driver=network,
+        scenario=Scenario(way, under, seed=chosen),
+        bag=bag,
+        level=level,
+        video=video,
+        attach=attach,
+        wait=wait,
+        namespace=namespace,
         engine=engine_here(engine, attach=attach),
-    )  # fmt: skip
+    )
     _check(request)
     started = time.monotonic()
     try:

@@ -78,9 +78,14 @@ def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Pa
     image = np.asarray(np.kron(rng.integers(0, 256, (20, 40, 3)), np.ones((8, 8, 1))), np.uint8)
     for folder in ("plain", "translated"):
         row: dict[str, object] = {
-            "image": jpeg(image), "steering": 0.5, "speed": 1.0, "step": 0, "simulator": "bullet", "road_id": "r",
+            "image": jpeg(image),
+            "steering": 0.5,
+            "speed": 1.0,
+            "step": 0,
+            "simulator": "bullet",
+            "road_id": "r",
             "direction": "forward",
-        }  # fmt: skip
+        }
         write_drive(drive_path(tmp_path / folder, "bullet", "r", "forward"), [row])
     keep_import(tmp_path / "translated", "bullet", {"sim2real": "0"})
     found = {

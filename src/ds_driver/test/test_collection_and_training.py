@@ -141,8 +141,15 @@ def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
 
 def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_path: Path) -> None:
     """With a step of nearly nothing, the weights stay those of the start, to the precision of the file."""
-    plan = TrainingPlan(epochs=1, batch_size=16, learning_rate=1e-7, validation=0.5, threads=1,
-                        images_per_simulator=32, start="dave2_short")  # fmt: skip
+    plan = TrainingPlan(
+        epochs=1,
+        batch_size=16,
+        learning_rate=1e-7,
+        validation=0.5,
+        threads=1,
+        images_per_simulator=32,
+        start="dave2_short",
+    )
     crops, new = {"donkey": Crop(60, 0)}, tmp_path / "new"
     (new / "donkey").mkdir(parents=True)
     shutil.copy(next((data / "donkey").glob("*.parquet")), new / "donkey")

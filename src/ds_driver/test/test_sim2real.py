@@ -86,10 +86,17 @@ def domains(rng: np.random.Generator) -> Domains:
     images = rng.integers(0, 256, (4, 5, *TINY.size, 3), dtype=np.uint8)
     places = np.repeat(np.array([[0.1, 0.9]]), len(HEIGHTS), axis=1) + rng.uniform(-0.05, 0.05, (5, 2 * len(HEIGHTS)))
     return Domains(
-        simulated=images[0], real=images[1], pairs=rng.integers(0, 5, (5, 3)), simulated_lanes=places,
-        real_lanes=places[::-1], shown_simulated=images[2][:1],
-        shown_real=images[3][:1], simulator="bullet", window=WHOLE, real_window=WHOLE,
-    )  # fmt: skip
+        simulated=images[0],
+        real=images[1],
+        pairs=rng.integers(0, 5, (5, 3)),
+        simulated_lanes=places,
+        real_lanes=places[::-1],
+        shown_simulated=images[2][:1],
+        shown_real=images[3][:1],
+        simulator="bullet",
+        window=WHOLE,
+        real_window=WHOLE,
+    )
 
 
 def tiny_generator(path: Path, seed: int = 1, simulator: str = "bullet") -> StoredGenerator:

@@ -25,9 +25,13 @@ Array = NDArray[np.float64]
 _FLATTEST = 0.03
 """Least descent of a ray that is taken to the floor; chosen: beyond, the floor is farther than 30 camera heights."""
 LIMITS = {
-    "image_width": (16, 8192), "image_height": (16, 8192), "height_m": (1e-3, 100.0), "pitch_rad": (-0.3, 1.4),
-    "forward_m": (-100.0, 100.0), "focal_std": (0.0, 1e5),
-}  # fmt: skip
+    "image_width": (16, 8192),
+    "image_height": (16, 8192),
+    "height_m": (1e-3, 100.0),
+    "pitch_rad": (-0.3, 1.4),
+    "forward_m": (-100.0, 100.0),
+    "focal_std": (0.0, 1e5),
+}
 """Least and largest value of each plain number of the file."""
 FOCAL, CENTRE = (1.0, 1e5), (-1e4, 1e4)
 """The same for focal lengths, and for the column and row of the optical axis, px."""

@@ -136,10 +136,13 @@ class _Turns:
         middle = before.shape[1] // 2
         score, turn = self._turn(before, strip)
         # What is near moves to opposite sides on the left and on the right.
-        sides = [self._turn(part, other) for part, other in (
-            (before[:, : middle + self._most], strip[:, : middle + self._most]),
-            (before[:, middle - self._most :], strip[:, middle - self._most :]),
-        )]  # fmt: skip
+        sides = [
+            self._turn(part, other)
+            for part, other in (
+                (before[:, : middle + self._most], strip[:, : middle + self._most]),
+                (before[:, middle - self._most :], strip[:, middle - self._most :]),
+            )
+        ]
         if score < LEAST_SCORE:
             return NOTHING
         std = math.hypot(LEAST_STD, 0.5 * (sides[0][1] - sides[1][1]))

@@ -238,14 +238,19 @@ def in_metres(
         "calibration": calibration,
         "versions": {name: version(name) for name in LIBRARIES},
         "stretch": {"first": int(views.frames[0]), "last": int(views.frames[-1]), "located": float(fit.located.mean())},
-        "steering": None if steering is None else {
-            "gain_per_m": steering.gain / lane_width, "trim_per_m": steering.trim / lane_width,
-            "delay_s": steering.delay, "lag_s": steering.lag, "explained": steering.explained,
+        "steering": None
+        if steering is None
+        else {
+            "gain_per_m": steering.gain / lane_width,
+            "trim_per_m": steering.trim / lane_width,
+            "delay_s": steering.delay,
+            "lag_s": steering.lag,
+            "explained": steering.explained,
         },
         "odometry": [source.about for source in checked],
         "ways_in_images_times": stretch(checked),
         "median_line_residual_m": float(np.nanmedian(solution.residuals)) * lane_width,
-    }  # fmt: skip
+    }
     return Located(
         table=table[fit.located],
         track=Track(track.points * lane_width, track.closed),

@@ -118,9 +118,9 @@ def _refined(
         """Errors of all points in pixels, and weak expectations of the shapes."""
         now, shape = at(values), values[2:].reshape(-1, 3)
         floor, valid = now.floor(pixels)
-        left = np.concatenate([
-            arc_offsets(floor[image == i], shape[i : i + 1, 1], shape[i : i + 1, 2])[0] for i in range(len(lines))
-        ])  # fmt: skip
+        left = np.concatenate(
+            [arc_offsets(floor[image == i], shape[i : i + 1, 1], shape[i : i + 1, 2])[0] for i in range(len(lines))]
+        )
         error = left - shape[image, 0]
         error = np.where(white, np.where(error > 0.0, error - 1.0, error + 1.0), error)
         # One pixel across is so wide on the floor.

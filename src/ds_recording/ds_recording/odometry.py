@@ -134,11 +134,18 @@ class Checked:
         """For `recording.json`."""
         turn = self.source.part == TURN
         values = {
-            "scale": self.scale, "bias_radps": self.bias, "delay_s": self.delay,
-            "residual_rad" if turn else "residual_m": self.residual, "known": float(np.isfinite(self.steps).mean()),
-        }  # fmt: skip
-        return {"source": self.source.name, "gives": "turns" if turn else "ways", "used": not self.reason,
-                "reason": self.reason} | {k: v if math.isfinite(v) else None for k, v in values.items()}  # fmt: skip
+            "scale": self.scale,
+            "bias_radps": self.bias,
+            "delay_s": self.delay,
+            "residual_rad" if turn else "residual_m": self.residual,
+            "known": float(np.isfinite(self.steps).mean()),
+        }
+        return {
+            "source": self.source.name,
+            "gives": "turns" if turn else "ways",
+            "used": not self.reason,
+            "reason": self.reason,
+        } | {k: v if math.isfinite(v) else None for k, v in values.items()}
 
 
 def read_sources(recording: Recording, start: float, wanted: str | None = None) -> list[Source]:

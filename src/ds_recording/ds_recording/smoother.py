@@ -312,9 +312,13 @@ class Smoother:
         zero, one = np.zeros_like(cos), np.ones_like(cos)
         base = 3 * chosen
         slopes = [
-            (-cos, sin, zero), (-sin, -cos, zero), (step[:, 1], -step[:, 0], -one),
-            (cos, -sin, zero), (sin, cos, zero), (zero, zero, one),
-        ]  # fmt: skip
+            (-cos, sin, zero),
+            (-sin, -cos, zero),
+            (step[:, 1], -step[:, 0], -one),
+            (cos, -sin, zero),
+            (sin, cos, zero),
+            (zero, zero, one),
+        ]
         return [base + i for i in range(6)], np.stack([np.stack(s, axis=1) for s in slopes])
 
     def _add_motions(self, rows: _Rows, gate: float) -> None:

@@ -74,10 +74,14 @@ def follow_steering(times: Array, steering: Array, speeds: Array, yaw_rates: Arr
             if best is None or explained > best.explained:
                 expected = np.concatenate(([np.nan], np.where(used, gain * command + trim, np.nan)))
                 best = Steering(
-                    gain=float(gain), trim=float(trim), delay=float(delay), lag=lag,
-                    std=std / max(float(np.median(speeds[used])), LEAST_SPEED), explained=explained,
+                    gain=float(gain),
+                    trim=float(trim),
+                    delay=float(delay),
+                    lag=lag,
+                    std=std / max(float(np.median(speeds[used])), LEAST_SPEED),
+                    explained=explained,
                     curvatures=expected,
-                )  # fmt: skip
+                )
     return best if best is not None and best.explained > LEAST_SHARE else None
 
 

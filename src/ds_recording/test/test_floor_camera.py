@@ -13,9 +13,15 @@ from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.lens import Lens
 
 CAMERA = FloorCamera(
-    width_px=160, height_px=120, focal_px=(80.0, 80.0), centre_x_px=79.5, centre_y_px=59.5, height_m=0.2, pitch_rad=0.3,
+    width_px=160,
+    height_px=120,
+    focal_px=(80.0, 80.0),
+    centre_x_px=79.5,
+    centre_y_px=59.5,
+    height_m=0.2,
+    pitch_rad=0.3,
     forward_m=0.05,
-)  # fmt: skip
+)
 LENS = Lens("plumb_bob", (-0.2, 0.03, 0.001, -0.002, 0.0))
 
 

@@ -170,10 +170,15 @@ def recording_of(path: Path, kind: str) -> Recording:
 def test_a_strangers_tub_is_read_in_degrees_and_what_is_no_number_is_left_out(tmp_path: Path) -> None:
     measured = zip(SECONDS, speed(SECONDS - LATE), np.degrees(rate(SECONDS - LATE)), strict=True)
     rows: list[dict[str, Any]] = [
-        {"_timestamp_ms": round(1e6 + 1000 * t), "enc/speed": float(v), "imu/gyr_z": float(w),
-         "imu/gyr_y": None, "pos/speed": "fast"}
+        {
+            "_timestamp_ms": round(1e6 + 1000 * t),
+            "enc/speed": float(v),
+            "imu/gyr_z": float(w),
+            "imu/gyr_y": None,
+            "pos/speed": "fast",
+        }
         for t, v, w in measured
-    ]  # fmt: skip
+    ]
     for at, strange in enumerate(("x", None, [1.0], 1e999, {"a": 1}, True, 10**400)):
         rows[100 + at] |= {"enc/speed": strange, "imu/gyr_z": strange}
     tub = recording_of(write_tub(tmp_path, rows), "tub")

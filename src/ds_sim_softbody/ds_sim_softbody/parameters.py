@@ -215,10 +215,17 @@ _LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("front_share", "roll_front_share", "ackermann"), (0.0, 1.0)),
     **dict.fromkeys(
         (
-            "load_sensitivity", "carcass_damping", "rolling_resistance", "frame_damping", "arm_damping",
-            "body_damping", "roll_axis_height", "rotor_inertia", "regenerative_force",
+            "load_sensitivity",
+            "carcass_damping",
+            "rolling_resistance",
+            "frame_damping",
+            "arm_damping",
+            "body_damping",
+            "roll_axis_height",
+            "rotor_inertia",
+            "regenerative_force",
         ),
         (0.0, math.inf),
     ),
-}  # fmt: skip
+}
 """Range of each value whose range is not simply above 0."""

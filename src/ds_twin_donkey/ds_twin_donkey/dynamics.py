@@ -143,10 +143,12 @@ MOTION = 14
 """Number of states of motion, the first of `CarState`."""
 CAR = np.dtype(
     [
-        ("parameters", layout(DonkeyParameters)), ("constants", layout(Constants)),
-        ("slopes", np.float64, (4, MOTION)), ("trial", np.float64, (MOTION,)),
+        ("parameters", layout(DonkeyParameters)),
+        ("constants", layout(Constants)),
+        ("slopes", np.float64, (4, MOTION)),
+        ("trial", np.float64, (MOTION,)),
     ]
-)  # fmt: skip
+)
 """Record of a car, with room for the slopes of a Runge-Kutta step and the state at which they are taken."""
 
 
@@ -199,9 +201,12 @@ class CarModel:
         kept, after = len(pulses) - self.pulses_kept, np.array(state)
         older_and_newer = np.array(pulses[kept : kept + 2])
         self._advance(
-            self._car.ctypes.data, self._shares.ctypes.data, len(self._shares), after.ctypes.data,
+            self._car.ctypes.data,
+            self._shares.ctypes.data,
+            len(self._shares),
+            after.ctypes.data,
             older_and_newer.ctypes.data,
-        )  # fmt: skip
+        )
         return CarState(*after.tolist())
 
 
@@ -275,13 +280,25 @@ def slopes(
         speed_front, speed_rear = v + front * r, v - rear * r
         u_left, u_right = u - half_track * r, u + half_track * r
         a1, f1, out[10] = tyre(
-            p, u_left * cos_l + speed_front * sin_l, speed_front * cos_l - u_left * sin_l, s[10],
-            c.front_load + along - across_front, c.front_load, p.front_stiffness, front_drive,
-        )  # fmt: skip
+            p,
+            u_left * cos_l + speed_front * sin_l,
+            speed_front * cos_l - u_left * sin_l,
+            s[10],
+            c.front_load + along - across_front,
+            c.front_load,
+            p.front_stiffness,
+            front_drive,
+        )
         a2, f2, out[11] = tyre(
-            p, u_right * cos_r + speed_front * sin_r, speed_front * cos_r - u_right * sin_r, s[11],
-            c.front_load + along + across_front, c.front_load, p.front_stiffness, front_drive,
-        )  # fmt: skip
+            p,
+            u_right * cos_r + speed_front * sin_r,
+            speed_front * cos_r - u_right * sin_r,
+            s[11],
+            c.front_load + along + across_front,
+            c.front_load,
+            p.front_stiffness,
+            front_drive,
+        )
         a3, f3, out[12] = tyre(
             p, u_left, speed_rear, s[12], c.rear_load - along - across_rear, c.rear_load, p.rear_stiffness, rear_drive
         )

@@ -198,7 +198,7 @@ def fit(
                 high=value + half,
                 start=before,
                 determined=name in found,
-            )  # fmt: skip
+            )
         )
     predicted = problem.predict([problem.car(names, theta)], eta[None])[0]
     squares = np.square(problem.windows.difference(predicted))

@@ -157,9 +157,16 @@ class Problem:
 
         low, high = zip(*(self.bounds(name) for name in names), strict=True)
         done = least_squares(
-            residuals, theta, jacobian, bounds=(low, high), x_scale="jac", max_nfev=evaluations,
-            ftol=tolerance, xtol=1e-5, gtol=None,
-        )  # fmt: skip
+            residuals,
+            theta,
+            jacobian,
+            bounds=(low, high),
+            x_scale="jac",
+            max_nfev=evaluations,
+            ftol=tolerance,
+            xtol=1e-5,
+            gtol=None,
+        )
         if not math.isfinite(done.cost):
             raise FitError("the model does not follow the drives at all: check units, signs and stamps of the logs")
         return done.x, states[done.x.tobytes()]

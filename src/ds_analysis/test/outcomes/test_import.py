@@ -39,8 +39,12 @@ def long_table() -> pd.DataFrame:
 
 
 LONG: dict[str, Any] = {
-    "test": "route", "simulator": "sim", "repeat": "rep", "margin": {"column": "xte", "limit": 1.2}, "twin": "car",
-}  # fmt: skip
+    "test": "route",
+    "simulator": "sim",
+    "repeat": "rep",
+    "margin": {"column": "xte", "limit": 1.2},
+    "twin": "car",
+}
 
 
 def imported(folder: Path, frame: pd.DataFrame, columns: dict[str, Any] | None, *more: Path) -> Study:
@@ -86,9 +90,13 @@ def test_a_wide_table_with_rules_and_features_in_a_second_file(tmp_path: Path) -
     study = imported(tmp_path, wide, columns, tmp_path / "f.csv")
     found = {(row.test_id, row.simulator): row.failed for row in study.rows.itertuples()}
     assert found == {
-        ("1-0", "lo"): False, ("1-1", "lo"): True, ("2-0", "lo"): False,
-        ("1-0", "hi"): False, ("1-1", "hi"): True, ("2-0", "hi"): True,
-    }  # fmt: skip
+        ("1-0", "lo"): False,
+        ("1-1", "lo"): True,
+        ("2-0", "lo"): False,
+        ("1-0", "hi"): False,
+        ("1-1", "hi"): True,
+        ("2-0", "hi"): True,
+    }
     assert study.rows["length"].tolist() == [3.0, 4.0, 5.0] * 2 and np.isnan(study.rows["margin"]).all()
 
 
@@ -127,9 +135,12 @@ def test_a_car_s_rows_are_its_drives(tmp_path: Path) -> None:
     # Said to be drawn at random, they certify; a wide table leaves the car's other rows empty.
     wide = frame.pivot_table(index=["route", "speed", "curve"], columns="sim", values="xte").reset_index()
     columns = {
-        "test": "route", "features": ["speed", "curve"], "car": "car", "car_drawn": True,
+        "test": "route",
+        "features": ["speed", "curve"],
+        "car": "car",
+        "car_drawn": True,
         "simulators": {name: {"margin": {"column": name, "limit": 1.2}} for name in ("lofi", "hifi", "car")},
-    }  # fmt: skip
+    }
     folder = tmp_path / "wide"
     folder.mkdir()
     write_study(folder, imported(folder, wide, columns))
@@ -214,8 +225,12 @@ def _read(path: Path) -> Study:
 
 
 def test_a_number_that_differs_between_drives_of_a_test_is_no_feature(tmp_path: Path) -> None:
-    rows = [f"t{n},{sim},{run},{int(n > 20)},{0.01 * n},{5 + n % 7},{30 + run + 0.1 * n}" for n in range(30)
-            for sim in "ab" for run in (1, 2)]  # fmt: skip
+    rows = [
+        f"t{n},{sim},{run},{int(n > 20)},{0.01 * n},{5 + n % 7},{30 + run + 0.1 * n}"
+        for n in range(30)
+        for sim in "ab"
+        for run in (1, 2)
+    ]
     path = tmp_path / "t.csv"
     path.write_text("test_id,simulator,run,failed,curve,speed,duration_s\n" + "\n".join(rows))
     left_out = LeftOut("columns")

@@ -23,7 +23,9 @@ def drives(outcomes: str) -> list[Execution | None]:
     """Letters: completed, left its lane, stuck, unknown."""
     kinds = {"c": Outcome.COMPLETED, "l": Outcome.OUT_OF_BOUNDS, "s": Outcome.STUCK}
     return [
-        None if (letter := one) == "u" else Execution(
+        None
+        if (letter := one) == "u"
+        else Execution(
             test_id="t",
             simulator=SEEN,
             outcome=kinds[letter],
@@ -36,7 +38,7 @@ def drives(outcomes: str) -> list[Execution | None]:
             drive=cast(Drive, None),
         )
         for one in outcomes
-    ]  # fmt: skip
+    ]
 
 
 MINE = DriverName("mine")
@@ -54,12 +56,10 @@ def answer(own: str, *, twin: str = "ccc", autopilot: str = "ccc") -> TrackAnswe
             (AUTOPILOT, SEEN): drives(autopilot),
             (AUTOPILOT, TWIN): drives("ccc"),
         },
-        undecided={
-            (MINE, name): ["the car is far"] * of.count("u") for name, of in ((SEEN, own), (TWIN, twin))
-        },
+        undecided={(MINE, name): ["the car is far"] * of.count("u") for name, of in ((SEEN, own), (TWIN, twin))},
         recorded=[True, False, False],
         limits=["The twin is not fitted."],
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize(

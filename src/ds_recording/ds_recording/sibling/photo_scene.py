@@ -112,9 +112,14 @@ class PhotoScene(RenderedScene):
         first, others = self._chosen(*place, yaw - spec.yaw)
         # The rays turn with the camera; its pitch is relative to the photographs'.
         tilt = VehicleState(
-            x=place[0], y=place[1], yaw=yaw, speed=0.0, yaw_rate=0.0, steering_angle=0.0,
+            x=place[0],
+            y=place[1],
+            yaw=yaw,
+            speed=0.0,
+            yaw_rate=0.0,
+            steering_angle=0.0,
             pitch=spec.pitch - self._spec.pitch,
-        )  # fmt: skip
+        )
         right, down, forward = optical_axes(self._mount, tilt)[0]
         top, bottom = rows
         x, y, z = self._rays[:, top:bottom].reshape(3, -1)

@@ -23,9 +23,16 @@ from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.pieces import gaps, pieces
 
 SURFACE_CONDITIONS = frozenset(
-    {"line_contrast", "line_cover", "line_cover_length", "shadow_density", "shadow_depth", "pavement_reflectance",
-     "repair_share"}
-)  # fmt: skip
+    {
+        "line_contrast",
+        "line_cover",
+        "line_cover_length",
+        "shadow_density",
+        "shadow_depth",
+        "pavement_reflectance",
+        "repair_share",
+    }
+)
 """Conditions that change the painted ground."""
 SHADOW_LENGTH = 2.0
 """Length of a shadow along the road, m; chosen: tree tops beside the road, which merge where several are in a row."""
