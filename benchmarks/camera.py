@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Times the rendering of images, compares the twin's images with photographs, and measures the camera of `panda`.
+"""Times cameras, draws what they see, and compares the twin's images with photographs.
 
 `python -m benchmarks.camera painted` times the painting camera of each simulator that has one at 320 x 160 and
-640 x 480; `photographs FOLDER` compares the twin with the JPEG images in FOLDER; `panda [--out docs/images]` writes
-`panda_views.png`, and prints what loading a road and an image take in processor time, beside the camera of `bullet` in
-the same seconds.
+640 x 480; `photographs FOLDER` compares the twin with the JPEG images in FOLDER; `panda` prints what loading a road and
+an image take in processor time, next to the camera of `bullet` in the same seconds; `views [--out docs/images]` writes
+`cameras.jpg`, the view of each simulator.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -21,12 +21,16 @@ from typing import Any
 
 import cv2
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from ds_base.figures import WIDTH, draw_figure
 from ds_road import Road, generate
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.renderer import Camera, Sensor
-from ds_sim.registry import STANDARD, spec_of
+from ds_sim.conditions.model import Conditions
+from ds_sim.registry import STANDARD, make_simulator, spec_of
+from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import VehicleState
 from ds_sim_panda.scene.panda_scene import PandaScene
 
@@ -120,16 +124,44 @@ def standing(lane: NDArray[np.float64], index: int, roll: float = 0.0) -> Vehicl
     return VehicleState(x=x, y=y, yaw=yaw, roll=roll, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
 
 
+def draw_sheet(columns: Mapping[str, Sequence[NDArray[np.uint8]]], rows: Sequence[str]) -> NDArray[np.uint8]:
+    """Draw titled columns of pictures, with the name of each row above it."""
+
+    def draw(figure: Figure) -> None:
+        panels = figure.subplots(len(rows), len(columns), squeeze=False)
+        for column, (title, images) in enumerate(columns.items()):
+            for row, (image, name) in enumerate(zip(images, rows, strict=True)):
+                axes = panels[row, column]
+                axes.imshow(image)
+                axes.set_axis_off()
+                if row == 0:
+                    axes.set_title(title or "unchanged", fontsize="medium", fontweight="bold", pad=20)
+                if column == 0:
+                    label = axes.text(0, -8, name.replace(",", ", ") or "unchanged", fontsize="small")
+                    label.set_in_layout(False)
+
+    height = 50 + len(rows) * (22 + WIDTH * 160 // (320 * len(columns)))
+    return draw_figure(WIDTH, height, draw)
+
+
 def views() -> NDArray[np.uint8]:
-    """Twelve images: a straight road, and bends of three random ones; the last of each row has a roll of 0.08 rad."""
-    spec, rows = spec_of("panda").camera, []
-    for road in (STRAIGHT, *(generate(np.random.default_rng(seed), max_angle=270) for seed in (21, 23))):
-        scene, lane = loaded(road, spec), road.right_lane_centre
-        images = []
-        for share, roll in ((0.03, 0.0), (0.3, 0.0), (0.55, 0.0), (0.75, 0.08)):
-            images.append(scene.image(standing(lane, int(share * len(lane)), roll)))
-        rows.append(np.hstack(images))
-    return np.vstack(rows)
+    """Draw what each simulator's camera sees of a straight road, of a bend, and with the car rolled by 0.08 rad."""
+    bend = generate(np.random.default_rng(21), max_angle=270)
+    places = {
+        "straight": (STRAIGHT, 0.3, 0.0),
+        "bend": (bend, 0.3, 0.0),
+        "the same, rolled by 0.08 rad": (bend, 0.3, 0.08),
+    }
+    columns: dict[str, list[NDArray[np.uint8]]] = {}
+    for name in STANDARD:
+        simulator = make_simulator(name)
+        assert isinstance(simulator, RoadSimulator)
+        for road, share, roll in places.values():
+            simulator.load(road, seed=0, conditions=Conditions())
+            state = standing(road.right_lane_centre, int(share * len(road.right_lane_centre)), roll)
+            columns.setdefault(name, []).append(simulator.scene.still(state, np.random.default_rng(0)))
+        simulator.close()
+    return draw_sheet(columns, list(places))
 
 
 def speed() -> None:
@@ -158,16 +190,10 @@ def speed() -> None:
     print(f"panda, load with its first image   {median_ms(load, states[:LOADS]):6.2f} ms")
 
 
-def panda(out: Path) -> None:
-    """Write the picture of `panda`, print its measurements."""
-    cv2.imwrite(str(out / "panda_views.png"), cv2.cvtColor(views(), cv2.COLOR_RGB2BGR))
-    speed()
-
-
 def main() -> None:
     """Measure what the arguments name."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", choices=("painted", "photographs", "panda"))
+    parser.add_argument("what", choices=("painted", "photographs", "panda", "views"))
     parser.add_argument("folder", type=Path, nargs="?", help="with photographs")
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     arguments = parser.parse_args()
@@ -175,7 +201,10 @@ def main() -> None:
     if arguments.what == "painted":
         painted()
     elif arguments.what == "panda":
-        panda(arguments.out)
+        speed()
+    elif arguments.what == "views":
+        image = views()[:, :, ::-1]
+        cv2.imwrite(str(arguments.out / "cameras.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 85])
     elif arguments.folder is None:
         parser.error("photographs: name a folder of photographs, such as the images of a tub")
     else:

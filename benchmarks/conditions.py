@@ -14,16 +14,14 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
-from benchmarks.camera import standing
-from matplotlib.figure import Figure
+from benchmarks.camera import draw_sheet, standing
 from numpy.typing import NDArray
 
-from ds_base.figures import WIDTH, draw_figure
 from ds_driver.sim2real.image_translation import ImageTranslation, open_set
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
@@ -54,26 +52,6 @@ def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint
     lane = ROAD.lane_centre
     index = int(np.searchsorted(np.cumsum(np.hypot(*np.diff(lane, axis=0).T)), 8.0))
     return simulator.scene.still(standing(lane, index), np.random.default_rng(SEED))
-
-
-def draw_sheet(columns: Mapping[str, Sequence[NDArray[np.uint8]]], rows: Sequence[str]) -> NDArray[np.uint8]:
-    """Draw titled columns of pictures, with the name of each row above it."""
-
-    def draw(figure: Figure) -> None:
-        panels = figure.subplots(len(rows), len(columns), squeeze=False)
-        for column, (title, images) in enumerate(columns.items()):
-            for row, (image, name) in enumerate(zip(images, rows, strict=True)):
-                axes = panels[row, column]
-                axes.imshow(image)
-                axes.set_axis_off()
-                if row == 0:
-                    axes.set_title(title or "unchanged", fontsize="medium", fontweight="bold", pad=20)
-                if column == 0:
-                    label = axes.text(0, -8, name.replace(",", ", ") or "unchanged", fontsize="small")
-                    label.set_in_layout(False)
-
-    height = 50 + len(rows) * (22 + WIDTH * 160 // (320 * len(columns)))
-    return draw_figure(WIDTH, height, draw)
 
 
 def pictures(name: str, conditions: Sequence[str]) -> list[NDArray[np.uint8]]:
