@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from fnmatch import fnmatch
 from importlib import import_module
 from operator import attrgetter
@@ -13,6 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from ds_base.atomic_files import write_whole
+from ds_base.folder_files import StoreError, enter_folder, place_folder
 
 DOOR = {"atomic_files", "bounded_file", "bounded_json", "bounded_memory", "bounded_tables", "folder_files"}
 DOOR_CALLS = {"read_table", "read_parquet", "read_csv"}
@@ -100,6 +103,29 @@ def test_every_file_goes_through_the_door() -> None:
 )
 def test_the_test_sees_what_goes_past_the_door(code: str, expected: list[str]) -> None:
     assert list(calls(ast.parse(code))) == expected
+
+
+def test_nothing_is_written_through_a_link_or_to_a_device(tmp_path: Path) -> None:
+    out, other = tmp_path / "out", tmp_path / "other"
+    other.mkdir()
+    (other / "mine").write_text("mine")
+    enter_folder(out)
+    (out / "file").symlink_to(other / "mine")
+    write_whole(out / "file", "new")
+    assert (other / "mine").read_text() == "mine" and not (out / "file").is_symlink()
+    (out / "sub").symlink_to(other)
+    attempts: list[Callable[[], object]] = [
+        lambda: write_whole(out / "sub" / "x" / "file", "new"),
+        lambda: enter_folder(out / "sub"),
+        lambda: enter_folder(out / "sub" / "x"),
+        lambda: place_folder(out, out / "sub" / "made"),
+    ]
+    for attempt in attempts:
+        with pytest.raises(StoreError, match="sub is a link"):
+            attempt()
+    assert [path.name for path in other.iterdir()] == ["mine"]
+    with pytest.raises(StoreError, match="neither a file"):
+        write_whole(Path("/dev/null"), "new")
 
 
 def test_the_table_of_limits_is_that_of_the_code() -> None:

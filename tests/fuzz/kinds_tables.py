@@ -5,11 +5,14 @@ from __future__ import annotations
 
 import gzip
 import json
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_parquet
 from tests.fuzz.harness import Kind
 
@@ -179,6 +182,38 @@ def _damage_packed(path: Path, rng: Rng) -> None:
 
 def _damage_study(folder: Path, rng: Rng) -> None:
     damaged_parquet(folder / "outcomes.parquet", rng)
+
+
+def dictionary_bomb(path: Path) -> None:
+    """Write a Parquet file of some 100 kB whose only text of a megabyte is that of 20,000 rows."""
+    texts = pa.DictionaryArray.from_arrays(pa.array(np.zeros(20_000, np.int32)), pa.array(["x" * 2**20]))
+    pq.write_table(pa.table({"test_id": texts}), path, compression="zstd", dictionary_pagesize_limit=2**31 - 1)
+
+
+def gzip_bomb(line: bytes) -> Callable[[Path], None]:
+    """Write a compressed table of a gigabyte of the same line."""
+
+    def write(path: Path) -> None:
+        packer = zlib.compressobj(9, wbits=31)
+        block = packer.compress(line * (2**24 // len(line))) + packer.flush(zlib.Z_FULL_FLUSH)
+        plain = zlib.compressobj(9, wbits=-15)
+        again = plain.compress(line * (2**24 // len(line))) + plain.flush(zlib.Z_FULL_FLUSH)
+        path.write_bytes(block + again * 64)
+
+    return write
+
+
+def _many_columns(path: Path) -> None:
+    path.write_bytes(b"a," * 300_000 + b"\n" + b"1," * 300_000)
+
+
+BOMBS: dict[str, tuple[str, Callable[[Path], None]]] = {
+    "outcomes-parquet": ("dictionary", dictionary_bomb),
+    "study": ("dictionary", lambda folder: dictionary_bomb(folder / "outcomes.parquet")),
+    "outcomes-gz": ("lines", gzip_bomb(b"1,2,3,4,5,6\n")),
+    "outcomes-csv": ("columns", _many_columns),
+}
+"""Kind -> what is many in a small file, and how it is written."""
 
 
 def _import(path: Path) -> object:

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from tests.fuzz.damage import HOSTILE, Rng
 from tests.fuzz.harness import Finding, Kind, try_inputs
+from tests.fuzz.kinds_tables import BOMBS
 
 COUNT = int(os.environ.get("DS_FUZZ", "200"))
 FIRST = int(os.environ.get("DS_FUZZ_FIRST", "0"))
@@ -84,3 +85,13 @@ def test_no_hostile_file_takes_a_reader_time_or_memory(
         f"{what} for {file}: {one.defect}" for (file, what), one in zip(inputs, findings, strict=True) if one.defect
     ]
     assert not defects, "\n".join(defects)
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_that_becomes_a_large_one_is_refused(name: str, tmp_path: Path) -> None:
+    (tmp_path / "base").mkdir()
+    (tmp_path / "work").mkdir()
+    kind = next(kind for kind in KINDS if kind.name == name)
+    base = kind.write(tmp_path / "base")
+    bomb = replace(kind, damage=lambda path, rng: BOMBS[name][1](path))
+    assert list(try_inputs(bomb, base, tmp_path / "work", range(1))) == [Finding(seed=0, refused=True, defect="")]

@@ -10,9 +10,10 @@ Lines go to the logger `digital_siblings` of the standard library, which shows n
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 LOGGER = "digital_siblings"
 """Name of the logger above those of all modules."""
@@ -47,6 +48,26 @@ def lines_to(receive: Callable[[str], object]) -> Iterator[None]:
     finally:
         logger.removeHandler(handler)
         logger.setLevel(level)
+
+
+EVERY = 5.0
+"""Seconds between two lines about work that nobody asked to hear of; chosen: what a person waits without doubt."""
+_Item = TypeVar("_Item")
+
+
+def counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
+    """Pass items on, with a line about how many there were every `EVERY` seconds.
+
+    Args:
+        items: such as the images of a recording, each of which may take long.
+        what: whose they are, for the line.
+    """
+    said = time.monotonic()
+    for number, item in enumerate(items):
+        if time.monotonic() - said >= EVERY:
+            said = time.monotonic()
+            logger_of(__name__).info("%s: %d images read", what, number)
+        yield item
 
 
 class Progress(Protocol):

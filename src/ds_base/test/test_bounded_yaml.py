@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import os
 import time
 import tracemalloc
-from pathlib import Path
 
 import pytest
 import yaml
 
-from ds_base.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_yaml
+from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 
 LAUGHS = "a0: &a0 [lol]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 12))
 MERGES = "a0: &a0 {k: v}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 10)}]}}\n" for i in range(1, 9))
@@ -87,15 +85,3 @@ def test_a_key_that_comes_twice_is_refused_where_asked_also_among_many() -> None
     assert load_yaml("{a: 1, a: 2}") == {"a": 2}
     with pytest.raises(BoundedYamlError, match="line 20001, column 1: the key k7 comes twice"):
         load_yaml(f"{many}k7: 2\n", unique_keys=True)
-
-
-def test_only_regular_files_of_bounded_size_are_opened(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "long").write_bytes(b"a" * 11)
-    for path in (tmp_path / "fifo", tmp_path, Path("/dev/zero"), tmp_path / "long"):
-        with pytest.raises(BoundedYamlError):
-            read_yaml(path, limits=YamlLimits(size=10))
-    with pytest.raises(FileNotFoundError):
-        read_yaml(tmp_path / "none")
-    (tmp_path / "file").write_text("a: [1]")
-    assert read_yaml(tmp_path / "file") == {"a": [1]}

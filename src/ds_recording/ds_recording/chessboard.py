@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.progress import counted
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
@@ -174,7 +175,7 @@ def _find_boards(paths: Sequence[Path], corners: tuple[int, int]) -> tuple[list[
     """Corners of each board that is found, (n, 1, 2) px, and rows and columns of the photographs."""
     boards: list[Any] = []
     shape = (0, 0)
-    for path in paths:
+    for path in counted(paths, "photographs of the board"):
         try:
             image = rgb_of_file(read_bounded(path, MAX_FILE))
         except (OSError, BoundedYamlError, ImageError) as error:

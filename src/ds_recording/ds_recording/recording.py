@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.progress import logger_of
 from ds_driver.data.recordings import Reading, Recording, open_recording
 from ds_recording.errors import RecordingError
 from ds_recording.lines import CENTRES
@@ -18,7 +17,6 @@ from ds_recording.odometry import Source, read_sources
 from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]
-LOG = logger_of(__name__)
 LONGEST_GAP = 0.5
 """Time between two images that ends a stretch, s; chosen: ten images, in which a car leaves what it has seen."""
 SHORTEST = 60
@@ -99,13 +97,12 @@ def read_views(
         if frame.image is not None:
             rows.append((frame.index, frame.seconds))
             sizes.add((frame.image.shape[1], frame.image.shape[0]))
-        if total % 2000 == 0:
-            LOG.info("%s: %d images read", path, total)
+            if len(sizes) > 1 or not SIZES[0] <= min(min(sizes)) <= max(max(sizes)) <= SIZES[1]:
+                found = " and ".join(f"{w} x {h}" for w, h in sorted(sizes))
+                expected = f"expected one size, of {SIZES[0]} to {SIZES[1]} px a side"
+                raise RecordingError(f"{path}: images of {found} px: {expected}")
     seconds = np.array([row[1] for row in rows])
     first, end = longest_stretch(path, seconds, total)
-    if len(sizes) > 1 or not SIZES[0] <= min(min(sizes)) <= max(max(sizes)) <= SIZES[1]:
-        found = " and ".join(f"{w} x {h}" for w, h in sorted(sizes)[:3])
-        raise RecordingError(f"{path}: images of {found} px: expected one size, of {SIZES[0]} to {SIZES[1]} px a side")
     kept: list[NDArray[np.uint8]] = []
     commands = []
     place = 0

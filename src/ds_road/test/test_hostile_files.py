@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import resource
 import subprocess
@@ -13,9 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
-from ds_road import RoadError, read_roads
-from ds_road.importing import import_roads
 
 ENTITY = '<!DOCTYPE x [<!ENTITY a "b">]><OpenDRIVE>&a;</OpenDRIVE>'
 LINE = '<planView><geometry s="0" x="50" y="50" hdg="0" length="{}"><line/></geometry></planView>'
@@ -118,15 +114,3 @@ def test_a_hostile_road_gets_one_line_in_bounded_time_and_memory(what: str, tmp_
     assert done.returncode == 0, (done.returncode, done.stderr[-500:])
     assert len(done.stdout.splitlines()) == 1 and len(done.stdout) < 500
     assert re.search(words, done.stdout.removeprefix(str(path))), done.stdout
-
-
-@pytest.mark.parametrize("read", [read_roads, import_roads])
-def test_only_a_regular_file_is_opened(read: Callable[[Path], object], tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "fifo")
-    for path in (tmp_path / "fifo", Path("/dev/zero"), tmp_path):
-        with pytest.raises(RoadError, match="not a regular file"):
-            read(path)
-    with (tmp_path / "long").open("wb") as file:
-        file.truncate(2**34)
-    with pytest.raises(RoadError, match="longer than 16 MiB"):
-        read(tmp_path / "long")

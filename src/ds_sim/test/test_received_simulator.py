@@ -26,7 +26,19 @@ def test_shipped_names_pass_with_and_without_a_parameter_file() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["evilmod:S", "donkey:S", "ds_sim.registry:Simulator", "Donkey", "", "evil\nmod:S", "a" * 100_000 + ":S", 3, None],
+    [
+        "recording@folder",
+        f"{SIMULATORS['recording']}@folder",
+        "evilmod:S",
+        "donkey:S",
+        "ds_sim.registry:Simulator",
+        "Donkey",
+        "",
+        "evil\nmod:S",
+        "a" * 100_000 + ":S",
+        3,
+        None,
+    ],
 )
 def test_any_other_name_is_refused_in_one_line(name: object) -> None:
     with pytest.raises(UntrustedSimulatorError) as refused:

@@ -53,6 +53,11 @@ def test_real_time_says_that_it_is_not_deterministic(tmp_path: Path) -> None:
             {"road": {"file": "road.exe", "reload": "/r"}},
             "road.file: 'road.exe': expected a file that ends in .json or",
         ),
+        (
+            {"road": {"file": "/etc/road.json", "reload": "/r"}},
+            "road.file: '/etc/road.json' lies outside of the description's folder",
+        ),
+        ({"road": {"file": "a/../../road.csv", "reload": "/r"}}, "road.file: 'a/../../road.csv' lies outside"),
         ({"time": "sometimes"}, "time: expected realtime, or the keys step and seconds"),
         ({"time": {"step": "/step", "seconds": 0.03}}, "time: seconds is 0.03: no whole number of steps makes a frame"),
         (

@@ -22,7 +22,7 @@ from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_base.folder_files import place_folder
 from ds_base.left_out import LeftOut
-from ds_base.progress import Progress, logger_of
+from ds_base.progress import Progress, counted, logger_of
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
@@ -161,7 +161,7 @@ class Recording:
         Raises:
             ds_bags.layout.BagError: the recording is damaged, or has no such topic.
         """
-        return _tub_frames(self) if self.kind == "tub" else _bag_frames(self)
+        return counted(_tub_frames(self) if self.kind == "tub" else _bag_frames(self), str(self.path))
 
 
 def open_recording(path: Path, reading: Reading) -> Recording:

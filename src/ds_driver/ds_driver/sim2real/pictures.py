@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.progress import counted
 from ds_driver.data.dataset import decode, read_samples
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
@@ -62,11 +63,14 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
         raise Sim2RealError(f"{source} does not exist: expected a tub, a bag, or a folder of photographs")
     if is_tub(source):
         pictures = read_tub(source).pictures
-        yield from (_decoded(pictures[i][1]) for i in evenly(len(pictures), limit))
+        yield from (_decoded(pictures[i][1]) for i in counted(evenly(len(pictures), limit), str(source)))
         return
     if (source / "metadata.yaml").exists() or source.suffix in (".bag", ".mcap", ".db3"):
-        frames = list(open_recording(source, Reading()).frames())
-        for frame in (frames[i] for i in evenly(len(frames), limit)):
+        recording = open_recording(source, Reading())
+        wanted = None if limit is None else set(evenly(sum(1 for _ in recording.frames()), limit))
+        for number, frame in enumerate(recording.frames()):  # twice, as all images at once fill the memory
+            if wanted is not None and number not in wanted:
+                continue
             if frame.image is None:
                 raise Sim2RealError(f"{frame.trouble}: remove that image, or record it again")
             yield f"{source}, image {frame.index}", frame.image
@@ -74,7 +78,7 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
     if not source.is_dir():
         raise Sim2RealError(f"{source} is a file: expected a tub, a bag, or a folder of photographs")
     files = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
-    yield from (_decoded(files[i]) for i in evenly(len(files), limit))
+    yield from (_decoded(files[i]) for i in counted(evenly(len(files), limit), str(source)))
 
 
 def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

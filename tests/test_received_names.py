@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a received document or a goal names: keys that do not exist, files that are no configuration, large seeds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.fuzz.kinds_suites import KINDS as SUITES
+
+from ds_orchestrator.campaign.config import ConfigError
+from ds_road import Road
+from ds_sim.scenario import MAX_SEED, Scenario, ScenarioError
+from ds_studies.suite.suite_file import SuiteError, read_suite
+
+
+@pytest.mark.parametrize("place", ["tests.0", "tests.1.outcomes.bullet", ""])
+def test_an_unknown_key_inside_a_suite_is_one_line_with_its_place(place: str, tmp_path: Path) -> None:
+    path = SUITES[0].write(tmp_path)
+    raw = inside = json.loads(path.read_text())
+    for part in filter(None, place.split(".")):
+        inside = inside[int(part) if part.isdigit() else part]
+    inside["typo"] = 1
+    path.write_text(json.dumps(raw))
+    with pytest.raises(SuiteError, match=rf"{f'{place}.typo' if place else 'typo'}: there is no such key \(keys: "):
+        read_suite(path)
+
+
+@pytest.mark.parametrize(
+    "content", ["secret:x:0:0", "secret: {a: 1}\n", "- secret\n", "'secret", "siblings: [secret]\n"]
+)
+def test_a_goal_that_names_a_file_does_not_get_to_read_it(content: str, tmp_path: Path) -> None:
+    from ds_studies.ros.goals import _config_of
+
+    path = tmp_path / "passwd"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match="no configuration that can be read") as refused:
+        _config_of(str(path), tmp_path / "campaign", ())
+    assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [-1, MAX_SEED + 1, 2**64, 10**400])
+def test_a_seed_is_one_that_a_store_can_hold(seed: int) -> None:
+    road = Road([(125.0, 25.0 * k) for k in range(5)])
+    assert Scenario(road, seed=MAX_SEED).seed == MAX_SEED
+    with pytest.raises(ScenarioError, match="expected a whole number from 0"):
+        Scenario(road, seed=seed)
