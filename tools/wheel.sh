@@ -1,6 +1,10 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Builds the wheel of all packages that need no ROS into dist/. Arguments go to hatchling (`-d DIR`: another folder).
+# Builds two wheels into a folder, dist/ if left out: all packages that need no ROS, and the large networks.
 set -euo pipefail
 cd "$(dirname "$(readlink -f "${BASH_SOURCE[0]}")")/.."
-exec "${PYTHON:-.venv/bin/python}" -m hatchling build -t wheel "$@"
+python=${PYTHON:-$PWD/.venv/bin/python}
+folder=$(realpath -m "${1:-dist}")
+for project in . plugins/networks; do
+  (cd "$project" && "$python" -m hatchling build -t wheel -d "$folder")
+done

@@ -108,7 +108,7 @@ def imports_of(name: str) -> set[str]:
     for file in launched:
         constants = (node.value for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant))
         used.update(str(value) for value in constants if value in PACKAGES)
-    return used - set(sys.stdlib_module_names) - {name}
+    return used - set(sys.stdlib_module_names) - {name, "compression"}  # of Python 3.14
 
 
 def manifest(name: str) -> ElementTree.Element:

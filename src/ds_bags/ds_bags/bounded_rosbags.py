@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import bz2
 import re
+import sys
 from collections.abc import Callable
 from functools import lru_cache, partial
 from importlib.util import find_spec, module_from_spec
@@ -18,7 +19,6 @@ from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import lz4.frame
-from backports import zstd
 from rosbags import highlevel, rosbag2
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import metadata
@@ -27,6 +27,11 @@ from rosbags.typesys.store import Typestore
 
 from ds_bags.layout import TooLargeError, count_opened, left_to_open, parse_metadata, too_much
 from ds_base.bounded_yaml import load_yaml
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
 
 MAX_DEFINITION = 256 * 2**10
 """Characters of one message definition with all that it refers to; chosen: ten times the longest of the common ones."""

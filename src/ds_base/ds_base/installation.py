@@ -71,6 +71,32 @@ def install_command(extra: str) -> str:
     return "make setup"
 
 
+EXTRAS = {
+    **dict.fromkeys(("pandas", "pyarrow", "sklearn", "statsmodels"), "analysis"),
+    **dict.fromkeys(("dask", "distributed"), "dask"),
+    **dict.fromkeys(("backports", "lz4", "mcap", "rosbags"), "recording"),
+    **dict.fromkeys(("panda3d", "vehiclemodels"), "panda"),
+    "gymnasium": "gym",
+    "openvino": "openvino",
+    "pybullet": "bullet",
+    "torch": "torch",
+    "tornado": "watch",
+}
+"""Module -> the extra of the wheel that brings it."""
+
+
+def missing_module(name: str) -> str:
+    """Say in one line that a module is not installed, and what to type.
+
+    Args:
+        name: of the module, such as `ModuleNotFoundError` has it.
+    """
+    library = name.partition(".")[0]
+    if library not in EXTRAS:
+        return f"the Python package {library} is missing: ds doctor says how to install what is missing"
+    return f"this needs {library}, which is not installed: {install_command(EXTRAS[library])}"
+
+
 CPUINFO = Path("/proc/cpuinfo")
 """Where Linux describes the processors."""
 

@@ -106,7 +106,9 @@ def run(arguments: Sequence[str]) -> int:
     except RecursionError:
         return _fail("a file is nested too deeply: expected a few levels", 2)
     except ModuleNotFoundError as error:  # an extra of the wheel, or an incomplete installation
-        return _fail(_missing(error), 1)
+        from ds_base.installation import missing_module
+
+        return _fail(missing_module(str(error.name)), 1)
     except Exception as error:
         return _bug(error, arguments)
     if status == 130:  # typer's answer to an interruption
@@ -142,15 +144,6 @@ def _one_line(error: BaseException) -> str:
     full = isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
     advice = ": free some space, then run the same command again" if full else ""
     return f"{where}{' '.join(str(text).split())}{advice}"
-
-
-def _missing(error: ModuleNotFoundError) -> str:
-    from ds_base.installation import install_command, wheel_version
-
-    name = str(error.name)
-    if name == "torch" and wheel_version() is not None:
-        return f"this needs PyTorch, an extra: {install_command('torch')}"
-    return f"the Python package {name} is missing: ds doctor says how to install what is missing"
 
 
 def _usage_problem(error: Any) -> str:

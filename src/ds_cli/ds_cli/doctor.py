@@ -38,6 +38,7 @@ EXTRAS = {
 """Optional library -> its file in requirements/, and what it is for."""
 _MODULES = {
     "commonroad-vehicle-models": "vehiclemodels",
+    "digital-siblings-networks": "ds_driver",
     "opencv-python-headless": "cv2",
     "pyyaml": "yaml",
     "scikit-learn": "sklearn",
@@ -145,13 +146,17 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
     needed = []
     for requirement in wanted:
         name = re.split(r"[^\w.-]", requirement, maxsplit=1)[0].lower()
-        if extra := re.search(r"extra == ['\"](\w+)['\"]", requirement):
-            extras[name] = extra[1]
-        else:
+        extra = re.search(r"extra == ['\"](\w+)['\"]", requirement)
+        if extra is None:
             needed.append(name)
+        elif extra[1] != "default":  # which is the sum of others
+            extras[name] = extra[1]
     modules = {name: module_of(name).replace("-", "_") for name in [*needed, *extras]}
     found = look_up(Path(sys.executable), {**modules, "rclpy": "rclpy"}, imports=imports)
-    checks = [check_system()[0]]
+    series = ".".join(map(str, sys.version_info[:2]))
+    checks = [
+        _check("Python", sys.version_info >= (3, 11), series, f"{series}: 3.11 or later is needed", _apt("python3"))
+    ]
     for name in needed:
         version, problem = found[name]
         fix = f"python -m pip install {WHEEL}" if problem else ""
@@ -161,7 +166,7 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
         absent = f"not installed; optional: python -m pip install '{WHEEL}[{group}]'"
         checks.append(Check(f"{name} (optional)", True, absent if problem else version, ""))
     version, problem = found["rclpy"]
-    nodes = "not installed; optional: nodes and ds drive need ROS 2 and a built checkout (make setup)"
+    nodes = "not installed; optional: nodes need ROS 2 and a built checkout (make setup)"
     checks.append(Check("ROS 2 (optional)", True, nodes if problem else f"rclpy {version}", ""))
     weights = check_weights(Path(__file__).parents[1] / "ds_driver/models/dave2.safetensors")
     if weights.fix:

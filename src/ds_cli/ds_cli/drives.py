@@ -126,6 +126,8 @@ def _check(request: DriveOptions) -> None:
     road = request.road
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
+    if request.bag is not None:
+        import ds_bags.run_writer  # before the drive, where its libraries are missing  # noqa: F401
     if request.bag is not None and request.bag.exists():
         raise BagError(f"{request.bag} exists already: choose another folder")
     if request.video is not None:

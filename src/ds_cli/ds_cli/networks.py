@@ -14,6 +14,7 @@ from rich.table import Table
 from ds_base.bounded_json import read_json
 from ds_base.installation import ds_command
 from ds_cli.options import (
+    ALL,
     Camera,
     ImageRows,
     JsonFlag,
@@ -22,8 +23,8 @@ from ds_cli.options import (
     Simulators,
     SteeringFactor,
     Trust,
+    every_or_named,
     rows_of,
-    simulators_of,
 )
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say, say_next
 
@@ -47,14 +48,14 @@ def collect_command(
     seed: Seed = 1,
     every: Annotated[int, typer.Option(min=1, help="Keep every Nth frame.")] = 1,
     disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Strength of random steering pushes.")] = 0.0,
-    sims: Simulators = "bullet,softbody,panda,donkey",
+    sims: Simulators = ALL,
 ) -> None:
     """Collect labelled driving data with the autopilot."""
     from ds_base.installation import versions
     from ds_driver.data.collection import CollectionPlan, collect, given_roads
     from ds_driver.data.dataset import DatasetError, write_manifest
 
-    simulators = simulators_of(sims)
+    simulators = every_or_named(sims)
     if (road is None and mutants) or (road is not None and roads is not None):
         raise DatasetError("expected either --roads for random roads, or --road FILE and perhaps --mutants")
     given = None if road is None else given_roads(road, mutants=mutants, seed=seed)

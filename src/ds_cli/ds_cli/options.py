@@ -158,15 +158,24 @@ def rows_of(text: str | None) -> tuple[int, int] | None:
     raise typer.BadParameter(f"--rows {text!r}: expected FIRST:LAST, such as 40:120")
 
 
-def simulators_of(text: str) -> list[str]:
+def simulators_of(text: str, *, default: bool = False) -> list[str]:
     """Parse simulator names separated by commas, and check that each can be made.
+
+    Args:
+        text: the names.
+        default: whether nobody asked for these: those whose libraries are not installed are left out, with a line.
 
     Raises:
         ds_sim.registry.UnknownSimulatorError: a name stands for no simulator, or is given twice.
     """
-    from ds_sim.registry import UnknownSimulatorError, make_simulator
+    from ds_cli.output import say
+    from ds_sim.registry import UnknownSimulatorError, make_simulator, with_libraries
 
     names = text.split(",")
+    if default:
+        names, left_out = with_libraries(names)
+        for line in left_out:
+            say(line)
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise UnknownSimulatorError(f"simulator {', '.join(twice)} is named twice in {text!r}: name each once")
@@ -176,10 +185,10 @@ def simulators_of(text: str) -> list[str]:
 
 
 def every_or_named(text: str) -> list[str]:
-    """Parse simulator names as `simulators_of` does; `all` stands for every one that set-up installs."""
+    """Parse simulator names as `simulators_of` does; `all` stands for every shipped one that can be made here."""
     from ds_sim.registry import STANDARD
 
-    return simulators_of(",".join(STANDARD) if text == ALL else text)
+    return simulators_of(",".join(STANDARD), default=True) if text == ALL else simulators_of(text)
 
 
 def label_of_driver(driver: str) -> str:

@@ -14,7 +14,7 @@ from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts
 from ds_analysis.real.records import RecordError, read_drives
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_base.folder_files import StoreError
-from ds_base.installation import ds_command
+from ds_base.installation import ds_command, missing_module
 from ds_base.table import Table
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
@@ -147,7 +147,11 @@ def sibling_section(data: CampaignData) -> SiblingSection | None:
     table = table_of_campaign(data, most=MOST_ANALYSED).judged()
     if not len(table):
         return None
-    found = analyse(table, [config.twin] if config.twin else config.siblings)
+    try:
+        found = analyse(table, [config.twin] if config.twin else config.siblings)
+    except ModuleNotFoundError as error:  # without the extra `analysis`
+        left_out = f"What the simulators say about each other is left out: {missing_module(str(error.name))}"
+        return SiblingSection(roads=len(table), sentences=[left_out], tables=[], pictures=[])
     tables = analysis_tables(found)
     if table.sample_note:
         tables = [replace(one, notes=[*one.notes, table.sample_note]) for one in tables]

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from ds_base.errors import InputError
 from ds_base.extension import installed, plugin_of
+from ds_base.installation import EXTRAS, missing_module
 from ds_base.palette import SERIES
 from ds_base.words import did_you_mean, listed
 
@@ -244,7 +245,9 @@ def simulator_class(base: str) -> type[Simulator]:
     try:
         kind = getattr(import_module(module), attribute)
     except (ImportError, AttributeError) as error:
-        raise UnknownSimulatorError(_cannot_be_loaded(base, error)) from None
+        library = str(getattr(error, "name", "")).partition(".")[0]
+        problem = missing_module(library) if library in EXTRAS else error
+        raise UnknownSimulatorError(_cannot_be_loaded(base, problem)) from None
     if not (isinstance(kind, type) and issubclass(kind, Simulator)):
         raise UnknownSimulatorError(f"{target} is no subclass of ds_sim.Simulator: docs/add_a_simulator.md")
     return kind
@@ -258,7 +261,20 @@ def unknown_simulator(name: str) -> str:
     return f"{names}; {folder} of this checkout has it: type make {name}" if folder else names
 
 
-def _cannot_be_loaded(name: str, error: Exception) -> str:
+def with_libraries(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Sort registered simulators by whether the libraries that they need are installed.
+
+    Returns:
+        Names of those whose libraries are, and for each of the others one line with what to type.
+    """
+    missing = {name: simulator_class(name).missing() for name in names}
+    return (
+        [name for name in names if not missing[name]],
+        [f"{name} is left out: {problem}" for name, problem in missing.items() if problem],
+    )
+
+
+def _cannot_be_loaded(name: str, error: Exception | str) -> str:
     advice = ": check module:Class" if ":" in name else ""
     return f"simulator {name!r} cannot be loaded ({error}){advice}"
 
@@ -286,7 +302,7 @@ def make_simulator(name: SimulatorName | str) -> Simulator:
     try:
         return kind.named(parsed)
     except (ImportError, AttributeError) as error:
-        raise UnknownSimulatorError(_cannot_be_loaded(parsed.base, error)) from None
+        raise UnknownSimulatorError(_cannot_be_loaded(parsed.base, kind.missing() or error)) from None
 
 
 def simulator_of_process(name: str) -> Simulator:

@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from enum import IntEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.errors import InputError, RunError
+from ds_base.installation import missing_module
 from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
@@ -268,11 +270,13 @@ class Simulator(ABC):
         is_external: whether it is another program, which has one vehicle however often it is made here, and commands
             whatever listens to it.
         takes_stills: whether it has `still`.
+        modules: modules of extras that it needs.
     """
 
     needs_file: ClassVar[bool] = False
     is_external: ClassVar[bool] = False
     takes_stills: ClassVar[bool] = False
+    modules: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def named(cls, name: SimulatorName) -> Simulator:
@@ -291,7 +295,7 @@ class Simulator(ABC):
     @classmethod
     def missing(cls) -> str:
         """Say what must be installed before it can be made, one line with what to type; "" if nothing is missing."""
-        return ""
+        return next((missing_module(name) for name in cls.modules if find_spec(name) is None), "")
 
     @classmethod
     def depends_on(cls) -> dict[str, str]:

@@ -55,6 +55,8 @@ class BulletSimulator(RoadSimulator):
         parameters: parameters of the car; nominal values if omitted.
     """
 
+    modules = ("pybullet",)
+
     def __init__(self, parameters: BulletParameters | None = None) -> None:
         parameters = parameters or BulletParameters()
         vehicle = BulletVehicle(parameters)

@@ -184,14 +184,9 @@ class BulletVehicle(Vehicle):
 
 
 def _import_bullet() -> Any:
-    """Import PyBullet, which may be missing because it has no wheels for some versions of Python."""
-    try:
-        with _silenced_stderr():
-            return importlib.import_module("pybullet")
-    except ImportError:
-        raise ImportError(
-            "PyBullet is not installed: pip install pybullet==3.2.7 (it needs a C++ compiler on Python 3.12)"
-        ) from None
+    """Import PyBullet, an extra, since it has no wheels for some versions of Python."""
+    with _silenced_stderr():
+        return importlib.import_module("pybullet")
 
 
 @contextmanager

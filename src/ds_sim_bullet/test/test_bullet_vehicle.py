@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ds_base.installation import missing_module
+from ds_sim.registry import UnknownSimulatorError, make_simulator, with_libraries
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim_bullet.parameters import GRAVITY, BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
@@ -184,5 +186,7 @@ def test_invalid_parameters_are_refused_in_one_line() -> None:
 
 def test_without_pybullet_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(ImportError, match=r"^PyBullet is not installed: pip install pybullet==\S+ \(.*\)$"):
-        BulletVehicle()
+    with pytest.raises(UnknownSimulatorError, match=r"^simulator 'bullet' cannot be loaded \(this needs pybullet"):
+        make_simulator("bullet")
+    there, left_out = with_libraries(["bullet", "softbody"])
+    assert there == ["softbody"] and left_out == [f"bullet is left out: {missing_module('pybullet')}"]

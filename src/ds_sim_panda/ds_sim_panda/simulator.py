@@ -41,6 +41,8 @@ class PandaSimulator(RoadSimulator):
         ds_sim.simulator.SimulatorError: EGL or Mesa's software renderer is missing.
     """
 
+    modules = ("panda3d", "vehiclemodels")
+
     @classmethod
     def depends_on(cls) -> dict[str, str]:
         """Versions of the libraries that move the car and draw; the renderer is "absent" where it cannot draw."""

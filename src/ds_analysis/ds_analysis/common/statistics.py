@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import trapezoid
 from scipy.stats import DegenerateDataWarning, NearConstantInputWarning, bootstrap, pearsonr
 
 from ds_base.intervals import LEVEL
@@ -110,7 +111,6 @@ def ranks(predicted: Array) -> tuple[Indices, Indices]:
     return order, np.flatnonzero(np.append(np.diff(predicted[order]) != 0.0, True))
 
 
-# scikit-learn is imported in the functions that use it: the import takes 1 s, and most commands do not need it.
 def auc_prc(predicted: Array, truth: Array) -> float:
     """Compute the AUC-PRC as scikit-learn's average precision; (cells,) values of a map, and the twin's rates.
 
@@ -123,18 +123,26 @@ def auc_prc(predicted: Array, truth: Array) -> float:
 
 
 def auc_roc(predicted: Array, truth: Array) -> float:
-    """Compute the area under the receiver operating characteristic."""
-    from sklearn.metrics import roc_auc_score
-
-    return float(roc_auc_score(truth > 0, predicted))
+    """Compute the area under the receiver operating characteristic; same bits as `sklearn.metrics.roc_auc_score`."""
+    hits, misses = _counts(predicted, truth)
+    if len(hits) > 2:
+        corners = np.pad((np.diff(misses, 2) != 0.0) | (np.diff(hits, 2) != 0.0), 1, constant_values=True)
+        hits, misses = hits[corners], misses[corners]
+    return float(trapezoid(np.append(0.0, hits / hits[-1]), np.append(0.0, misses / misses[-1])))
 
 
 def auc_prc_by_trapezoids(predicted: Array, truth: Array) -> float:
     """Compute the AUC-PRC by the trapezoidal rule, which interpolates between points and so is optimistic."""
-    from sklearn.metrics import auc, precision_recall_curve
+    hits, misses = _counts(predicted, truth)
+    precision, recall = hits / (hits + misses), hits / hits[-1]
+    return -float(trapezoid(np.append(precision[::-1], 1.0), np.append(recall[::-1], 0.0)))
 
-    precision, recall, _ = precision_recall_curve(truth > 0, predicted)
-    return float(auc(recall, precision))
+
+def _counts(predicted: Array, truth: Array) -> tuple[Array, Array]:
+    """Failures, and other cells, among the cells with the largest predictions, for each number that is told apart."""
+    order, ends = ranks(predicted)
+    hits = np.cumsum(truth[order] > 0.0)[ends].astype(np.float64)
+    return hits, ends + 1.0 - hits
 
 
 def r_or_nan(predicted: Array, truth: Array) -> float:

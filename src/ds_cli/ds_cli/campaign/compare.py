@@ -298,7 +298,7 @@ def campaign_compare_command(
         network = driver_named(candidate, backend)
         if is_campaign(first):
             return CampaignAndNetwork(Path(first), network, again, trust or [])
-        names = simulators_of(sims or SIMULATORS)
+        names = simulators_of(sims or SIMULATORS, default=sims is None)
         return TwoNetworks(
             driver_named(first), network, names, roads or ROADS, SEED if seed is None else seed, stop_early
         )

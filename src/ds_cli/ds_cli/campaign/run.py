@@ -232,7 +232,7 @@ def _template_of(
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.sensitivity.ranges import read_ranges
 
-    names = simulators_of(sims.removesuffix(",none"))
+    names = simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
     check_driver(driver_named(driver), names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
     named = rebase_paths({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)

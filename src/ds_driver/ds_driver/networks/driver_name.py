@@ -9,7 +9,7 @@ from pathlib import Path
 from ds_base.extension import installed
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BACKENDS, DEVICES, BackendError
-from ds_driver.networks.weights import shipped_networks, shipped_sets
+from ds_driver.networks.weights import APART, shipped_networks, shipped_sets
 from ds_sim.registry import path_moved
 
 DESCRIPTIONS = (".yaml", ".yml")
@@ -88,7 +88,7 @@ class DriverName:
     @property
     def has_weights(self) -> bool:
         """Whether it is a network of this project's architectures, which every backend computes."""
-        known = self.network in {**NETWORKS, **shipped_networks()} or self.file_type == WEIGHTS
+        known = self.network in {**NETWORKS, **shipped_networks(), **dict.fromkeys(APART)} or self.file_type == WEIGHTS
         return known and self.description is None
 
     @property

@@ -21,10 +21,13 @@ from ds_base.atomic_files import whole_file
 from ds_base.bounded_file import read_regular, sha256_of
 from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
+from ds_base.installation import install_command, wheel_version
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError
 
 SHIPPED = Path(__file__).parents[1] / "models"
 """Folder of the shipped networks."""
+APART = ("dave2_real", "dave2_real_short", "dave2_short", "epoch", "epoch_real")
+"""Shipped networks that the wheel leaves to the distribution `digital-siblings-networks`."""
 LARGEST_FILE = 2**29
 """Bytes of a weights file; chosen: ten times the largest shipped one."""
 GENERATORS = "sim2real"
@@ -139,6 +142,8 @@ def path_of_weights(name_or_path: str) -> Path:
         UnknownNetworkError: neither a known name nor the path of a weights file.
     """
     path = Path(name_or_path)
+    if name_or_path in APART and name_or_path not in shipped_networks() and wheel_version() is not None:
+        raise WeightsError(f"{name_or_path} is one of the large networks: {install_command('networks')}")
     if name_or_path in NETWORKS or name_or_path in shipped_networks():
         path = shipped_networks().get(name_or_path, SHIPPED / f"{name_or_path}.safetensors")
         if path.suffix != ".safetensors":

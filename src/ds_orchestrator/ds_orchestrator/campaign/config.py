@@ -23,7 +23,7 @@ from ds_base.config_errors import problems, read_keys
 from ds_base.errors import InputError
 from ds_base.extension import confirm, is_extension
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
-from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record
+from ds_orchestrator.campaign.engine import DriveSettings, EngineName, Record, usual_record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.maps.algebra import operator_of
 from ds_orchestrator.maps.campaign_maps import MapPlan
@@ -216,7 +216,7 @@ class CampaignConfig(_Strict):
     workers: Annotated[int, Field(ge=1, le=MOST_WORKERS)] = 1
     retries: Annotated[int, Field(ge=0, le=10)] = 2
     command_timeout: Annotated[float, Field(gt=0, le=3600)] = 10.0
-    record: Record = "telemetry"
+    record: Record = Field(default_factory=usual_record)
 
     @field_validator("siblings", "twin")
     @classmethod

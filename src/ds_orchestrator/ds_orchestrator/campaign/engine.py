@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from typing import Literal, Protocol
 
 from ds_base.installation import missing_of_ros
@@ -19,6 +20,8 @@ EngineName = Literal["auto", "graph", "local", "dask"]
 """What drives. `auto` stands for `graph` where ROS is set up, and for `local` where it is not."""
 Gates = Literal["none", "conditions", "all"]
 Record = Literal["none", "telemetry", "compressed", "raw"]
+BAG_MODULES = ("mcap", "rosbags")
+"""What writes bags: the extra `recording`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +74,11 @@ class DriveSettings:
         """JSON text of what the results of given tests depend on."""
         keys = ("siblings", "twin", "driver", "gates", "retries", "command_timeout")
         return json.dumps({key: getattr(self, key) for key in keys} | {"driver": str(self.driver)})
+
+
+def usual_record() -> Record:
+    """Content of bags where nothing says so: telemetry, or no bag where its libraries are not installed."""
+    return "none" if any(find_spec(name) is None for name in BAG_MODULES) else "telemetry"
 
 
 def engine_here(engine: EngineName, *, attach: bool = False) -> EngineName:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.util import find_spec
 
-from ds_base.installation import install_command
+from ds_base.installation import install_command, missing_module
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.engine import DriveSettings
+from ds_orchestrator.campaign.engine import BAG_MODULES, DriveSettings, usual_record
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.model import NotApplicableError
@@ -42,6 +42,8 @@ def preflight(settings: DriveSettings) -> None:
         check_ros()
     if engine == "dask":
         settings.cluster.check()
+    if settings.record != "none" and usual_record() == "none":
+        raise ConfigError(f"record: {settings.record} writes bags: {missing_module(BAG_MODULES[0])}, or set it to none")
     check_driver(settings.driver, settings.simulators)
     for name in settings.simulators:
         simulator = make_simulator(name)
