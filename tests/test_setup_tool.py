@@ -255,7 +255,7 @@ def test_a_definition_is_parsed_once_for_all_generators(tmp_path: Path) -> None:
 
 
 def test_an_installed_standard_package_is_preferred(tmp_path: Path) -> None:
-    assert "simulation_interfaces" in workspace.packages(REPOSITORY / "src", tmp_path)
+    assert {"simulation_interfaces", "tf2_msgs"} <= workspace.packages(REPOSITORY / "src", tmp_path).keys()
     index = tmp_path / "share/ament_index/resource_index/packages"
     index.mkdir(parents=True)
     (index / "simulation_interfaces").touch()

@@ -24,7 +24,6 @@ NODES: dict[str, tuple[str, dict[str, object]]] = {
 }
 """Node -> module and parameters with which it has all of its documented interfaces."""
 OPTIONAL = {
-    "simulator": {("publishes", "/tf"), ("publishes", "/tf_static")},  # tf2_msgs is not on PyPI
     "cmd_vel_adapter": {("calls", "get_info")},
     "camera_driver": {("subscribes", "camera/image_raw/compressed"), ("publishes", "cmd_vel")},
 }

@@ -26,7 +26,7 @@ _BUILD_PATH = Path(__file__).with_name("build_path")
 _INDEX = "share/ament_index/resource_index/packages"
 _DISCOVERY_HOOK = "ds_bringup/share/ds_bringup/environment/one_machine.sh"
 """Set-up file of ds_bringup that selects the discovery profile, below the workspace's install folder."""
-_STANDARD = ("simulation_interfaces",)
+_STANDARD = ("simulation_interfaces", "tf2_msgs")
 """Packages of which this workspace has the part that it uses; an installed one is whole, and preferred."""
 _PATH_LISTS = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONPATH", "PATH")
 _EXECUTABLE = """#!{python}

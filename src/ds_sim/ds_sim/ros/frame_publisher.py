@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
+from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
@@ -22,12 +23,6 @@ from ds_sim.frames import ROAD_FRAME, START
 from ds_sim.messages import MessageBuilder
 from ds_sim.ros.conversions import frame_to_message, message_builder
 from ds_sim.simulator import FRAME_TIME, Observation, Simulator, SimulatorSpec, VehicleState
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # the ROS wheels on PyPI do not include it
-    TFMessage = None
-
 
 FRAME_DEPTH = 600
 """Messages of a topic kept for subscribers that lag; chosen: 30 s of a run at 20 Hz. With 50, a recorder on a busy
@@ -45,10 +40,6 @@ class TransformPublisher:
 
     def __init__(self, node: Node, camera: CameraSpec, make: MessageBuilder) -> None:
         self._make = make
-        self._moving: Any = None
-        if TFMessage is None:
-            node.get_logger().info("tf2_msgs is not installed: no /tf is published")
-            return
         self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=FRAME_DEPTH))
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
@@ -56,7 +47,7 @@ class TransformPublisher:
 
     def publish(self, vehicle: VehicleState, stamp: Any) -> None:
         """Publish the vehicle's pose if there is a subscriber."""
-        if self._moving is not None and self._moving.get_subscription_count():
+        if self._moving.get_subscription_count():
             self._moving.publish(self._make.body_transform(vehicle, stamp))
 
 
