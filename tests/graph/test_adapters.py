@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 
 from ds_road import Road
 from ds_sim.scenario import Scenario
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
@@ -55,11 +56,11 @@ def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any
 
     node = Node("standard_driver")
     publisher = node.create_publisher(TwistStamped, "/ds1/cmd_vel", 1)
-    turn = [0.0]
+    speed, turn = [4.0], [0.0]
 
     def answer(image: Image) -> None:
         message = TwistStamped(header=image.header)
-        message.twist.linear.x, message.twist.angular.z = 4.0, turn[0]
+        message.twist.linear.x, message.twist.angular.z = speed[0], turn[0]
         publisher.publish(message)
 
     node.create_subscription(Image, "/ds1/camera/image_raw", answer, 1)
@@ -72,9 +73,12 @@ def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any
     assert left.outcome is Outcome.OUT_OF_BOUNDS
     assert left.observations[-1].lane.lateral_position < -2.0
     assert left.observations[-1].vehicle.yaw_rate > 0.0
-    turn[0] = float("nan")
-    broken = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
-    assert broken.outcome is Outcome.DRIVER_SILENT and "steering is nan" in broken.message
+    adapted._timeout = 2.0
+    backing_up = (-0.05, 0.0, "speed is -0.05: the vehicles here have no reverse gear")  # as Nav2's BackUp
+    for speed[0], turn[0], reason in ((4.0, math.nan, "twist.angular.z is nan"), backing_up):
+        broken = adapted.execute("donkey", Scenario(STRAIGHT, seed=1))
+        assert (broken.outcome, broken.reason) == (Outcome.DRIVER_SILENT, Reason.COMMAND_REFUSED)
+        assert f"the last command was refused: {reason}" in broken.message
     node.destroy_node()
 
 

@@ -101,9 +101,8 @@ class MessageBuilder:
 
     def command(self, command: Command, header: Any) -> Any:
         """The driver's command in answer to the frame with this header's time."""
-        return self._make(
-            "ds_interfaces/DriveCommand", header=header, steering=command.steering, throttle=command.throttle
-        )
+        numbers = {"steering": command.steering, "throttle": command.throttle}
+        return self._make("ds_interfaces/DriveCommand", header=header, **numbers, refusal="")
 
     def odometry(self, vehicle: VehicleState, stamp: Any) -> Any:
         """Planar pose in the road frame, twist in the vehicle's (REP-105); covariances mark it as ground truth."""

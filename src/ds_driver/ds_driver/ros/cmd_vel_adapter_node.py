@@ -84,8 +84,8 @@ class CmdVelAdapter(Node):
         if isinstance(motion, MotionError):
             self._answers.refused += 1
             self.get_logger().warning(f"command refused: {motion}", throttle_duration_sec=1.0)
-            # An invalid command, so that the result of the run states why it ended.
-            self._drive.publish(DriveCommand(header=header, steering=math.nan, throttle=math.nan))
+            refusal = {"steering": math.nan, "throttle": math.nan, "refusal": str(motion)}
+            self._drive.publish(DriveCommand(header=header, **refusal))
             return
         if motion.throttle is not None:
             throttle = min(motion.throttle, 1.0)

@@ -74,8 +74,8 @@ class SimulatorClient:
 
         Args:
             answer: called once per frame. A ValueError leaves the frame unanswered and is logged in one line. After a
-                DriverError, which would recur with every frame, an invalid command is published, so that the result
-                of the run states the cause.
+                DriverError, which would recur with every frame, it is published as a refusal, which the result of the
+                run repeats.
         """
         self._answer = answer
         if self._drive is None:
@@ -104,7 +104,8 @@ class SimulatorClient:
             self._answers.refused += 1
             self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
             if isinstance(error, DriverError):
-                self._drive.publish(DriveCommand(header=message.header, steering=math.nan, throttle=0.0))
+                refusal = {"steering": math.nan, "throttle": math.nan, "refusal": str(error)}
+                self._drive.publish(DriveCommand(header=message.header, **refusal))
             return
         self._drive.publish(MESSAGES.command(command, message.header))
         self._answers.add(time.monotonic() - began)

@@ -35,6 +35,7 @@ from ds_sim.simulator import (
     MAX_SPEED,
     AutopilotGains,
     Command,
+    CommandError,
     LaneState,
     Observation,
     Outcome,
@@ -52,6 +53,8 @@ _SPEC = (
 )
 """Fields that a simulator's spec and its description by `get_info` share."""
 
+MOST_WORDS = 300
+"""Characters that are repeated of what a driver says; chosen: three lines of a terminal."""
 FEEDBACK_EVERY = 10
 """Frames between two feedback messages of a run; two messages per simulated second."""
 
@@ -116,8 +119,10 @@ def command_from_message(message: DriveCommand) -> Command:
     """Convert a message to a command.
 
     Raises:
-        ds_sim.simulator.CommandError: a value is NaN or out of range.
+        ds_sim.simulator.CommandError: a value is NaN or out of range, or the driver says why it has none.
     """
+    if message.refusal:
+        raise CommandError(" ".join(message.refusal.split())[:MOST_WORDS])
     return Command(message.steering, message.throttle)
 
 
