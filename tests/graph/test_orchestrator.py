@@ -14,6 +14,7 @@ import pytest
 from benchmarks.kill import stored
 
 from ds_driver.networks.driver_name import AUTOPILOT
+from ds_orchestrator.campaign.folder import open_store
 from ds_road import generate
 
 pytestmark = pytest.mark.graph
@@ -149,8 +150,6 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     from nav_msgs.msg import OccupancyGrid
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from ds_orchestrator.campaign.folder import open_store
-
     latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     outcomes: list[Any] = []
     seen: dict[str, Any] = {}
@@ -170,7 +169,7 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     driven = {(one.test_id, one.simulator): one for one in store.executions()}
     for one in outcomes:
         known = driven[one.test_id, one.simulator]
-        assert (one.outcome.value, one.fitness) == (int(known.outcome), known.fitness)
+        assert (one.campaign, one.outcome.value, one.fitness) == ("c", int(known.outcome), known.fitness)
     legend, grid = seen["map_legend"], seen["maps/twin_donkey"]
     assert (len(legend.columns), len(legend.rows)) == (grid.info.width, grid.info.height)
     failed = sum(one.outcome.is_failure for (_, name), one in driven.items() if name == "donkey")
@@ -180,7 +179,8 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     assert [p < 0 for p in grid.data] == [n == 0 for n in answer.tests]
     assert "expected one of" in graph.ask(GetMap, "get_map", name="nonsense").message
     test = graph.ask(GetTest, "get_test", test_id="bullet-0-0001")
-    assert {one.simulator for one in test.outcomes} == {"bullet", "donkey"} and test.road.control_points
+    assert {(one.campaign, one.simulator) for one in test.outcomes} == {("c", "bullet"), ("c", "donkey")}
+    assert test.road.control_points
     assert "such as bullet-0-0000" in graph.ask(GetTest, "get_test", test_id="x").message
     state = graph.ask(GetState, "get_state").state
     assert (state.state, state.folder, state.done) == (CampaignState.FINISHED, "c", DRIVES)
@@ -188,6 +188,42 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
     assert "the last run ended" in seen["simulator: simulator"].status[0].message
     latency = {value.key for value in seen["autopilot: latency"].status[0].values}
     assert {"frames answered", "frames refused", "latency p95 ms"} <= latency
+
+
+def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign: tuple[int, Any, list[Any]]) -> None:
+    """Another campaign with its own seed and conditions, and then a goal that drives nothing."""
+    from ds_interfaces.action import RunCampaign
+    from ds_interfaces.msg import Condition, MapLegend, TestOutcome
+    from nav_msgs.msg import OccupancyGrid
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+
+    latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    steady: list[Any] = []
+    listener = graph.node.create_subscription(TestOutcome, "finished_tests", steady.append, 1000)  # volatile
+    graph.until(lambda: listener.get_publisher_count() == 1)
+    fields: dict[str, Any] = {"conditions": [Condition(name="friction", value=0.8)], "seed": [7]}
+    status, result = graph.run(RunCampaign, "run_campaign", config=CONFIG, folder="late", engine="local", **fields)
+    assert (status, result.message) == (4, "")
+    first = [one for one in open_store(graph.root / "late").tests() if one.test_id == "bullet-0-0000"]
+    assert [dict(one.conditions.changed) for one in first] == [{"friction": 0.8}]
+    assert [one.road for one in first] != [
+        one.road for one in open_store(graph.root / "c").tests() if one.test_id == "bullet-0-0000"
+    ]
+    late: list[Any] = []
+    graph.node.create_subscription(TestOutcome, "finished_tests", late.append, latched)
+    graph.until(lambda: len(late) >= DRIVES and len(steady) >= DRIVES)
+    assert [one.campaign for one in late] == [one.campaign for one in steady] == ["late"] * DRIVES
+    fields = {"conditions": fields["conditions"], "default_conditions": True}
+    status, result = graph.run(RunCampaign, "run_campaign", config=CONFIG, folder="empty", **fields)
+    assert (status, result.message) == (6, "conditions, and default_conditions: expected one of both")
+    seen: dict[str, Any] = {}
+    for name, kind in (("maps/merged", OccupancyGrid), ("maps/twin_donkey", OccupancyGrid), ("map_legend", MapLegend)):
+        graph.node.create_subscription(kind, name, lambda message, name=name: seen.update({name: message}), latched)
+    later: list[Any] = []
+    graph.node.create_subscription(TestOutcome, "finished_tests", later.append, latched)
+    graph.until(lambda: len(seen) == 3)
+    assert [seen[name].info.width for name in ("maps/merged", "maps/twin_donkey")] == [0, 0]
+    assert (seen["map_legend"].across, later) == ("", [])
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from ds_interfaces.action import DriveRoad
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
@@ -93,7 +94,7 @@ def _fits(value: Any, low: float | None, high: float | None, choices: Sequence[s
     return (low is None or value >= low) and (high is None or value <= high)
 
 
-SYNC_MODES = ("lockstep", "first", "realtime")
+SYNC_MODES = (DriveRoad.Goal.SYNC_LOCKSTEP, DriveRoad.Goal.SYNC_FIRST, DriveRoad.Goal.SYNC_REALTIME)
 """lockstep: only the command with the stamp of the last image counts; first: the first command after the last image
 counts; realtime: frames come at 20 Hz by the wall clock, and the last command is held."""
 

@@ -27,9 +27,9 @@ MOST_CELLS = 2**16
 """Cells of a grid; chosen: a hundred times those of the paper's maps."""
 
 
-def outcome_message(test_id: str, simulator: str, found: Execution | Gate | None) -> TestOutcome:
-    """Convert what became of a test on a simulator; None: every attempt ended in an error."""
-    message = TestOutcome(test_id=test_id, simulator=simulator)
+def outcome_message(folder: str, test_id: str, simulator: str, found: Execution | Gate | None) -> TestOutcome:
+    """Convert what became of a test of a goal's folder on a simulator; None: every attempt ended in an error."""
+    message = TestOutcome(campaign=folder, test_id=test_id, simulator=simulator)
     if isinstance(found, Execution):
         message.outcome.value = int(found.outcome)
         message.message, message.bag = found.message, found.bag
@@ -41,8 +41,8 @@ def outcome_message(test_id: str, simulator: str, found: Execution | Gate | None
     return message
 
 
-def test_response(data: CampaignData, test_id: str, response: GetTest.Response) -> GetTest.Response:
-    """Fill in a test of a campaign and its outcomes."""
+def test_response(data: CampaignData, folder: str, test_id: str, response: GetTest.Response) -> GetTest.Response:
+    """Fill in a test of a campaign, by the folder of its goal, and its outcomes."""
     test = next((one for one in data.tests if one.test_id == test_id), None)
     if test is None:
         response.message = f"no test {test_id!r:.60}: expected one of {len(data.tests)}, such as {_first(data)}"
@@ -53,7 +53,7 @@ def test_response(data: CampaignData, test_id: str, response: GetTest.Response) 
         name: gate for (one, name), gate in data.gates.items() if one == test_id and not gate.is_valid
     }
     known |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}
-    response.outcomes = [outcome_message(test_id, name, one) for name, one in known.items()]
+    response.outcomes = [outcome_message(folder, test_id, name, one) for name, one in known.items()]
     return response
 
 

@@ -12,7 +12,9 @@ from pathlib import Path
 from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
 from ds_interfaces.srv import GetMap, GetState, GetTest
 from nav_msgs.msg import OccupancyGrid
+from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from ds_base.folder_files import StoreError
@@ -27,6 +29,8 @@ MAPS_EVERY, MAPS_SHARE = 2.0, 20.0
 thousand drives take 5 s, and must not slow the drives."""
 REMEMBERED = 1000
 """Outcomes that a late subscriber gets; chosen."""
+MEETING = 5.0
+"""Longest wait for the subscribers to outcomes to meet the publisher of another goal's, s."""
 
 
 class CampaignView:
@@ -42,12 +46,11 @@ class CampaignView:
         self._job: Job | None = None
         self._campaign: Path | None = None
         self._grids: Grids | None = None
-        self._published, self._ended = threading.Event(), threading.Event()
+        self._published, self._ended, self._lock = threading.Event(), threading.Event(), threading.Lock()
         self._latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._state = node.create_publisher(CampaignState, "campaign_state", self._latched)
         self._legend = node.create_publisher(MapLegend, "map_legend", self._latched)
-        remembered = QoSProfile(depth=REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._outcomes = node.create_publisher(TestOutcome, "finished_tests", remembered)
+        self._outcomes, self._awaited, self._patience = self._make_outcomes(), 0, 0.0
         Diagnostics(node, "campaign", self._report)
         self._maps = {"merged": node.create_publisher(OccupancyGrid, "maps/merged", self._latched)}
         node.create_service(GetState, "get_state", self._on_get_state)
@@ -63,7 +66,22 @@ class CampaignView:
             job: the goal.
             campaign: folder with the campaign whose maps are drawn; None for given tests.
         """
-        self._job, self._campaign, self._grids = job, campaign, None
+        # A late subscriber must not get what the publishers remember of the last goal. No publisher can forget: that of
+        # outcomes is replaced, those of maps, which remember one, publish one without cells.
+        self.show()
+        self._outcomes.wait_for_all_acked(Duration(seconds=1))
+        self._awaited, self._patience = self._outcomes.get_subscription_count(), time.monotonic() + MEETING
+        self._node.destroy_publisher(self._outcomes)
+        self._outcomes = self._make_outcomes()
+        for publisher in self._maps.values():
+            publisher.publish(OccupancyGrid())
+        self._legend.publish(MapLegend())
+        with self._lock:
+            self._job, self._campaign, self._grids = job, campaign, None
+
+    def _make_outcomes(self) -> Publisher:
+        remembered = QoSProfile(depth=REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        return self._node.create_publisher(TestOutcome, "finished_tests", remembered)
 
     def close(self) -> None:
         """End the drawing of maps."""
@@ -77,7 +95,8 @@ class CampaignView:
     def show(self) -> None:
         """Publish what is new."""
         state = self.state
-        while self._job is not None and not self._job.listener.outcomes.empty():
+        met = self._outcomes.get_subscription_count() >= self._awaited or time.monotonic() > self._patience
+        while met and self._job is not None and not self._job.listener.outcomes.empty():
             self._outcomes.publish(self._job.listener.outcomes.get())
         self._state.publish(state)
         grids = self._grids
@@ -102,17 +121,19 @@ class CampaignView:
 
     def _keep_drawing(self) -> None:
         """Draw the maps again while a campaign drives, and once at its end."""
-        pause, seen = MAPS_EVERY, (Path(), -1, -1)
+        pause, seen = MAPS_EVERY, (0, -1, -1)
         while not self._ended.wait(pause):
             state, campaign = self.state, self._campaign
-            present = (campaign or Path(), state.done, state.state)
+            present = (id(self._job), state.done, state.state)
             if campaign is None or present == seen:
                 continue
             began, seen = time.monotonic(), present
-            data = self._read()
-            if data is not None and campaign == self._campaign:
-                self._grids = grids_of(data)
-                self._published.clear()
+            job, data = self._job, self._read()
+            grids = None if data is None else grids_of(data)
+            with self._lock:
+                if data is not None and job is self._job:
+                    self._grids = grids
+                    self._published.clear()
             pause = max(MAPS_EVERY, MAPS_SHARE * (time.monotonic() - began))
 
     def _read(self) -> CampaignData | None:
@@ -146,4 +167,4 @@ class CampaignView:
         if data is None:
             response.message = "no campaign of this node has tests yet: send the goal run_campaign first"
             return response
-        return test_response(data, request.test_id, response)
+        return test_response(data, self.state.folder, request.test_id, response)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ds_interfaces.action import RunCampaign
 from rclpy.action.server import ServerGoalHandle
 
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
@@ -26,9 +27,8 @@ from ds_studies.ros.campaign_messages import outcome_message
 from ds_studies.ros.state_listener import StateListener
 from ds_studies.whole_campaign import check_trust, run_campaign
 
-ENGINES = ("attach", "graph", "local", "dask")
+ENGINES = tuple(getattr(RunCampaign.Goal, f"ENGINE_{name}") for name in ("ATTACH", "GRAPH", "LOCAL", "DASK", "AUTO"))
 """attach: nodes that run; the others start their own."""
-
 
 Work = Callable[["Job", Collection[str]], None]
 """Drives what a goal asks, and fills in its result; takes the names that may run code of their own."""
@@ -62,12 +62,18 @@ def run_campaign_goal(job: Job, trusted: Collection[str]) -> None:
     request = job.goal.request
     config = _config_of(request.config, job.folder, trusted)
     engine = request.engine or config.engine
-    attach = engine == "attach"
-    changed = (
+    attach = engine == RunCampaign.Goal.ENGINE_ATTACH
+    changed: dict[str, object] = (
         {"engine": "graph", "workers": 1}
         if attach
         else {"engine": engine, "workers": request.workers or config.workers}
     )
+    if request.conditions and request.default_conditions:
+        raise ConfigError("conditions, and default_conditions: expected one of both")
+    if request.conditions or request.default_conditions:
+        changed["conditions"] = conditions_from_messages(request.conditions)
+    if request.seed:
+        changed["seed"] = int(request.seed[0])
     found = run_campaign(
         parse_config(config.model_dump() | changed, "the goal", received=True),
         job.folder,
@@ -105,7 +111,7 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
     request = job.goal.request
     if not request.roads or not request.simulators or len(request.seeds) not in (0, len(request.roads)):
         raise ConfigError("expected at least one road and one simulator, and a seed for each road or none")
-    names, attach = list(dict.fromkeys(request.simulators)), request.engine == "attach"
+    names, attach = list(dict.fromkeys(request.simulators)), request.engine == RunCampaign.Goal.ENGINE_ATTACH
     # What a campaign of these may be, a list of tests may be: one check of names and numbers.
     raw = {
         "siblings": names,
@@ -129,7 +135,7 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
         for name in names:
             key = (test.test_id, name)
             one = found.executions.get(key) or (found.gates.get(key) if key in found.excluded else None)
-            message = outcome_message(*key, one)
+            message = outcome_message(request.folder, *key, one)
             if key in found.errors:
                 message.message = str(found.errors[key])
             job.result.outcomes.append(message)

@@ -46,7 +46,7 @@ class StateListener(TimedListener):
             self._state.done = self.done
             self._state.failures += isinstance(execution, Execution) and execution.outcome.is_failure
             self._state.errors += execution is None
-        self.outcomes.put(outcome_message(test.test_id, simulator, execution))
+        self.outcomes.put(outcome_message(self._state.folder, test.test_id, simulator, execution))
 
     def hear(self, line: str) -> None:
         """Make a line of the product's loggers the state's message."""
