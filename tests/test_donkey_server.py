@@ -305,12 +305,14 @@ def test_one_client_too_many_is_refused_and_a_silent_one_makes_room() -> None:
 def test_a_client_that_drips_bytes_is_disconnected_like_a_silent_one() -> None:
     with served(most_clients=1, patience=1.0) as (port, _):
         slow = Client(port)
-        began = time.monotonic()
-        with suppress(ConnectionError):
+
+        def drip() -> None:
             for byte in b'{"msg_type": "control", "note": "' + b"x" * 200:
                 slow.socket.sendall(bytes([byte]))
                 time.sleep(0.1)
-        assert time.monotonic() - began < 15
+
+        with pytest.raises(ConnectionError):
+            drip()
         assert Client(port).load()["msg_type"] == "telemetry"
 
 

@@ -10,7 +10,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 import venv
 import zipfile
 from collections.abc import Callable
@@ -127,8 +126,7 @@ def test_the_second_set_up_waits_for_the_first(tmp_path: Path) -> None:
     held, release = context.Event(), context.Event()
     first = context.Process(target=_hold, args=(tmp_path, held, release))
     first.start()
-    assert held.wait(20)
-    begin = time.monotonic()
+    assert held.wait(60)
 
     def on_wait() -> None:
         assert first.is_alive()
@@ -136,7 +134,6 @@ def test_the_second_set_up_waits_for_the_first(tmp_path: Path) -> None:
 
     with one_at_a_time(tmp_path, on_wait):
         assert release.is_set()
-    assert time.monotonic() - begin < 20
     first.join(20)
     assert first.exitcode == 0
 

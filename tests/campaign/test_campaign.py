@@ -340,7 +340,7 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
 
         def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
             assert self.busy.acquire(blocking=False), "two runs at once on one simulator of one worker"
-            together.wait(timeout=20.0)
+            together.wait(timeout=120.0)
             self.runs += 1
             self.busy.release()
             return request.ended(Outcome.COMPLETED, "")

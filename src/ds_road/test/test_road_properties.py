@@ -210,9 +210,9 @@ def test_invalid_input_is_refused_in_one_line(raw: Any) -> None:
         road_from_json(raw)
     message = str(refused.value)
     assert "\n" not in message and len(message) < 200 and ("expected" in message or "remove" in message)
-    started = time.monotonic()
+    started = time.process_time()
     result = check(raw)
-    assert time.monotonic() - started < 1.0
+    assert time.process_time() - started < 1.0
     assert result["valid"] is False and result["reason"] and result["length"] is None
     json.dumps(result, allow_nan=False)
 
