@@ -108,7 +108,8 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     assert {message.header.frame_id for kind in ("info", "jpeg") for message in heard[kind]} == {image.header.frame_id}
     assert heard["jpeg"][-1].header.stamp == image.header.stamp == heard["state"][-1].header.stamp
     seen = np.frombuffer(image.data, np.uint8).reshape(160, 320, 3)
-    assert cv2.PSNR(cv2.imdecode(np.array(heard["jpeg"][-1].data), cv2.IMREAD_COLOR)[..., ::-1], seen) > 30.0
+    decoded = cv2.imdecode(np.array(heard["jpeg"][-1].data), cv2.IMREAD_COLOR)
+    assert decoded is not None and cv2.PSNR(decoded[..., ::-1], seen) > 30.0
     info = heard["info"][-1]
     simulator = make_simulator(simulator_name)
     camera = simulator.spec.camera
