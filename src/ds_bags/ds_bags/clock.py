@@ -37,9 +37,8 @@ def headers_are_shared(bag: BagReader, connections: Sequence[Any], needed: str =
     """
     stamps: dict[str, list[int]] = {}
     logs: dict[str, list[int]] = {}
-    for connection, logged, message in bag.decoded(list(connections)):
-        stamp = stamp_of(message) if hasattr(message, "header") else 0
-        stamps.setdefault(connection.topic, []).append(stamp)
+    for connection, logged, raw in bag.messages(list(connections)):
+        stamps.setdefault(connection.topic, []).append(bag.stamp(connection, raw))
         logs.setdefault(connection.topic, []).append(logged)
     images = connections[0].topic if connections else ""
     if images not in stamps:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
+import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -164,6 +165,25 @@ class BagReader:
             return self._reader.deserialize(raw, connection.msgtype)
         except Exception as error:
             raise self._damaged(error) from None
+
+    def stamp(self, connection: Connection, raw: bytes) -> int:
+        """Stamp in the header of a serialised message, ns, without deserialising the rest; 0 without a header.
+
+        Raises:
+            BagError: the bytes do not match the type of the topic.
+        """
+        fields = dict(self._reader.typestore.fielddefs[connection.msgtype][1])
+        if "header" not in fields:
+            return 0
+        if next(iter(fields)) != "header" or fields["header"][1] != "std_msgs/msg/Header":
+            return stamp_of(self.message(connection, raw))
+        ros2 = self._reader.is2
+        try:  # before it: of CDR the byte order, of ROS 1 the sequence number
+            order = ">" if ros2 and not raw[1] & 1 else "<"
+            seconds, nanoseconds = struct.unpack_from(f"{order}{'i' if ros2 else 'I'}I", raw, 4)
+        except (struct.error, IndexError) as error:
+            raise self._damaged(error) from None
+        return int(seconds) * 10**9 + int(nanoseconds)
 
     def decoded(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, Any]]:
         """Iterate over the deserialised messages of topics as `messages` does: topic, time in ns, and message.

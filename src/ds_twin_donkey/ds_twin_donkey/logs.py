@@ -181,6 +181,16 @@ def _read_bag(path: Path) -> Log:
     )
 
 
+def _check_commands(path: Path, commands: Array) -> None:
+    known = np.isfinite(commands).any(axis=0)
+    missing = [name for name, found in zip(("steering", "throttle"), known, strict=True) if not found]
+    if missing:
+        raise LogError(
+            f"{path}: no record has {' or '.join(missing)}, without which nothing is known of how the car answers: "
+            "record user/angle and user/throttle of a tub, or commands of a bag, too"
+        )
+
+
 def _read_tub(path: Path) -> Log:
     try:
         tub = read_tub(path)
@@ -202,6 +212,7 @@ def _read_tub(path: Path) -> Log:
     if not np.isfinite(times).all():
         raise LogError(f"{path}: _timestamp_ms of a record is not a number: remove that record")
     _check_units(path, times, columns)
+    _check_commands(path, tub.commands)
     measured = np.full((len(times), len(CHANNELS)), np.nan)
     for name, column in columns.items():
         measured[:, CHANNELS.index(name)] = column
@@ -237,6 +248,7 @@ def _read_table(path: Path) -> Log:
             f"{path}: time_s, or all of {', '.join(_TABLE_COLUMNS[3:])}, are no numbers: record the motion, too"
         )
     commands = np.column_stack((steering, throttle)).clip(-1.0, 1.0)
+    _check_commands(path, commands)
     kind = "located" if _LOCATED_ONLY in columns else "table"
     return Log(name=path.name, kind=kind, sha256=sha256_of([path]), drives=drives_of(times, commands, measured))
 

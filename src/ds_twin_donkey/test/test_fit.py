@@ -186,6 +186,12 @@ def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
     assert bend(drive.measured[:, :2]) > 0.0
 
 
+def test_a_tub_without_throttle_is_refused_for_that(tmp_path: Path) -> None:
+    rows = [{"user/mode": "user", "user/angle": 0.1, "pos/speed": 1.0} for _ in range(60)]
+    with pytest.raises(LogError, match="t: no record has throttle, without which nothing is known"):
+        read_log(write_tub(tmp_path / "t", rows))
+
+
 def test_a_tub_with_inconsistent_units_is_refused(tmp_path: Path) -> None:
     x = np.arange(40.0) * 0.05
     speed = np.full(40, 8.0)

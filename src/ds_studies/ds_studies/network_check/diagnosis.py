@@ -263,13 +263,15 @@ Fitted = tuple[DescribedNetwork, Agreement]
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
-    It is the best of all, with every part of the input as described again whose change does not matter.
+    It is the best of all, with every part of the input as described again whose change does not matter; colours, which
+    look alike on some roads, only if the drives decide it beyond chance.
     """
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     best = found = ranked(pilot, recordings)[0]
-    for values in inputs(pilot.description.input).values():
+    for part, values in inputs(pilot.description.input).items():
         restored = best_reading(pilot.described_as(changed(found[0], values[0])), tried)
-        found = found if _matters(best[1], restored[1]) else restored
+        decided = part != "colour" or best[1].surely_above(restored[1])
+        found = found if decided and _matters(best[1], restored[1]) else restored
     return found[0]
 
 
