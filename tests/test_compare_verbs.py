@@ -476,13 +476,14 @@ def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing
     assert ds("campaign", "run", file, "--out", tmp_path, "--dry-run", "--attach").returncode == 2
 
 
-def test_a_forecast_lets_searches_drive_one_test_at_a_time() -> None:
+def test_a_forecast_takes_as_long_as_all_drives_or_the_longest_searches() -> None:
     drives = tuple(MeasuredDrive(simulator=name, outcome="", seconds=10.0, disk=100) for name in ("a", "b", "c"))
     forecast = Forecast(
         drives=60, search_drives=20, searches=2, gate_drives=0, start_seconds=5.0, measured=drives, free=0
     )
-    # 20 drives, two at a time, then 40, three at a time, of 10 s each.
-    assert forecast.seconds == pytest.approx(5 + 20 * 10 / 2 + 40 * 10 / 3) and forecast.disk == 6000
+    # 60 drives of 10 s, three at a time; or 30 of one search, one after the other, and the rest meanwhile.
+    assert forecast.seconds == pytest.approx(5 + 60 * 10 / 3) and forecast.disk == 6000
+    assert replace(forecast, searches=1, search_drives=30).seconds == pytest.approx(5 + 30 * 10)
 
 
 def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:

@@ -9,10 +9,12 @@ import os
 import signal
 import sqlite3
 import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from tests.campaign.engines import EngineHere, MadeUpEngine
@@ -399,9 +401,45 @@ def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_a
     assert first.roads == []
 
 
+class TimedEngine(MadeUpEngine):
+    """Sixteen drives at a time, of different lengths; adds up how long they take."""
+
+    capacity = 16
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.busy, self._lock = 0.0, threading.Lock()
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        began = time.monotonic()
+        time.sleep(0.05 + 0.1 * np.random.default_rng(request.seed).random())
+        with self._lock:
+            self.busy += time.monotonic() - began
+            return super().drive(request, watch)
+
+
+def test_searches_and_migration_keep_sixteen_workers_busy(tmp_path: Path) -> None:
+    """Ten searches alone would leave six idle; the results are those of one drive after the other."""
+    config = CONFIG.model_copy(update={"search": CONFIG.search.model_copy(update={"runs": 5, "iterations": 18})})
+    engine, one = TimedEngine(), MadeUpEngine()
+    one.capacity = 1
+    began = time.monotonic()
+    _, parallel = run(tmp_path / "parallel", engine, config)
+    print(f"16 workers were used to {engine.busy / (16 * (time.monotonic() - began)):.0%}")
+    _, serial = run(tmp_path / "serial", one, config)
+    assert maps_text(parallel) == maps_text(serial) and list(parallel.tests()) == list(serial.tests())
+    outcomes = [[(e.test_id, e.simulator, e.trajectory_sha256) for e in of.executions()] for of in (parallel, serial)]
+    assert outcomes[0] == outcomes[1] and len(outcomes[0]) == len(engine.roads) == 2 * 5 * 20 * 2
+    searched = {(test.sibling, test.road.road_id) for test in parallel.tests()}
+    last = max(k for k, drive in enumerate(engine.roads) if drive in searched)
+    assert last > 300  # of the 200 other drives most were over when the last search ended; after it, it would be 199
+
+
 def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     config = CONFIG.model_copy(update={"siblings": [DONKEYS[0]], "twin": "donkey"})
-    _, store = run(tmp_path / "a", MadeUpEngine(runs=2), config)
+    engine = MadeUpEngine(runs=2)
+    engine.capacity = 1  # so that the search is first
+    _, store = run(tmp_path / "a", engine, config)
     begun = {stage.name: stage for stage in stages_of(read_campaign(store))}
     search = begun[f"search {DONKEYS[0]}, run 0"]
     assert (search.done, search.expected, search.state) == (2, 4, "begun")

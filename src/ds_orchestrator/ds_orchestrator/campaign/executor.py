@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from queue import Empty, SimpleQueue
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +117,9 @@ class Executor:
         self._listener = listener
         self._stop = threading.Event()
         self._lock = threading.Lock()
+        self._changed = threading.Condition()
+        self._queues: dict[str, deque[Callable[[], object]]] = {}
+        self._unfinished = 0
         self._unlucky: dict[str, int] = dict.fromkeys(settings.simulators, 0)
         self.given_up = store.given_up()
         self.failed_executions = 0
@@ -140,34 +143,53 @@ class Executor:
     def in_parallel(self, work: Mapping[str, Sequence[Callable[[], object]]]) -> None:
         """Run work on one thread per drive at a time; the first error stops all threads, even during a run.
 
+        Calls that `follow` while it runs are taken when no other is left.
+
         Args:
             work: simulator -> calls that execute tests there.
         """
         capacity = self._engine.capacity
         if capacity is None:
-            queues, threads_each = [_queue(units) for units in work.values()], self._settings.workers
+            queues, threads_each = {name: deque(units) for name, units in work.items()}, self._settings.workers
         else:
             # In turns, so that all simulators are busy until the end.
-            mixed = [unit for turn in zip_longest(*work.values()) for unit in turn if unit is not None]
-            queues, threads_each = [_queue(mixed)], max(1, min(capacity, len(mixed)))
-        with ThreadPoolExecutor(len(queues) * threads_each) as pool:
+            mixed = deque(unit for turn in zip_longest(*work.values()) for unit in turn if unit is not None)
+            queues, threads_each = dict.fromkeys(work, mixed), max(1, capacity)
+        self._queues, self._unfinished = queues, sum(map(len, work.values()))
+        different = list({id(queue): queue for queue in queues.values()}.values())
+        with ThreadPoolExecutor(max(1, len(different) * threads_each)) as pool:
             try:
-                futures = [pool.submit(self._work_off, queue) for queue in queues for _ in range(threads_each)]
+                futures = [pool.submit(self._work_off, queue) for queue in different for _ in range(threads_each)]
                 for future in as_completed(futures):
                     future.result()
             except BaseException:
                 self._stop.set()
                 self._engine.stop()
+                with self._changed:
+                    self._changed.notify_all()
                 raise
 
-    @staticmethod
-    def _work_off(units: SimpleQueue[Callable[[], object]]) -> None:
+    def follow(self, simulator: str, test: Test) -> None:
+        """Let a test be executed on a simulator when a thread of `in_parallel`, which calls this, has nothing to do."""
+        with self._changed:
+            self._queues[simulator].append(partial(self.execute, test, simulator))
+            self._unfinished += 1
+            self._changed.notify_all()
+
+    def _work_off(self, units: deque[Callable[[], object]]) -> None:
+        """Run a queue's calls until none is left, and none is running that may let others follow."""
         while True:
+            with self._changed:
+                self._changed.wait_for(lambda: units or not self._unfinished or self._stop.is_set())
+                if not units:
+                    return
+                unit = units.popleft()
             try:
-                unit = units.get_nowait()
-            except Empty:
-                return
-            unit()
+                unit()
+            finally:
+                with self._changed:
+                    self._unfinished -= 1
+                    self._changed.notify_all()
 
     def _check_stop(self) -> None:
         if self._stop.is_set():
@@ -270,13 +292,6 @@ class Executor:
         execution = execution_of(test.test_id, simulator, run, bag)
         self._store.add_execution(execution)
         return execution
-
-
-def _queue(units: Sequence[Callable[[], object]]) -> SimpleQueue[Callable[[], object]]:
-    queue: SimpleQueue[Callable[[], object]] = SimpleQueue()
-    for unit in units:
-        queue.put(unit)
-    return queue
 
 
 def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") -> Execution:

@@ -67,13 +67,13 @@ class Forecast:
     def seconds(self) -> float:
         """Estimate of the wall-clock time, if all drives are as long as the measured ones.
 
-        As many run at a time as were measured, but while searches run only one for each of them.
+        As many run at a time as were measured; the searches, one drive for each of them, may take longer than that.
         """
         at_once = len(self.measured)
         mean = sum(drive.seconds for drive in self.measured) / at_once
         with_gates = mean * (self.drives + self.gate_drives) / self.drives
-        searching = self.search_drives * with_gates / min(at_once, self.searches)
-        return self.start_seconds + searching + (self.drives - self.search_drives) * with_gates / at_once
+        longest = max(self.drives / at_once, self.search_drives / min(at_once, self.searches))
+        return self.start_seconds + longest * with_gates
 
     @property
     def disk(self) -> int:

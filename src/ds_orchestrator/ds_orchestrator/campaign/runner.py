@@ -8,9 +8,10 @@ and on the fitness of earlier tests. A stopped campaign therefore resumes withou
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -46,6 +47,7 @@ class Campaign:
         self._store = store
         self._listener = listener
         self._executor = Executor(config.drive_settings(), folder, store, engine, listener)
+        self._lock, self._stages = threading.Lock(), ExitStack()
 
     @property
     def failed_executions(self) -> int:
@@ -69,22 +71,23 @@ class Campaign:
         everything = own * len(config.siblings)
         self._listener.expect([search, {name: everything - search.get(name, 0) for name in config.simulators}])
         searches = {
-            sibling: [partial(self._search, sibling, run) for run in range(config.search.runs)]
-            for sibling in config.siblings
+            name: [partial(self._search, name, run) for run in range(config.search.runs if name in search else 0)]
+            for name in config.simulators
         }
-        with self._stage("search"):
+        self._searching, self._followed = sum(map(len, searches.values())), set[str]()
+        with self._stages:
+            self._stages.enter_context(self._stage("search"))
             try:
                 self._executor.in_parallel(searches)
             except CampaignError:
-                for sibling in config.siblings:
+                for sibling in config.siblings if self._searching else ():
                     self._take_back(sibling)
                 raise
-        migrated = self._migrated()
-        foreign = {name: [test for test in migrated if name != test.sibling] for name in config.simulators}
-        self._listener.expect([search, {name: len(tests) for name, tests in foreign.items()}])
-        # Every test runs on the siblings that did not generate it (paper 3.4), all of them on the twin (paper 3.6).
-        with self._stage("migration and twin" if config.twin else "migration"):
-            self._executor.execute_all(foreign)
+            migrated = self._migrated()
+            foreign = {name: [test for test in migrated if name != test.sibling] for name in config.simulators}
+            self._listener.expect([search, {name: len(tests) for name, tests in foreign.items()}])
+            left = {name: [test for test in of if test.test_id not in self._followed] for name, of in foreign.items()}
+            self._executor.execute_all(left)
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
@@ -122,6 +125,8 @@ class Campaign:
             execution = self._executor.execute(test, sibling)
             if execution is None:
                 self._store.give_up(test_id)
+            elif not config.elites_only:
+                self._migrate(test)
             if not isinstance(execution, Execution) or test_id in self._executor.given_up:
                 search.tell(None)
                 continue
@@ -135,6 +140,22 @@ class Campaign:
                 visible_contrast=None if gate is None else gate.visible_contrast,
             )
             search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
+        with self._lock:
+            self._searching -= 1
+            if not self._searching:
+                self._stages.close()
+                self._stages.enter_context(self._stage("migration and twin" if config.twin else "migration"))
+
+    def _migrate(self, test: Test) -> None:
+        """Let a finished test be driven on every other simulator, whenever no search needs the engine.
+
+        Every test runs on the siblings that did not generate it (paper 3.4), all of them on the twin (paper 3.6). No
+        result depends on the order.
+        """
+        self._followed.add(test.test_id)
+        for name in self._config.simulators:
+            if name != test.sibling:
+                self._executor.follow(name, test)
 
     def _take_back(self, sibling: str) -> None:
         """Forget the trailing tests of each search run that have no outcome, so that they are tried again."""
