@@ -220,7 +220,7 @@ def test_campaigns_that_do_not_compare_are_refused_in_one_line(
         (("{old}", "b", "--max-failures", "500%"), "expected a share from 0% to 100%"),
         (("{old}", "b", "--junit", "/nowhere/x.xml"), "there is no such folder"),
         (("{old}/..", "b"), "no campaign in"),
-        (("{old}", "b", "--engine", "steam"), "expected one of graph, local, dask"),
+        (("{old}", "b", "--engine", "steam"), "expected one of auto, graph, local, dask"),
     ],
 )
 def test_bad_input_gets_one_line(

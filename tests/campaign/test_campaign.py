@@ -234,7 +234,7 @@ def test_one_process_at_a_time_in_a_folder(tmp_path: Path) -> None:
         ({"seeds": [1, 2]}, "seeds: there is no such key"),
         ({"record": "everything"}, "record: everything, expected one of none, telemetry, compressed, raw"),
         ({"maxitwo_compatible": "yes"}, "maxitwo_compatible: 'yes', expected true or false"),
-        ({"lane": "middle"}, "lane: middle, expected one of right, left"),
+        ({"lane": "centre"}, "lane: centre, expected one of right, left, middle"),
         ([1, 2], "c.yaml: [1, 2], expected keys with values"),
         ({"seed": -1, "workers": 65}, "seed: -1, expected at least 0; workers: 65, expected at most 64"),
         ({"search": {"method": "hyperion"}}, "search.method: unknown search 'hyperion': expected one of deephyperion"),
