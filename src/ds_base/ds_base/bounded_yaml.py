@@ -174,13 +174,13 @@ class _Json(_Loader):  # type: ignore[misc, valid-type]
         if not isinstance(node, yaml.MappingNode):
             raise BoundedYamlError("expected keys with values", node.start_mark)
         self.flatten_mapping(node)
-        made: dict[Any, Any] = {}
+        mapping: dict[Any, Any] = {}
         for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, Hashable):
                 raise BoundedYamlError("a key is a list or a mapping, expected text", key_node.start_mark)
-            made[key] = self.construct_object(value_node, deep=True)
-        return made
+            mapping[key] = self.construct_object(value_node, deep=True)
+        return mapping
 
     def construct_json_list(self, node: yaml.Node) -> list[Any]:
         if not isinstance(node, yaml.SequenceNode):

@@ -55,9 +55,9 @@ def problems(error: ValidationError, model: type[BaseModel]) -> str:
         error: validation error of pydantic.
         model: model that was validated, for the names of its keys.
     """
-    found = error.errors(include_url=False)
-    more = [f"and {len(found) - MOST} more"] if len(found) > MOST else []
-    return "; ".join([*(_problem(dict(one), model) for one in found[:MOST]), *more])
+    errors = error.errors(include_url=False)
+    more = [f"and {len(errors) - MOST} more"] if len(errors) > MOST else []
+    return "; ".join([*(_problem(dict(one), model) for one in errors[:MOST]), *more])
 
 
 def first_problem(error: ValidationError, name: str) -> str:
@@ -94,5 +94,5 @@ def _one_line(text: str, longest: int = _LONGEST) -> str:
 
 def _model_of(model: type[BaseModel], key: str) -> type[BaseModel]:
     annotation = model.model_fields[key].annotation
-    found = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type) and issubclass(a, BaseModel)]
-    return found[0] if found else model
+    models = [a for a in (annotation, *get_args(annotation)) if isinstance(a, type) and issubclass(a, BaseModel)]
+    return models[0] if models else model

@@ -102,10 +102,10 @@ def check_folder(folder: Path) -> None:
     check_inside(folder / "file")
     _entered.add(folder.absolute())
     try:
-        found = [entry for entry in os.scandir(folder) if _OURS.fullmatch(entry.name)]
+        leftovers = [entry for entry in os.scandir(folder) if _OURS.fullmatch(entry.name)]
         left = MOST_ENTRIES
-        while found:
-            entry = found.pop()
+        while leftovers:
+            entry = leftovers.pop()
             left -= 1
             if left < 0:
                 raise StoreError(f"{folder} has more than {MOST_ENTRIES} files, the limit for a campaign")
@@ -113,7 +113,7 @@ def check_folder(folder: Path) -> None:
                 raise StoreError(f"{entry.path} is a link, and could lead outside the campaign's folder: remove it")
             if entry.is_dir(follow_symlinks=False):
                 with os.scandir(entry.path) as inside:
-                    found += islice(inside, MOST_ENTRIES)
+                    leftovers += islice(inside, MOST_ENTRIES)
             elif not entry.is_file(follow_symlinks=False):
                 raise StoreError(f"{entry.path} is neither a file nor a folder: remove it")
     except OSError as error:

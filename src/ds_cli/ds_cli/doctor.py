@@ -116,13 +116,13 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
     modules = {name: module_of(name) for name in pins}
     extras = {name: read_pins(root / f"requirements/{file}.txt")[name] for name, (file, _) in EXTRAS.items()}
     wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", **{name: name for name in extras}}
-    found = look_up(python, wanted, imports=imports)
+    places = look_up(python, wanted, imports=imports)
     return [
         *checks,
         Check("environment", True, str(python.parent.parent), ""),
-        *check_ros(root, found),
-        *check_libraries(pins, found),
-        *check_extras(extras, found),
+        *check_ros(root, places),
+        *check_libraries(pins, places),
+        *check_extras(extras, places),
         check_renderer(),
         *check_parts(python),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
@@ -152,20 +152,20 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
         elif extra[1] != "default":  # which is the sum of others
             extras[name] = extra[1]
     modules = {name: module_of(name).replace("-", "_") for name in [*needed, *extras]}
-    found = look_up(Path(sys.executable), {**modules, "rclpy": "rclpy"}, imports=imports)
+    places = look_up(Path(sys.executable), {**modules, "rclpy": "rclpy"}, imports=imports)
     series = ".".join(map(str, sys.version_info[:2]))
     checks = [
         _check("Python", sys.version_info >= (3, 11), series, f"{series}: 3.11 or later is needed", _apt("python3"))
     ]
     for name in needed:
-        version, problem = found[name]
+        version, problem = places[name]
         fix = f"python -m pip install {WHEEL}" if problem else ""
         checks.append(Check(name, not problem, problem or version, fix))
     for name, group in extras.items():
-        version, problem = found[name]
+        version, problem = places[name]
         absent = f"not installed; optional: python -m pip install '{WHEEL}[{group}]'"
         checks.append(Check(f"{name} (optional)", True, absent if problem else version, ""))
-    version, problem = found["rclpy"]
+    version, problem = places["rclpy"]
     nodes = "not installed; optional: nodes need ROS 2 and a built checkout (make setup)"
     checks.append(Check("ROS 2 (optional)", True, nodes if problem else f"rclpy {version}", ""))
     weights = check_weights(Path(__file__).parents[1] / "ds_driver/models/dave2.safetensors")
@@ -299,12 +299,12 @@ def check_parts(python: Path) -> list[Check]:
 def check_weights(file: Path) -> Check:
     """Check that the shipped network is there, and complete as far as its size tells."""
     size = file.stat().st_size if file.is_file() else 0
-    found = f"{file.name}, {size / 2**20:.1f} MB"
-    problem = f"{found}: truncated, or not fetched" if size else f"{file.name} is missing"
+    file_and_size = f"{file.name}, {size / 2**20:.1f} MB"
+    problem = f"{file_and_size}: truncated, or not fetched" if size else f"{file.name} is missing"
     return _check(
         "network weights",
         size >= SMALLEST_WEIGHTS,
-        found,
+        file_and_size,
         problem,
         "git checkout -- src/ds_driver, or ./ds train",
     )
@@ -334,10 +334,10 @@ def look_up(python: Path, modules: Mapping[str, str], *, imports: bool = False) 
         For each distribution its version and "", or "" and why it cannot be used.
     """
     try:
-        found = _answer(python, _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else []))
+        answer = _answer(python, _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else []))
     except LookUpError as error:
         return dict.fromkeys(modules, ("", str(error)))
-    return {name: (version, problem) for name, (version, problem) in found.items()}
+    return {name: (version, problem) for name, (version, problem) in answer.items()}
 
 
 class LookUpError(Exception):
@@ -402,16 +402,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns:
         Exit status: 0 all is well, 1 something is missing, 2 an unknown argument.
     """
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    if any(argument in ("-h", "--help") for argument in given):
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if any(argument in ("-h", "--help") for argument in words):
         print(_HELP)
         return 0
-    unknown = [argument for argument in given if argument not in ("--json", "--imports")]
+    unknown = [argument for argument in words if argument not in ("--json", "--imports")]
     if unknown:
         print(f"error: ds doctor: unknown argument {unknown[0]}; see ds doctor --help", file=sys.stderr)
         return 2
-    checks = diagnose(imports="--imports" in given)
-    if "--json" in given:
+    checks = diagnose(imports="--imports" in words)
+    if "--json" in words:
         print(to_json(checks))
     else:
         show(checks)

@@ -77,14 +77,14 @@ def _offline_tables(
     from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
 
     try:
-        found = predict(data, driver, ScreenProgress(), images=images, trusted=trusted)
+        answers = predict(data, driver, ScreenProgress(), images=images, trusted=trusted)
     except KeyboardInterrupt:
         raise Interrupted from None
-    names = siblings if siblings is not None else [name for name in found if name != twin]
-    missing = [name for name in (*names, twin) if name not in found]
+    names = siblings if siblings is not None else [name for name in answers if name != twin]
+    missing = [name for name in (*names, twin) if name not in answers]
     if missing:
-        raise OpenLoopError(f"{data} has no images of {', '.join(missing)}: it has those of {', '.join(found)}")
-    errors = {name: found[name].absolute_errors for name in (*names, twin)}
+        raise OpenLoopError(f"{data} has no images of {', '.join(missing)}: it has those of {', '.join(answers)}")
+    errors = {name: answers[name].absolute_errors for name in (*names, twin)}
     of_siblings = {name: errors[name] for name in names}
     compared, other_ways = compare_errors(of_siblings, errors[twin]), check_error_robustness(of_siblings, errors[twin])
     return error_tables(compared, other_ways, errors, names, twin, network_of(driver))
@@ -154,12 +154,12 @@ def evaluate_command(
         if out is not None:
             make_folder(out)
         with locked(folder) if out is None or data is not None else nullcontext():
-            found = evaluation(folder, data=data, images=images, out=out, everything=everything, trusted=trust or [])
+            result = evaluation(folder, data=data, images=images, out=out, everything=everything, trusted=trust or [])
     elif data is None:
         raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
     else:
         names = None if siblings is None else siblings.split(",")
         network = driver_named(driver or "dave2")
         tables = _offline_tables(data, network, names, twin or "donkey", images, trust or [])
-        found = tables_result(tables, out, ds_command("test", network), everything=everything)
-    answer(found, as_json)
+        result = tables_result(tables, out, ds_command("test", network), everything=everything)
+    answer(result, as_json)

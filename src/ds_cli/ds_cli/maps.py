@@ -62,7 +62,7 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     head = max(len(up.title) + 2, *(len(up.label(row)) for row in rows), 1)
     widest = max([6, *map(len, boxes.values()), *(len(across.label(column)) for column in columns)])
     at_once = max(1, (width - head - 2) // (widest + 3))  # padding of a column, and the line before it
-    made = []
+    maps = []
     for start in range(0, max(len(columns), 1), at_once):
         part = columns[start : start + at_once]
         table = Table(
@@ -78,8 +78,8 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
             table.add_column(across.label(column), justify="center", min_width=6, no_wrap=True)
         for row in rows:
             table.add_row(up.label(row), *(boxes[column, row] for column in part))
-        made.append(table)
-    return made
+        maps.append(table)
+    return maps
 
 
 _TITLES = {"probability": "failure probability", "quality": "lack of driving quality"}
@@ -169,14 +169,14 @@ def maps_command(
         raise ConfigError(
             f"no test in {folder} has a cell over {','.join(named)}: expected other --axes, or tests driven"
         )
-    found = {map_id.name: feature_map for map_id, feature_map in every.items()}
-    if name is not None and name not in found:
-        raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(found)}")
+    map_named = {map_id.name: feature_map for map_id, feature_map in every.items()}
+    if name is not None and name not in map_named:
+        raise ConfigError(f"{folder} has no map {name!r}: expected one of {', '.join(map_named)}")
 
     def show() -> None:
         console = Console()
         chosen = [map_id.name for map_id in compared_ids(every)] if name is None else [name]
-        for feature_map in (found[one] for one in chosen):
+        for feature_map in (map_named[one] for one in chosen):
             for part in slices_of(feature_map):
                 for grid in grids(part, value, console.width):
                     console.print(grid)
@@ -184,7 +184,7 @@ def maps_command(
         console.print(legend(value), highlight=False)
         for excluded in exclusion_lines(data) if data is not None else ():
             console.print(excluded, highlight=False)
-        others = ", ".join(other for other in found if other not in chosen)
+        others = ", ".join(other for other in map_named if other not in chosen)
         console.print(f"Other maps, with --map NAME: {others}", highlight=False)
         if named is None and data is not None and data.config.further_axes:
             further = "; ".join(",".join(other) for other in data.config.further_axes)

@@ -58,11 +58,11 @@ def collect_command(
     simulators = every_or_named(sims)
     if (road is None and mutants) or (road is not None and roads is not None):
         raise DatasetError("expected either --roads for random roads, or --road FILE and perhaps --mutants")
-    given = None if road is None else given_roads(road, mutants=mutants, seed=seed)
-    count = (roads or 25) if given is None else len(given)
+    roads_to_drive = None if road is None else given_roads(road, mutants=mutants, seed=seed)
+    count = (roads or 25) if roads_to_drive is None else len(roads_to_drive)
     plan = CollectionPlan(roads=count, seed=seed, every=every, disturbance=disturbance)
     try:
-        collect(plan, simulators, out, ScreenProgress(), given)
+        collect(plan, simulators, out, ScreenProgress(), roads_to_drive)
     except KeyboardInterrupt:
         files = [file for file in out.rglob("*.parquet") if not file.name.startswith(".")] if out.is_dir() else []
         drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
@@ -99,17 +99,17 @@ def import_command(
     try:
         left_out = LeftOut("images", strict)
         recordings = [open_recording(folder, reading) for folder in folders]
-        found = import_recordings(recordings, out, name, ScreenProgress(), left_out)
+        imported = import_recordings(recordings, out, name, ScreenProgress(), left_out)
     except KeyboardInterrupt:
         raise Interrupted from None
 
     def show() -> None:
-        left = f"; {found.unlabelled} images without recorded steering are left out" if found.unlabelled else ""
-        print(f"{found.images} images in {found.files} files are in {out / name}{left}")
+        left = f"; {imported.unlabelled} images without recorded steering are left out" if imported.unlabelled else ""
+        print(f"{imported.images} images in {imported.files} files are in {out / name}{left}")
 
     if left_out.items:
         say(left_out.line())
-    document = asdict(found) | {"unreadable": len(left_out.items)}
+    document = asdict(imported) | {"unreadable": len(left_out.items)}
     answer(Result(document=document, show=show, next=_training_of(out)), as_json)
 
 

@@ -111,7 +111,7 @@ def siblings_compare_command(
     pairs, judged = compare(table), table.judged()
     say("analysing")
     about = twin or (TWIN if TWIN in names else None)
-    found = analyse(judged, names if about is None else [about])
+    analysis = analyse(judged, names if about is None else [about])
     document: dict[str, Any] = {
         "driver": str(network),
         "roads": len(chosen),
@@ -124,16 +124,16 @@ def siblings_compare_command(
         "failed_on": {
             road.road_id: [name for name in names if runs[name][i].outcome.is_failure] for i, road in enumerate(chosen)
         },
-        **found.document(),
+        **analysis.document(),
         "outcomes": outcome_rows(judged),
         "left_out": len(table) - len(judged),
     }
     if out is not None:
-        _write(out, document, chosen, runs, table, found)
-        _write_all_tables(out, document, pairs, found)
+        _write(out, document, chosen, runs, table, analysis)
+        _write_all_tables(out, document, pairs, analysis)
 
     def show() -> None:
-        for sentence in found.answer:
+        for sentence in analysis.answer:
             print(sentence)
         Console().print(_simulator_table(document))
         print("Pairs, road features and what each sibling adds: with --out DIR" if out is None else out / TABLES)

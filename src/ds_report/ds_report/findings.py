@@ -120,11 +120,11 @@ def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None
     if not axes:
         return None
     values = np.array([[sign * value for value in of] for _, of, sign in axes])
-    found = choose_split(values, np.array(outcomes.failed, np.bool_), outcomes.families, np.random.default_rng(SEED))
-    if found is None:
+    split = choose_split(values, np.array(outcomes.failed, np.bool_), outcomes.families, np.random.default_rng(SEED))
+    if split is None:
         return None
-    axis, _, sign = axes[found.axis]
-    return Split(axis=axis, threshold=sign * found.threshold, is_lower_bound=sign > 0, found=found)
+    axis, _, sign = axes[split.axis]
+    return Split(axis=axis, threshold=sign * split.threshold, is_lower_bound=sign > 0, found=split)
 
 
 def kind_of(axis: str) -> Kind:
@@ -341,9 +341,9 @@ def _coverage(data: CampaignData) -> str:
     config, verdicts = data.config, len(data.verdicts)
     expected = len(data.tests) * len(config.simulators)
     roads, tests = len({test.road.road_id for test in data.tests}), count(len(data.tests), "test")
-    given = count(roads, "road") if roads == len(data.tests) else f"{tests} on {count(roads, 'road')}"
+    tests_and_roads = count(roads, "road") if roads == len(data.tests) else f"{tests} on {count(roads, 'road')}"
     roles = listed([*config.siblings, *([f"the twin {config.twin}"] if config.twin else [])])
-    text = f"The driver {config.driver} was given {given} to drive on {roles}"
+    text = f"The driver {config.driver} was given {tests_and_roads} to drive on {roles}"
     if verdicts == expected:
         return f"{text}: {count(verdicts, 'run')}, each with a verdict."
     excluded = len(data.excluded)
@@ -382,8 +382,8 @@ def _comparison(
     value: Value,
 ) -> str:
     """State how the maps of one value correlate with the twin's failures, and whether merging helped."""
-    found = {c.map: c for c in correlations}
-    merged, unions = found[MapId.merged()], [found[MapId.union(name)] for name in config.siblings]
+    of_map = {c.map: c for c in correlations}
+    merged, unions = of_map[MapId.merged()], [of_map[MapId.union(name)] for name in config.siblings]
     subject = f"By {_WORDS[value]}"
     if merged.r is None:
         return f"{subject}, the merged map cannot be compared with the twin: {merged.reason}."

@@ -120,10 +120,10 @@ def _of_agreement(
     did = f"failed {own} of {count(len(judged), 'test')}" if own else f"completed {_all_of(len(judged))}"
     if not theirs:
         return f"{start}{who} {did}, and the twin {twin} failed none."
-    found = f"{count(theirs, 'failure')} that the twin {twin} found"
+    failures = f"{count(theirs, 'failure')} that the twin {twin} found"
     if not both:
-        return f"{start}{who} {did} and missed every one of the {found}."
-    missed = f"missed {theirs - both or 'none'} of the {found}"
+        return f"{start}{who} {did} and missed every one of the {failures}."
+    missed = f"missed {theirs - both or 'none'} of the {failures}"
     return f"{start}{who} {did}, of which the twin fails {'all' if both == own else both}, and {missed}."
 
 

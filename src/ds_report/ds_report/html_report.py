@@ -165,11 +165,11 @@ def _figures(
     config: CampaignConfig, correlations: Sequence[Correlation], tables: Sequence[Table], network: Network | None
 ) -> dict[str, Any]:
     """Create charts by name; empty ones are left out."""
-    found = {"correlations": correlation_chart(correlations, config.siblings, network)}
+    charts = {"correlations": correlation_chart(correlations, config.siblings, network)}
     for table in tables:
         if table.name == "rq1_densities" and table.rows:
-            found["densities"] = density_chart(table)
-    return {name: chart for name, chart in found.items() if chart is not None}
+            charts["densities"] = density_chart(table)
+    return {name: chart for name, chart in charts.items() if chart is not None}
 
 
 def _tiles(data: CampaignData) -> list[tuple[str, str]]:

@@ -148,20 +148,20 @@ def sibling_section(data: CampaignData) -> SiblingSection | None:
     if not len(table):
         return None
     try:
-        found = analyse(table, [config.twin] if config.twin else config.siblings)
+        analysis = analyse(table, [config.twin] if config.twin else config.siblings)
     except ModuleNotFoundError as error:  # without the extra `analysis`
         left_out = f"What the simulators say about each other is left out: {missing_module(str(error.name))}"
         return SiblingSection(roads=len(table), sentences=[left_out], tables=[], pictures=[])
-    tables = analysis_tables(found)
+    tables = analysis_tables(analysis)
     if table.sample_note:
         tables = [replace(one, notes=[*one.notes, table.sample_note]) for one in tables]
     return SiblingSection(
         roads=len(table),
-        sentences=[*found.sentences, *([table.sample_note] if table.sample_note else [])],
+        sentences=[*analysis.sentences, *([table.sample_note] if table.sample_note else [])],
         tables=tables,
         pictures=[
-            (f"Largest lateral position over {found.feature}", data_address(draw_failures(table, found.feature))),
-            ("Who fails where", data_address(draw_matrix(table, found.feature))),
+            (f"Largest lateral position over {analysis.feature}", data_address(draw_failures(table, analysis.feature))),
+            ("Who fails where", data_address(draw_matrix(table, analysis.feature))),
         ],
     )
 

@@ -71,18 +71,18 @@ def read_start(path: Path) -> Start:
     try:
         content = read_bounded(path, DEFAULT_LIMITS.size)
         if path.suffix == ".py":
-            found = _of_myconfig(content.decode())
+            parameters = _of_myconfig(content.decode())
         elif content.lstrip()[:1] == b"<":
-            found, notes = _of_urdf(parse_xml(content))
+            parameters, notes = _of_urdf(parse_xml(content))
         else:
             raw = load_yaml(content)
             if isinstance(raw, dict) and "parameters" in raw:
                 return Start(read_parameters(path)[0])
-            found = _of_yaml(raw)
-        if not found:
+            parameters = _of_yaml(raw)
+        if not parameters:
             raise ValueError(f"nothing about the car's geometry: expected {EXPECTED}")
-        taken = [f"{name} {value:.4g}" for name, value in found.items()]
-        return Start(DonkeyParameters().changed(**found), taken + notes)
+        taken = [f"{name} {value:.4g}" for name, value in parameters.items()]
+        return Start(DonkeyParameters().changed(**parameters), taken + notes)
     except OSError as error:
         raise ParameterFileError(f"{path}: cannot be read ({error.strerror}): check the path") from None
     except (ValueError, SyntaxError, FileError, BoundedYamlError) as error:
@@ -97,7 +97,7 @@ def _number(name: str, value: object) -> float:
 
 def _of_myconfig(text: str) -> dict[str, float]:
     """Parameters of literal assignments; of several, as in Python, the last one counts."""
-    given: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     try:
         lines = ast.parse(text).body
     except (MemoryError, RecursionError):
@@ -106,16 +106,16 @@ def _of_myconfig(text: str) -> dict[str, float]:
         if isinstance(line, ast.Assign) and len(line.targets) == 1 and isinstance(line.targets[0], ast.Name):
             value = _literal(line.value)
             # The pulse counts stand in a mapping of the drive train, or at the top.
-            given |= value if isinstance(value, dict) else {line.targets[0].id: value}
-    given = {name: value for name, value in given.items() if value is not None}
-    found = {name: _number(key, given[key]) for name, key in DONKEY.items() if key in given}
+            settings |= value if isinstance(value, dict) else {line.targets[0].id: value}
+    settings = {name: value for name, value in settings.items() if value is not None}
+    parameters = {name: _number(key, settings[key]) for name, key in DONKEY.items() if key in settings}
     for name, full, zero, share in (
         ("steering_pulse_steps", "STEERING_LEFT_PWM", "STEERING_RIGHT_PWM", 0.5),
         ("throttle_pulse_steps", "THROTTLE_FORWARD_PWM", "THROTTLE_STOPPED_PWM", 1.0),
     ):
-        if full in given and zero in given:
-            found[name] = round(share * abs(_number(full, given[full]) - _number(zero, given[zero])))
-    return found
+        if full in settings and zero in settings:
+            parameters[name] = round(share * abs(_number(full, settings[full]) - _number(zero, settings[zero])))
+    return parameters
 
 
 def _literal(value: ast.expr) -> Any:
@@ -144,8 +144,8 @@ def _items(raw: object) -> Iterator[tuple[str, Any]]:
 
 
 def _of_yaml(raw: object) -> dict[str, float]:
-    given = dict(_items(raw))
-    said = {name: _number(key, given[key]) for name, keys in ROBORACER.items() for key in keys if key in given}
+    items = dict(_items(raw))
+    said = {name: _number(key, items[key]) for name, keys in ROBORACER.items() for key in keys if key in items}
     front, rear = said.pop("to_front", 0.0), said.pop("to_rear", 0.0)
     if front > 0.0 and rear > 0.0:
         said |= {"wheelbase": front + rear, "front_share": rear / (front + rear)}
@@ -172,18 +172,18 @@ def _of_urdf(root: Element) -> tuple[dict[str, float], list[str]]:
     if not front or not rear:
         raise ValueError("no front and rear wheels: expected links such as front_left_wheel and back_left_wheel")
     middle = [np.mean(places, axis=0) for places in (front, rear)]
-    found = {"wheelbase": float(middle[0][0] - middle[1][0])}
+    parameters = {"wheelbase": float(middle[0][0] - middle[1][0])}
     track = float(np.ptp([place[1] for place in front]))
-    found |= {"track": track} if track > 0.0 else {}
+    parameters |= {"track": track} if track > 0.0 else {}
     masses = [_number("mass", float(mass.get("value", "nan"))) for mass in root.iter("mass")]
-    found |= {"mass": sum(masses)} if masses else {}
+    parameters |= {"mass": sum(masses)} if masses else {}
     limits = [
         min(abs(float(limit.get(side, "nan"))) for side in ("lower", "upper"))
         for joint in root.iter("joint")
         for limit in joint.iter("limit")
         if joint.get("type") == "revolute" and any(w in str(joint.get("name")).lower() for w in ("steer", "hinge"))
     ]
-    found |= {"max_steering_angle": min(limits)} if limits else {}
+    parameters |= {"max_steering_angle": min(limits)} if limits else {}
     shapes = [
         shape
         for link in root.iter("link")
@@ -193,14 +193,14 @@ def _of_urdf(root: Element) -> tuple[dict[str, float], list[str]]:
     radii = [_number("radius", float(shape.get("radius", "nan"))) for shape in shapes]
     camera = next((place for name, place in places.items() if "camera" in name.lower()), None)
     if camera is None or not radii:
-        return found, []
+        return parameters, []
     seat = camera[:3, 3] - 0.5 * (middle[0] + middle[1])
     pose = {
         "height_m": seat[2] + radii[0],
         "pitch_rad": -math.asin(max(-1.0, min(camera[2, 0], 1.0))),
         "forward_m": seat[0],
     }
-    return found, ["for camera.yaml: " + ", ".join(f"{name}: {value:.4g}" for name, value in pose.items())]
+    return parameters, ["for camera.yaml: " + ", ".join(f"{name}: {value:.4g}" for name, value in pose.items())]
 
 
 def _place(link: str, joints: Mapping[str, Element], places: dict[str, NDArray[np.float64]]) -> None:

@@ -93,14 +93,14 @@ def find_mounting(drives: Sequence[Drive], car: DonkeyParameters) -> Mounting:
             sums.append(np.column_stack([np.convolve(step, np.ones(SPAN), "valid") for step in steps]))
     rows = np.concatenate(sums)
     way, value, turn = rows[np.isfinite(rows).all(axis=1) & (rows[:, 0] > ROLLING * SPAN * FRAME_TIME)].T
-    slopes, kept, found = np.column_stack((turn, -way)), np.ones(len(value), dtype=bool), np.zeros(2)
+    slopes, kept, solution = np.column_stack((turn, -way)), np.ones(len(value), dtype=bool), np.zeros(2)
     for _ in range(5):
         if kept.sum() < SPAN:
             return Mounting()
-        found = np.linalg.lstsq(slopes[kept], value[kept], rcond=None)[0]
-        error = np.abs(value - slopes @ found)
+        solution = np.linalg.lstsq(slopes[kept], value[kept], rcond=None)[0]
+        error = np.abs(value - slopes @ solution)
         kept = error <= 3.0 * 1.4826 * np.median(error) + 1e-9
-    return Mounting(forward=float(found[0]), yaw=float(found[1]))
+    return Mounting(forward=float(solution[0]), yaw=float(solution[1]))
 
 
 def rough_start(drives: Sequence[Drive], start: DonkeyParameters) -> DonkeyParameters:

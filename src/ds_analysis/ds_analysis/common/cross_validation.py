@@ -136,8 +136,8 @@ def predict_with(predictions: Predictions, failed: Bools, added: Array) -> Array
         model = GLM(failed[fold.train].astype(np.float64), _with_ones(train), Binomial(), offset=fold.known)
         alpha = 1.0 / (ADDED_STRENGTH * len(train))  # statsmodels divides the likelihood by the number of roads
         fit = model.fit_regularized(alpha=alpha, L1_wt=0.0)
-        found = expit(fold.predicted + _with_ones(test) @ fit.params)
-        probability[fold.repeat, fold.test] = bounded(found, len(train))
+        probabilities = expit(fold.predicted + _with_ones(test) @ fit.params)
+        probability[fold.repeat, fold.test] = bounded(probabilities, len(train))
     return probability
 
 
@@ -192,14 +192,14 @@ def _chosen(
     Returns:
         The model, and its probability on every road from the other parts.
     """
-    found = np.empty((len(models), len(failed)))
+    predictions = np.empty((len(models), len(failed)))
     for train, test in folds_of(failed, families, seed):
         best = best_feature(features[train], failed[train])
         for k, model in enumerate(models):
-            found[k, test] = _fitted(model, best, features[train], failed[train], features[test])
-    losses = [round(float(bits(one[None], failed).sum()), 9) for one in found]
+            predictions[k, test] = _fitted(model, best, features[train], failed[train], features[test])
+    losses = [round(float(bits(one[None], failed).sum()), 9) for one in predictions]
     least = int(np.argmin(losses))
-    return models[least], found[least]
+    return models[least], predictions[least]
 
 
 def _fitted(model: tuple[Columns, float], best: int, features: Array, failed: Bools, others: Array) -> Array:

@@ -56,8 +56,8 @@ def caution_of(cells: int, failing: int) -> str:
 
 
 def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
-    found = [getattr(m.cells[cell], value) for cell in cells]
-    return np.array([np.nan if v is None else v for v in found], np.float64)
+    values = [getattr(m.cells[cell], value) for cell in cells]
+    return np.array([np.nan if v is None else v for v in values], np.float64)
 
 
 def paired_values(m: FeatureMap, truth: FeatureMap, value: str = "probability") -> tuple[Array, Array]:
@@ -167,7 +167,7 @@ def bootstrap_interval(
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
-        found = bootstrap(
+        interval = bootstrap(
             samples,
             statistic,
             paired=True,
@@ -176,7 +176,7 @@ def bootstrap_interval(
             method="percentile",
             rng=np.random.default_rng(len(samples[0])),
         )
-    defined = found.bootstrap_distribution[~np.isnan(found.bootstrap_distribution)]
+    defined = interval.bootstrap_distribution[~np.isnan(interval.bootstrap_distribution)]
     if not len(defined):
         return None
     low, high = np.quantile(defined, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])

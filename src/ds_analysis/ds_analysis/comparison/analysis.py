@@ -321,32 +321,32 @@ def sentences_of(comparison: Comparison) -> list[str]:
         ]
     order = {"worse": 0, "better": 1, "not significant": 2}
     rows = sorted(comparison.simulators, key=lambda row: order[row.verdict])
-    found = [_sentence(row, comparison) for row in rows if row.counts.tests]
-    found += [f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error."] * bool(
+    sentences = [_sentence(row, comparison) for row in rows if row.counts.tests]
+    sentences += [f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error."] * bool(
         comparison.left_out
     )
-    return found
+    return sentences
 
 
 def cautions_of(comparison: Comparison) -> list[str]:
     """Say what the numbers cannot carry."""
     if comparison.is_identical:
         return []
-    found = _of_selection(comparison)
+    cautions = _of_selection(comparison)
     if comparison.origin != "random":
-        found.append(
+        cautions.append(
             "Tests of a search resemble each other: p counts mutants of one road together, intervals are too narrow."
         )
     family = family_of(comparison)
     needed = fewest_changes(family, sequential=comparison.is_sequential)
     changed = max((row.counts.newly_fail + row.counts.fixed for row in comparison.simulators), default=0)
     if changed < needed:
-        found.append(
+        cautions.append(
             f"Too few tests change for a conclusion about other roads: {changed} at most on one simulator; with "
             f"{count(family, 'comparison')}, a significant difference needs {needed} in the same direction, none a "
             "mutant of another."
         )
-    return found
+    return cautions
 
 
 def _of_selection(comparison: Comparison) -> list[str]:
@@ -377,10 +377,10 @@ def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:
         return f"{said} Other such roads: better, too ({random}{p_in_words(row.unsearched_p_adjusted)} after Holm)."
     assert row.counts.interval is not None
     low, high = (_signed(end) for end in row.counts.interval)
-    found = f"Whether that holds for other such roads: {p_in_words(row.p_adjusted)} after Holm, so it is open"
+    sentence = f"Whether that holds for other such roads: {p_in_words(row.p_adjusted)} after Holm, so it is open"
     if row.counts.newly_fail == row.counts.fixed:
-        found = "Other such roads: no difference is shown"
-    return f"{said} {found}; 95 %: {low} to {high} failures in 100."
+        sentence = "Other such roads: no difference is shown"
+    return f"{said} {sentence}; 95 %: {low} to {high} failures in 100."
 
 
 def _changes(counts: PairedCounts, what: str) -> str:

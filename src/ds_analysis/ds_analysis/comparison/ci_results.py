@@ -89,21 +89,21 @@ class Criteria:
             ConfigError: the criterion needs a comparison, and there is none.
         """
         self.check(has_reference=newly_failing is not None)
-        found = []
+        unmet = []
         failing = {name: failures for name, (failures, _) in tally.items() if failures}
         if self.fail_on == "failure" and failing:
-            found.append("tests fail: " + ", ".join(f"{n} on {name}" for name, n in failing.items()))
+            unmet.append("tests fail: " + ", ".join(f"{n} on {name}" for name, n in failing.items()))
         if self.fail_on == "regression" and newly_failing:
-            found.append(f"{newly_failing} {'drive newly fails' if newly_failing == 1 else 'drives newly fail'}")
+            unmet.append(f"{newly_failing} {'drive newly fails' if newly_failing == 1 else 'drives newly fail'}")
         if self.fail_on == "worse" and worse:
-            found.append(f"significantly worse on {', '.join(worse)}")
+            unmet.append(f"significantly worse on {', '.join(worse)}")
         if self.max_failures is not None:
-            found += [
+            unmet += [
                 f"{failures} of {tests} tests fail on {name}, expected {self.max_failures} at most"
                 for name, (failures, tests) in tally.items()
                 if not self.max_failures.allows(failures, tests)
             ]
-        return found
+        return unmet
 
     def check(self, *, has_reference: bool) -> None:
         """Refuse a criterion that needs a comparison where there is none.
@@ -143,7 +143,7 @@ class Case:
 def cases_of(comparison: Comparison) -> list[Case]:
     """Cases of a comparison, by simulator and test: a test that newly fails has failed."""
     states: dict[str, State] = {"newly fails": "failed", "fails in both": "known failure"}
-    found = [
+    cases = [
         Case(
             test=drive.test.name,
             simulator=drive.simulator,
@@ -154,16 +154,16 @@ def cases_of(comparison: Comparison) -> list[Case]:
         )
         for drive in comparison.drives
     ]
-    found += [
+    cases += [
         Case(test=test, simulator=simulator, state="error", message=reason)
         for test, simulator, reason in comparison.left_out
     ]
-    return sorted(found, key=lambda case: (case.simulator, case.test))
+    return sorted(cases, key=lambda case: (case.simulator, case.test))
 
 
 def cases_of_campaign(data: CampaignData) -> list[Case]:
     """Cases of a campaign, by simulator and test: a failure of the driver has failed."""
-    found = [
+    cases = [
         Case(
             test=one.test_id,
             simulator=one.simulator,
@@ -175,12 +175,12 @@ def cases_of_campaign(data: CampaignData) -> list[Case]:
     ]
     done = {(one.test_id, one.simulator) for one in data.executions}
     errors = {(test, sim): f"{Outcome[outcome].words}: {text}" for test, sim, _, outcome, text in data.errors}
-    found += [
+    cases += [
         Case(test=test, simulator=sim, state="error", message=text)
         for (test, sim), text in errors.items()
         if (test, sim) not in done
     ]
-    return sorted(found, key=lambda case: (case.simulator, case.test))
+    return sorted(cases, key=lambda case: (case.simulator, case.test))
 
 
 def junit_of(name: str, cases: Sequence[Case]) -> str:

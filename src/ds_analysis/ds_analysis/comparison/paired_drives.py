@@ -264,11 +264,11 @@ def adjusted(p: Sequence[float], correction: Correction) -> list[float]:
     order = np.argsort(p)
     ranked, ranks = np.asarray(p, np.float64)[order], np.arange(1, len(p) + 1)
     if correction == "holm":
-        found = np.maximum.accumulate(ranked * ranks[::-1])
+        adjusted = np.maximum.accumulate(ranked * ranks[::-1])
     else:
-        found = np.minimum.accumulate((ranked / (ranks / len(p)))[::-1])[::-1]
-    adjusted_p = np.empty_like(found)
-    adjusted_p[order] = np.minimum(found, 1.0)
+        adjusted = np.minimum.accumulate((ranked / (ranks / len(p)))[::-1])[::-1]
+    adjusted_p = np.empty_like(adjusted)
+    adjusted_p[order] = np.minimum(adjusted, 1.0)
     return [float(value) for value in adjusted_p]
 
 
@@ -281,7 +281,7 @@ def fewest_changes(family: int, *, sequential: bool = False) -> int:
     """
     for changes in count(1):
         order = (1,) * changes if sequential else None
-        found = PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0, changes=order)
-        if found.p * max(family, 1) < ALPHA:
+        counts = PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0, changes=order)
+        if counts.p * max(family, 1) < ALPHA:
             return changes
     raise AssertionError

@@ -207,7 +207,7 @@ def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[s
 
 def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str]) -> dict[str, Any]:
     scenario = drive.test.scenario
-    found: dict[str, Any] = {
+    document: dict[str, Any] = {
         "test": drive.test.name,
         "simulator": drive.simulator,
         "change": drive.change,
@@ -220,8 +220,8 @@ def _test(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, s
         "candidate": {"outcome": drive.candidate.outcome.name, "fitness": drive.candidate.fitness},
     }
     if drive.change == "newly fails" and drive.test.name in road_files:
-        found["command"] = command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
-    return found
+        document["command"] = command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
+    return document
 
 
 def _counts(counts: PairedCounts) -> dict[str, Any]:

@@ -62,8 +62,8 @@ class Rule(_Strict):
         empty = is_empty(frame[self.column])
         if self.above is not None or self.below is not None:
             numbers = numbers_of(frame, self.column, source)
-            found = numbers > self.above if self.above is not None else numbers < self.below
-            return np.asarray(found, np.bool_), np.isnan(numbers)
+            failed = numbers > self.above if self.above is not None else numbers < self.below
+            return np.asarray(failed, np.bool_), np.isnan(numbers)
         wanted = self.is_ if self.is_ is not None else self.is_not
         if wanted == "":
             return empty if self.is_ is not None else ~empty, np.zeros(len(frame), np.bool_)

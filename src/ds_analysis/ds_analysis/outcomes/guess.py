@@ -114,8 +114,8 @@ def _named(frame: pd.DataFrame, pattern: str) -> Iterator[str]:
 def _simulator_in(column: str) -> str:
     """Name of the simulator in a column of a wide table, such as `failed_beamng`; empty if there is none."""
     either = rf"({FAILED}|{VERDICT})"
-    found = re.fullmatch(rf"{either}[_ .-](?P<first>.+)|(?P<last>.+)[_ .-]{either}", column.strip(), re.IGNORECASE)
-    name = str(found["first"] or found["last"]) if found else ""
+    match = re.fullmatch(rf"{either}[_ .-](?P<first>.+)|(?P<last>.+)[_ .-]{either}", column.strip(), re.IGNORECASE)
+    name = str(match["first"] or match["last"]) if match else ""
     return "" if re.fullmatch(r"is|test|id|type|reason|code|message|time", name, re.IGNORECASE) else name
 
 

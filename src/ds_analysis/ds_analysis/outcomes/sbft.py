@@ -41,7 +41,7 @@ def read_competition(folders: Sequence[Path], left_out: LeftOut | None = None) -
         paths = sorted(folder.rglob("*.json"))[: MOST_FILES + 1]
         if not 0 < len(paths) <= MOST_FILES:
             raise OutcomeTableError(f"{folder} has {len(paths)} JSON files, expected 1 to {MOST_FILES} of tests")
-        seen: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for path in paths:
             try:
                 row = _row(path)
@@ -50,8 +50,8 @@ def read_competition(folders: Sequence[Path], left_out: LeftOut | None = None) -
                 left_out.add(str(path), error)
                 continue
             if row is not None:
-                seen[row["test_id"]] = seen.get(row["test_id"], -1) + 1
-                rows.append({**row, "simulator": folder.resolve().name, "repeat": seen[row["test_id"]]})
+                counts[row["test_id"]] = counts.get(row["test_id"], -1) + 1
+                rows.append({**row, "simulator": folder.resolve().name, "repeat": counts[row["test_id"]]})
     if not rows:
         reason = f": {left_out.items[0][1]}" if left_out.items else ""
         raise OutcomeTableError(f"{folders[0]}: no file has a test_outcome PASS or FAIL of a valid road{reason}")
@@ -62,17 +62,22 @@ def _row(path: Path) -> dict[str, Any] | None:
     """The test of a file; None if it has no verdict."""
     bad = f"{path} is no test file of SBFT's competition"
     try:
-        found = read_json(path, LARGEST_FILE)
-        outcome = str(found["test_outcome"]).upper()
-        if outcome not in ("PASS", "FAIL") or found.get("is_valid", True) is False:
+        document = read_json(path, LARGEST_FILE)
+        outcome = str(document["test_outcome"]).upper()
+        if outcome not in ("PASS", "FAIL") or document.get("is_valid", True) is False:
             return None
-        given = np.array([[float(value) for value in point[:2]] for point in found["road_points"]])
-        points = np.array([point[:2] for point in found.get("interpolated_points") or given], np.float64)
+        road_points = np.array([[float(value) for value in point[:2]] for point in document["road_points"]])
+        points = np.array([point[:2] for point in document.get("interpolated_points") or road_points], np.float64)
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError):
         raise OutcomeTableError(f"{bad}: expected test_outcome and road_points") from None
-    if points.ndim != 2 or points.shape[1:] != (2,) or len(points) < 3 or not np.isfinite([*given, *points]).all():
+    if (
+        points.ndim != 2
+        or points.shape[1:] != (2,)
+        or len(points) < 3
+        or not np.isfinite([*road_points, *points]).all()
+    ):
         raise OutcomeTableError(f"{bad}: expected three or more finite road_points")
-    name = hashlib.sha256(np.round(given, 3).tobytes()).hexdigest()[:12]
+    name = hashlib.sha256(np.round(road_points, 3).tobytes()).hexdigest()[:12]
     return {"test_id": name, "failed": outcome == "FAIL", **_features(points, bad)}
 
 

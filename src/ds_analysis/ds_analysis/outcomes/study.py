@@ -273,7 +273,7 @@ def _outcomes(
     else:
         names = [(frame, texts_of(frame, columns.simulator, source), columns)]
     outcomes = {one for one in (columns.repeat, columns.family) if one}
-    found = []
+    repeats = []
     for frame, simulators, verdict in names:
         tests = texts_of(frame, columns.test, source)
         family = tests if columns.family is None else texts_of(frame, columns.family, source)
@@ -315,8 +315,8 @@ def _outcomes(
                 "family": [one or test for one, test in zip(family, tests, strict=True)],
             }
         )
-        found.append(rows.drop(index=list(unread)))
-    return found, outcomes
+        repeats.append(rows.drop(index=list(unread)))
+    return repeats, outcomes
 
 
 def _driven(frame: pd.DataFrame, verdict: Verdict, source: str) -> pd.DataFrame:

@@ -40,8 +40,8 @@ IN_WORDS = {
 
 def exclusion_counts(data: CampaignData) -> dict[str, dict[str, int]]:
     """Count excluded tests by simulator and state; simulators without any are left out."""
-    found = Counter((simulator, gate.state) for (_, simulator), gate in data.excluded.items())
-    counts = {name: {state.value: found[name, state] for state in IN_WORDS} for name in data.config.simulators}
+    gates = Counter((simulator, gate.state) for (_, simulator), gate in data.excluded.items())
+    counts = {name: {state.value: gates[name, state] for state in IN_WORDS} for name in data.config.simulators}
     return {name: {state: n for state, n in of.items() if n} for name, of in counts.items() if any(of.values())}
 
 

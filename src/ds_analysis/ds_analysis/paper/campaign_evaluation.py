@@ -62,12 +62,12 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
     known = {field.name for field in fields(Correlation)}
     try:
         rows: list[dict[str, Any]] = load_json(read_file(folder, CORRELATIONS))
-        found = []
+        correlations = []
         for row in rows:
             values = {key: value for key, value in row.items() if key in known}
             value = _RENAMED_VALUES.get(row["value"], row["value"])
-            found.append({**values, "map": by_name[row["name"]], "value": value})
-        return TypeAdapter(list[Correlation]).validate_python(found)
+            correlations.append({**values, "map": by_name[row["name"]], "value": value})
+        return TypeAdapter(list[Correlation]).validate_python(correlations)
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError):
         raise StoreError(
             f"{folder / CORRELATIONS} cannot be read: `{ds_command('report', folder)}` writes it again"

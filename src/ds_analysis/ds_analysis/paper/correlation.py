@@ -163,7 +163,7 @@ def paired_differences(
     """Compare the merged map with each sibling's, by both values; empty with a single sibling."""
     merged, truth = maps[MapId.merged()], maps[MapId.twin(twin)]
     difference_r, difference_auc = _difference(r_or_nan), _difference(auc_prc_or_nan)
-    found = []
+    differences = []
     for value, sibling in product(QUESTIONS, siblings if len(siblings) > 1 else ()):
         union = maps[MapId.union(sibling)]
         samples = merged_values, values, against = values_over_shared_cells([merged, union], truth, value)
@@ -177,8 +177,8 @@ def paired_differences(
                 "auc": difference_auc(*samples),
                 "auc_interval": bootstrap_interval(samples, difference_auc, drawn),
             }
-        found.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
-    return found
+        differences.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
+    return differences
 
 
 def _difference(statistic: Callable[[Array, Array], float]) -> Callable[[Array, Array, Array], float]:
@@ -219,34 +219,36 @@ def check_robustness(maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], 
     """Compute RQ2 and RQ3 in other ways, the authors' package first (its compute_mapelites_correlation)."""
     unions = [maps[MapId.union(sibling)] for sibling in siblings]
     compared, truth = [*unions, maps[MapId.merged()]], maps[MapId.twin(twin)]
-    found = []
+    checks = []
     for value, m in product(QUESTIONS, compared):
-        found.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
+        checks.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
     for value, m in product(QUESTIONS, compared):
         values, against = paired_values(m, truth, value)
         both = (values > 0) & (against > 0)
-        found.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, values[both], against[both]))
+        checks.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, values[both], against[both]))
     for value, m in product(QUESTIONS, compared):
-        found.append(_check("AUC of ROC (maxitwo)", m, truth, value, *paired_values(m, truth, value), curve=auc_roc))
+        checks.append(_check("AUC of ROC (maxitwo)", m, truth, value, *paired_values(m, truth, value), curve=auc_roc))
     for value, m in product(QUESTIONS, compared):
         what = "AUC-PRC by trapezoids"
-        found.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc_by_trapezoids))
+        checks.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc_by_trapezoids))
     for m in compared:
         values, against = paired_values(m, truth, "pooled_quality_loss")
         what = "quality as mean over a union's tests (maxitwo)"
-        found.append(_check(what, m, truth, "quality_loss", values, against, curve=auc_prc))
+        checks.append(_check(what, m, truth, "quality_loss", values, against, curve=auc_prc))
     for value, sibling in product(QUESTIONS, siblings):
         m, against_own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]
         what = "a sibling's own search, without migration (maxitwo)"
-        found.append(_check(what, m, against_own, value, *paired_values(m, against_own, value), curve=auc_prc))
+        checks.append(_check(what, m, against_own, value, *paired_values(m, against_own, value), curve=auc_prc))
     if len(unions) > 1:
         for value, operator in product(QUESTIONS, OPERATORS):
             m = merge(MapId.merged(), unions, probability=operator, quality_loss=operator)
             what = f"merged by {operator.replace('_', ' ')}"
-            found.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc))
+            checks.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc))
     for one, other in combinations(unions, 2):
-        found.append(_check("sibling against sibling (maxitwo)", one, other, "probability", *paired_values(one, other)))
-    return found
+        checks.append(
+            _check("sibling against sibling (maxitwo)", one, other, "probability", *paired_values(one, other))
+        )
+    return checks
 
 
 def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[FeatureMap, FeatureMap, str, Array, Array]:
@@ -271,5 +273,5 @@ def _check(
 ) -> RobustnessCheck:
     r, p, _ = pearson_or_reason(predicted, truth, value)
     auc = curve(predicted, truth) if curve is not None and has_both_outcomes(truth) else None
-    found = {"cells": len(predicted), "r": r, "p": p, "auc": auc}
-    return RobustnessCheck(what=what, map=m.id, against=against.id, value=value, **found)  # type: ignore[arg-type]
+    numbers = {"cells": len(predicted), "r": r, "p": p, "auc": auc}
+    return RobustnessCheck(what=what, map=m.id, against=against.id, value=value, **numbers)  # type: ignore[arg-type]

@@ -68,14 +68,14 @@ class MergeCase(NamedTuple):
         drive = f"It is not decided whether {fail} more or less often than {truth}. Drive {truth} on more roads."
         if not hardest.failures:
             drive = f"No sibling fails, so they do not know where {truth} fails. Drive {truth}."
-        found = {
+        sentence = {
             "product": f"Every sibling fails more often than {truth}. A product removes alarms, so it can pay here.",
             "mean": f"Some siblings fail more often than {truth}, others less often. Take the mean, not the product.",
             "hardest sibling": f"Every sibling fails less often than {truth}. A product would miss more failures. "
             f"Use {hardest.simulator} alone.",
             "drive": drive,
         }[self.advice]
-        return f"Failures in {self.truth.tests} tests: {', '.join(map(str, (*self.siblings, self.truth)))}. {found}"
+        return f"Failures in {self.truth.tests} tests: {', '.join(map(str, (*self.siblings, self.truth)))}. {sentence}"
 
 
 def merge_case(failed: Mapping[str, Bools], truth: str, families: Indices) -> MergeCase:

@@ -137,7 +137,7 @@ def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | No
         if 0 in counts:
             verdict = "completes" if counts[1] == 0 else "fails"
             return None, None, f"{name} {verdict} every road: agreement beyond chance is not defined"
-    found = cohens_kappa(table)
+    agreement = cohens_kappa(table)
     # The asymptotic interval may leave kappa's range.
-    interval = max(float(found.kappa_low), -1.0), min(float(found.kappa_upp), 1.0)
-    return float(found.kappa), interval if all(map(math.isfinite, interval)) else None, ""
+    interval = max(float(agreement.kappa_low), -1.0), min(float(agreement.kappa_upp), 1.0)
+    return float(agreement.kappa), interval if all(map(math.isfinite, interval)) else None, ""

@@ -189,21 +189,21 @@ def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[E
     """Compare errors in other ways; see `compare_errors`."""
     twin = _checked("the twin", twin)
     groups = _with_merged(siblings)
-    found = []
+    checks = []
     for name, errors in groups.items():
         binned, twin_binned = shares(errors), shares(twin)
         distance = _binned_distance(binned, twin_binned)
         what = "share of all errors per bin (paper 4.3.1)"
-        found.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=_wilcoxon(binned, twin_binned)))
+        checks.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=_wilcoxon(binned, twin_binned)))
     for name, errors in groups.items():
         distance = float(wasserstein_distance(errors, twin))
         p = float(ks_2samp(errors, twin).pvalue)
         what = "errors themselves, no bins; Kolmogorov-Smirnov test"
-        found.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=p))
+        checks.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=p))
     for name, errors in groups.items():
         power = _power(cohens_d(errors, twin), len(errors), len(twin) / len(errors))
-        found.append(ErrorRobustnessCheck(what="power with the true numbers of errors", name=name, power=power))
-    return found
+        checks.append(ErrorRobustnessCheck(what="power with the true numbers of errors", name=name, power=power))
+    return checks
 
 
 def cohens_d(one: Array, other: Array) -> float | None:

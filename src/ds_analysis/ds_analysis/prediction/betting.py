@@ -123,5 +123,5 @@ def _capital(logarithm: float) -> float:
 
 def _log_share(failing: Array, drive: Drive, left: Bools) -> float:
     """Log probability that a drawn test is this one, given its verdict; of a chosen test, of its verdict."""
-    found = failing if drive.failed else 1.0 - failing
-    return float(np.log(found[drive.row]) - (np.log(found[left].mean()) if drive.drawn else 0.0))
+    likelihood = failing if drive.failed else 1.0 - failing
+    return float(np.log(likelihood[drive.row]) - (np.log(likelihood[left].mean()) if drive.drawn else 0.0))

@@ -234,7 +234,7 @@ def experts_of(outcomes: SiblingOutcomes) -> list[Expert]:
     width = min(one.shape[1] for one in (whole, *others))  # margins count where every one has them
     centre, scale = whole[:, :width].mean(axis=0), np.maximum(whole[:, :width].std(axis=0), _LEAST_SCALE)
     heard, *heard_of_others = ((one[:, :width] - centre) / scale for one in (whole, *others))
-    made: list[Expert] = []
+    experts: list[Expert] = []
     alone = _pooled(outcomes, [features] * count)
     for name, own, hears in (
         ("features", features, False),
@@ -251,11 +251,11 @@ def experts_of(outcomes: SiblingOutcomes) -> list[Expert]:
             halved = 0.5 * alone[0][1 : own.shape[1] + 1]
             mean = np.concatenate((level, halved, [0.25 if own.size else 0.5], np.zeros(width - 1)))
             variance = np.zeros(len(mean))
-        made += [_logistic(name, predictors, mean, variance, spread) for spread in LEVEL_SPREADS]
+        experts += [_logistic(name, predictors, mean, variance, spread) for spread in LEVEL_SPREADS]
     design = np.column_stack((np.ones(len(features)), features))
     spreads = np.array([OWN_LEVEL_SPREAD, *[OWN_SLOPE_SPREAD] * features.shape[1]])
-    made.append(LogisticExpert("own features", False, design, np.zeros(len(spreads)), 1.0 / spreads**2))
-    return [*made, RateExpert()]
+    experts.append(LogisticExpert("own features", False, design, np.zeros(len(spreads)), 1.0 / spreads**2))
+    return [*experts, RateExpert()]
 
 
 def _pooled(outcomes: SiblingOutcomes, predictors: Sequence[Array]) -> tuple[Array, Array]:

@@ -84,17 +84,17 @@ class Prediction:
     @property
     def shares(self) -> Mapping[str, float]:
         """Expert -> weight after the drives; experts that differ in a spread alone together."""
-        found: dict[str, float] = {}
+        weights: dict[str, float] = {}
         for expert, weight in zip(self.experts, self.weights, strict=True):
-            found[expert.name] = found.get(expert.name, 0.0) + float(weight)
-        return found
+            weights[expert.name] = weights.get(expert.name, 0.0) + float(weight)
+        return weights
 
     def probabilities(self, rows: Indices | None = None) -> Array:
         """(rows,) probability of failure of some tests, all if None; of a driven test its outcome."""
         rows = np.arange(self.tests) if rows is None else rows
         parts = zip(self.weights, self._learnt, strict=True)
-        found = np.sum([w * one.probabilities(rows) for w, one in parts if w > _NEGLIGIBLE], axis=0)
-        return self._with_outcomes(np.clip(found, 0.0, 1.0), rows)
+        probabilities = np.sum([w * one.probabilities(rows) for w, one in parts if w > _NEGLIGIBLE], axis=0)
+        return self._with_outcomes(np.clip(probabilities, 0.0, 1.0), rows)
 
     def draws(self, rows: Indices, *, count: int = DRAWS, outcomes: bool = True) -> Array:
         """(count, rows) probabilities of failure, each row for one draw of the car; the same on every call.
@@ -111,8 +111,8 @@ class Prediction:
         places = np.searchsorted(np.cumsum(self.weights), (np.arange(count) + rng.random()) / count)
         times = np.bincount(np.minimum(places, len(self.experts) - 1), minlength=len(self.experts))
         parts = [one.draws(rng, int(k), rows) for k, one in zip(times, self._learnt, strict=True) if k]
-        found = np.vstack(parts)
-        return self._with_outcomes(found, rows) if outcomes else found
+        likelihoods = np.vstack(parts)
+        return self._with_outcomes(likelihoods, rows) if outcomes else likelihoods
 
     def failures(self, rows: Indices) -> tuple[float, int, int]:
         """Expected number of tests that fail, and its 90 % interval; the same on every call."""

@@ -47,12 +47,12 @@ def features_alone(table: OutcomeTable) -> Array:
     if len(np.unique(table.families[driven])) < 2:
         raise OutcomeTableError("all tests descend from one road: expected two families of tests, or more")
     with config_context(assume_finite=True, skip_parameter_validation=True):
-        found = np.empty(len(table))
+        probabilities = np.empty(len(table))
         for others, test in splits_of(table.families, FOLDS, SEED):
             train = np.intersect1d(others, driven)
             strength = _chosen(table.features[train], counts[train], table.families[train])
-            found[test] = _fitted(strength, table.features[train], counts[train], table.features[test])
-    return found
+            probabilities[test] = _fitted(strength, table.features[train], counts[train], table.features[test])
+    return probabilities
 
 
 def _chosen(features: Array, counts: Array, families: Indices) -> float:
@@ -207,12 +207,12 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
 
 def _reliability(probability: Array, truth: Array) -> list[tuple[float, float, int, float, float, Interval]]:
     bins = np.clip(np.digitize(probability, BINS[1:-1]), 0, len(BINS) - 2)
-    found = []
+    scores = []
     for k in np.unique(bins):
         of = truth[bins == k]
         share, ends = float(of.mean()), jeffreys_interval(int(of.sum()), len(of))
-        found.append((BINS[k], BINS[k + 1], len(of), float(probability[bins == k].mean()), share, ends))
-    return found
+        scores.append((BINS[k], BINS[k + 1], len(of), float(probability[bins == k].mean()), share, ends))
+    return scores
 
 
 def merged(driven: list[Array]) -> dict[str, Array]:

@@ -93,8 +93,8 @@ class Verdicts:
     @property
     def counts(self) -> Mapping[str, int]:
         """Verdict -> number of cells."""
-        found = Counter(one.verdict for one in self.cells)
-        return {name: found[name] for name in ("fails", "safe", "disputed", "untested")}
+        counts = Counter(one.verdict for one in self.cells)
+        return {name: counts[name] for name in ("fails", "safe", "disputed", "untested")}
 
     @property
     def undriven(self) -> Sequence[TestVerdict]:

@@ -118,6 +118,6 @@ def drives_until(rate: float, tests: int) -> int | None:
         return None
     while low < high:
         middle = (low + high) // 2
-        found = certify([Bet(failed=False, drawn=True)] * middle, tests)
-        low, high = (low, middle) if found.high <= rate * tests else (middle + 1, high)
+        certificate = certify([Bet(failed=False, drawn=True)] * middle, tests)
+        low, high = (low, middle) if certificate.high <= rate * tests else (middle + 1, high)
     return low

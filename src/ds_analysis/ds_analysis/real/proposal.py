@@ -84,15 +84,15 @@ def read_proposed(folder: Path) -> Proposed:
         RecordError: the file is damaged.
     """
     try:
-        found = Proposed.model_validate_json(read_file(folder, PurePath(FOLDER, PROPOSAL)), strict=True)
+        proposed = Proposed.model_validate_json(read_file(folder, PurePath(FOLDER, PROPOSAL)), strict=True)
     except FileNotFoundError:
         return Proposed()
     except ValidationError:
-        found = Proposed()
-    if not {"scale", "rounds"} <= found.model_fields_set or sum(map(len, found.rounds)) > MOST_ROWS:
+        proposed = Proposed()
+    if not {"scale", "rounds"} <= proposed.model_fields_set or sum(map(len, proposed.rounds)) > MOST_ROWS:
         path = folder / FOLDER / PROPOSAL
         raise RecordError(f"{path} cannot be read: restore it, or remove it and propose again")
-    return found
+    return proposed
 
 
 def candidates_of(table: OutcomeTable) -> Indices:
@@ -197,13 +197,13 @@ def propose(
         probabilities = prediction.probabilities()
         ranked = sorted(left, key=lambda test_id: float(probabilities[place[test_id]]))
         left = [min(group, key=left.index) for group in np.array_split(ranked, drives)]
-    found = [_proposed(table, prediction, place[test_id], scale, drawn=not spread) for test_id in left[:drives]]
+    proposals = [_proposed(table, prediction, place[test_id], scale, drawn=not spread) for test_id in left[:drives]]
     document = known.model_dump(exclude_defaults=True)
-    rounds = [*document.get("rounds", []), [one.document() for one in found]]
+    rounds = [*document.get("rounds", []), [one.document() for one in proposals]]
     before = [*known.before, [test_id for test_id in driven if test_id not in known.tests]]
     content = {"scale": scale, "population": population, "rounds": rounds, "before": before}
     write_json(folder / FOLDER / PROPOSAL, content)
-    return found
+    return proposals
 
 
 def _proposed(table: OutcomeTable, prediction: Prediction, row: int, scale: float, *, drawn: bool) -> ProposedDrive:

@@ -96,22 +96,22 @@ def read_csv(
     twice = [name for name in (*COLUMNS, *OPTIONAL) if heads.count(name) > 1]
     if twice:
         raise RecordError(f"{path}: the column {twice[0]} comes twice: remove one of them")
-    given = {"who": who, "when": when}
-    missing = [name for name in COLUMNS if name not in heads and not given.get(name)]
+    defaults = {"who": who, "when": when}
+    missing = [name for name in COLUMNS if name not in heads and not defaults.get(name)]
     if missing:
         raise RecordError(f"{path}: no column {missing[0]}, expected the columns {', '.join((*COLUMNS, *OPTIONAL))}")
     if not rows:
         raise RecordError(f"{path}: no rows, expected one for each drive")
     if len(rows) > MOST_ROWS:
         raise RecordError(f"{path}: more than {MOST_ROWS} rows")
-    found = []
+    drives = []
     for number, row in enumerate(rows, start=2):
-        values = {name: (row.get(name) or given.get(name) or "").strip() for name in (*COLUMNS, *OPTIONAL)}
+        values = {name: (row.get(name) or defaults.get(name) or "").strip() for name in (*COLUMNS, *OPTIONAL)}
         try:
-            found.append(drive_of(values, limits, scale, path.name))
+            drives.append(drive_of(values, limits, scale, path.name))
         except RecordError as error:
             raise RecordError(f"{path}, line {number}: {error}") from None
-    return found
+    return drives
 
 
 def drive_of(values: Mapping[str, str], limits: Mapping[str, float], scale: float, source: str) -> RealDrive:
@@ -184,16 +184,16 @@ def added(known: Sequence[RealDrive], new: Sequence[RealDrive]) -> list[RealDriv
     Raises:
         RecordError: a test has two different outcomes.
     """
-    found = {drive.test_id: drive for drive in known}
+    drive_of_test = {drive.test_id: drive for drive in known}
     for drive in new:
-        before = found.setdefault(drive.test_id, drive)
+        before = drive_of_test.setdefault(drive.test_id, drive)
         laterals = {before.max_lateral_position, drive.max_lateral_position} - {None}
         if before.failed != drive.failed or len(laterals) > 1:
             raise RecordError(
                 f"test {drive.test_id} has two outcomes: {_said(before)}, and {_said(drive)}: decide which one holds, "
                 "and remove the other"
             )
-    return list(found.values())
+    return list(drive_of_test.values())
 
 
 def _said(drive: RealDrive) -> str:

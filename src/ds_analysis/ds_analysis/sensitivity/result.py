@@ -134,14 +134,14 @@ class Threshold:
 
 def threshold_of(simulator: str, factor: Factor, roads: Sequence[RoadResult], error: str = "") -> Threshold:
     """Judge the results of the roads of one factor on one simulator."""
-    found = Threshold(simulator=simulator, factor=factor, verdict="completes", roads=roads, message=error)
+    threshold = Threshold(simulator=simulator, factor=factor, verdict="completes", roads=roads, message=error)
     if error:
-        return replace(found, verdict="error")
-    if found.fails is not None:
-        return replace(found, verdict="fails")
-    if found.excluded is None:
-        return found
-    return replace(found, verdict="infeasible" if factor.moves_vehicle else "lines invisible")
+        return replace(threshold, verdict="error")
+    if threshold.fails is not None:
+        return replace(threshold, verdict="fails")
+    if threshold.excluded is None:
+        return threshold
+    return replace(threshold, verdict="infeasible" if factor.moves_vehicle else "lines invisible")
 
 
 def coverage(roads: int) -> float:
@@ -188,8 +188,8 @@ class Sensitivity:
         """Positions of the factors, the most sensitive one first: least strength withstood on any simulator."""
 
         def least(position: int) -> float:
-            found = [self.thresholds[position, name] for name in self.simulators]
-            return min((one.withstood or 1.0 for one in found if one.verdict == "fails"), default=2.0)
+            thresholds = [self.thresholds[position, name] for name in self.simulators]
+            return min((one.withstood or 1.0 for one in thresholds if one.verdict == "fails"), default=2.0)
 
         return sorted(range(len(self.factors)), key=lambda position: (least(position), position))
 

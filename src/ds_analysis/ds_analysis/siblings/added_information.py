@@ -119,17 +119,17 @@ def baseline_of(table: OutcomeTable, simulator: str, *, repeats: int = REPEATS) 
 
 
 def _score(table: OutcomeTable, failed: Bools, columns: Columns, repeats: int) -> tuple[Score, Mapping[int, int]]:
-    found = predict_failures(table.features, failed, families=table.families, columns=(columns,), repeats=repeats)
-    probability, truth = found.probability.mean(axis=0), failed.astype(np.float64)
-    squared = np.asarray(((found.probability - failed) ** 2).mean(axis=0), np.float64)
+    prediction = predict_failures(table.features, failed, families=table.families, columns=(columns,), repeats=repeats)
+    probability, truth = prediction.probability.mean(axis=0), failed.astype(np.float64)
+    squared = np.asarray(((prediction.probability - failed) ** 2).mean(axis=0), np.float64)
     score = Score(
         auc=_auc(probability, truth),
         auc_interval=interval_over_families((probability, truth), _auc, table.families),
         brier=float(squared.mean()),
         brier_interval=interval_over_families((squared,), np.mean, table.families),
-        bits=float(bits(found.probability, failed).mean()),
+        bits=float(bits(prediction.probability, failed).mean()),
     )
-    return score, found.chosen
+    return score, prediction.chosen
 
 
 def _auc(probability: Array, truth: Array) -> float:
@@ -196,13 +196,13 @@ def information_about(
     predictions = predict_failures(table.features, failed, families=table.families, repeats=repeats)
     losses = bits(predictions.probability, failed)
     driven: list[Array] = []
-    found = []
+    information = []
     for k, name in enumerate(siblings):
         # The largest lateral position is half a lane minus the fitness.
         driven += [table.failed(name).astype(np.float64), table.largest_lateral(name)]
         reduced = bits(predict_with(predictions, failed, np.column_stack(driven)), failed)
         gained = losses - reduced
-        found.append(
+        information.append(
             AddedInformation(
                 about=about,
                 sibling=name,
@@ -213,4 +213,4 @@ def information_about(
             )
         )
         losses = reduced
-    return found
+    return information

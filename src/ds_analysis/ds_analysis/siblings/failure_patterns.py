@@ -51,12 +51,12 @@ class Nesting:
 
 def nestings(table: OutcomeTable) -> list[Nesting]:
     """Count on which roads each pair of simulators fails, in their order."""
-    found = []
+    pairs = []
     for first, second in combinations(table.simulators, 2):
         one, other = table.failed(first), table.failed(second)
         forward, forward_interval = _share(other[one], table.families[one])
         backward, backward_interval = _share(one[other], table.families[other])
-        found.append(
+        pairs.append(
             Nesting(
                 first=first,
                 second=second,
@@ -70,7 +70,7 @@ def nestings(table: OutcomeTable) -> list[Nesting]:
                 first_given_second_interval=backward_interval,
             )
         )
-    return found
+    return pairs
 
 
 def _share(failed: Bools, families: Indices) -> tuple[float | None, Interval | None]:
@@ -130,17 +130,17 @@ class Departures:
 
 def departures_of(table: RoadTable) -> list[Departures]:
     """Classify the failures of every simulator, in their order."""
-    found = []
+    departures = []
     for name in table.simulators:
         failed, lateral = table.failed(name), table.largest_lateral(name)
         counts = Counter(
             departure(table.roads[k], table.profiles[name][k], float(lateral[k]))
             for k in np.flatnonzero(failed).tolist()
         )
-        found.append(
+        departures.append(
             Departures(simulator=name, failures=int(failed.sum()), counts={kind: counts[kind] for kind in KINDS})
         )
-    return found
+    return departures
 
 
 def departure(road: Road, profile: Array, largest: float) -> Departure:

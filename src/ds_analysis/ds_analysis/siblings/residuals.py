@@ -69,7 +69,7 @@ def residual_correlations(table: RoadTable, *, repeats: int = REPEATS) -> list[R
     cautions = {name: caution_of_failures(table, name) for name in table.simulators}
     by_road = {name: None if cautions[name] else _road_residuals(table, name, repeats) for name in table.simulators}
     by_place = _place_residuals(table)
-    found = []
+    correlations = []
     for first, second in combinations(table.simulators, 2):
         plain, plain_interval = _correlation(lateral[first], lateral[second], table.families)
         one, other = by_road[first], by_road[second]
@@ -78,7 +78,7 @@ def residual_correlations(table: RoadTable, *, repeats: int = REPEATS) -> list[R
         )
         places, places_interval = _clustered_correlation(by_place[first], by_place[second], table.families)
         few = f"{len(table.roads)} roads, expected {FEWEST_ROADS}" if len(table.roads) < FEWEST_ROADS else ""
-        found.append(
+        correlations.append(
             ResidualCorrelation(
                 first=first,
                 second=second,
@@ -91,7 +91,7 @@ def residual_correlations(table: RoadTable, *, repeats: int = REPEATS) -> list[R
                 caution="; ".join(text for text in (few, cautions[first], cautions[second]) if text),
             )
         )
-    return found
+    return correlations
 
 
 def _road_residuals(table: RoadTable, simulator: str, repeats: int) -> Array:
@@ -162,8 +162,12 @@ def _clustered_correlation(
     sums = np.array([_sums(one, other) for one, other in zip(ones, others, strict=True)]).reshape(-1, 6)
     if (sums[:, 0] > 0).sum() < FEWEST_ROADS:
         return None, None
-    found = _of_sums(*sums.T)
-    return (None, None) if np.isnan(found) else (found, interval_over_families(tuple(sums.T), _of_sums, families))
+    correlation = _of_sums(*sums.T)
+    return (
+        (None, None)
+        if np.isnan(correlation)
+        else (correlation, interval_over_families(tuple(sums.T), _of_sums, families))
+    )
 
 
 def _sums(one: Array, other: Array) -> tuple[float, ...]:

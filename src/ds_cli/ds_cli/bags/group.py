@@ -145,24 +145,27 @@ def redrive_command(
     if video is not None:
         check_path(video)
     try:
-        found = verify_bag(folder, sim, seed=seed, trusted=trust or [])
-        same = found.step is None
+        verification = verify_bag(folder, sim, seed=seed, trusted=trust or [])
+        same = verification.step is None
         if video is not None and same:
-            _write_video(folder, found.simulator, video, seed, trust or [])
+            _write_video(folder, verification.simulator, video, seed, trust or [])
     except KeyboardInterrupt:
         raise Interrupted from None
     shown = str(video) if video is not None and same else None
-    document = {"bag": str(folder), "same": same, "video": shown} | asdict(found)
+    document = {"bag": str(folder), "same": same, "video": shown} | asdict(verification)
 
     def show() -> None:
-        images = f", and so are {found.images} images" if found.images else ""
-        print(f"{found.frames} frames on {found.simulator} are identical to the recorded ones{images}")
+        images = f", and so are {verification.images} images" if verification.images else ""
+        print(f"{verification.frames} frames on {verification.simulator} are identical to the recorded ones{images}")
         if shown:
             print(f"video: {shown}")
 
     if not same:
         no_video = "; no video was written" if video is not None else ""
-        say(f"error: {found.simulator} leaves the recorded run at step {found.step}, {found.difference}{no_video}")
+        say(
+            f"error: {verification.simulator} leaves the recorded run at step {verification.step}, "
+            f"{verification.difference}{no_video}"
+        )
     about, shown_again = ds_command("bag", "info", folder), ds_command("bag", "redrive", folder, "--video", "run.mp4")
     following = about if video else shown_again
     end(Result(document=document, show=show if same else lambda: None, error=not same, next=following), as_json)

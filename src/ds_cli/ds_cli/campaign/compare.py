@@ -77,17 +77,17 @@ class Driving:
         """Compare reference and candidate on all tests."""
         from ds_studies.comparison.compare import compare
 
-        found: Comparison = self._drive(
+        comparison: Comparison = self._drive(
             compare, [self._prepared(tests) for tests in sets], *networks, origin=origin, source=source
         )
-        return found
+        return comparison
 
     def compare_until_sure(self, tests: GivenTests, networks: tuple[Network, Network], source: str) -> Comparison:
         """Compare reference and candidate until the answer is sure."""
         from ds_studies.comparison.compare import compare_until_sure
 
-        found: Comparison = self._drive(compare_until_sure, self._prepared(tests), *networks, source=source)
-        return found
+        comparison: Comparison = self._drive(compare_until_sure, self._prepared(tests), *networks, source=source)
+        return comparison
 
     def _prepared(self, tests: GivenTests) -> GivenTests:
         return replace(tests, settings=self.with_engine(tests.settings))
@@ -311,11 +311,11 @@ def campaign_compare_command(
             label=label,
             with_engine=lambda settings: with_engine_without_ros(settings, workers, engine, cluster),
         )
-        found = mode_of(candidate).compare(driving)
+        comparison = mode_of(candidate).compare(driving)
         make_folder(out / label)
-        comparisons.append(found)
+        comparisons.append(comparison)
         following = ds_command("report" if is_campaign(candidate) else "test", candidate)
-        unmet = unmet_by(criteria, found)
-        results.append(write_comparison(found, out / label, unmet, following, junit=junit, markdown=markdown))
+        unmet = unmet_by(criteria, comparison)
+        results.append(write_comparison(comparison, out / label, unmet, following, junit=junit, markdown=markdown))
     single = len(candidates) == 1
     end(results[0] if single else of_networks(networks_table(comparisons), results, out, sort), as_json)

@@ -106,15 +106,15 @@ def campaign_roads_command(
     from ds_base.atomic_files import write_whole
     from ds_orchestrator.campaign.selection import roads_of
 
-    found = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
+    roads = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
     # One road per line, so that a line can be cut out and driven.
-    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in found) + "\n]" if found else "[]"
+    text = "[\n" + ",\n".join(json.dumps(road, allow_nan=False) for road in roads) + "\n]" if roads else "[]"
     if out is None:
         print(text)
     else:
         write_whole(out, text + "\n")
         print(out)
-    say(f"{len(found)} road{'' if len(found) == 1 else 's'}")
+    say(f"{len(roads)} road{'' if len(roads) == 1 else 's'}")
     kept = out or printed_to()
     say_next(ds_command("report", folder) if kept is None else ds_command("road", "check", kept))
 

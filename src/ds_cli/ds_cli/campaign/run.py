@@ -210,8 +210,8 @@ def campaign_init_command(
     size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
     if file.exists() and not force:
         raise ConfigError(f"{file} exists already: choose another file, or --force")
-    given = {"min_angle": min_angle, "max_angle": max_angle}
-    angles = {name: angle for name, angle in given.items() if angle is not None}
+    limits = {"min_angle": min_angle, "max_angle": max_angle}
+    angles = {name: angle for name, angle in limits.items() if angle is not None}
     write_whole(file, _template_of(driver, sims, size, sensitivity, file, angles))
     print(file)
     say_next(ds_command("campaign", "run", file, "--out", file.stem, "--dry-run"))
@@ -390,29 +390,29 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions, followi
             tempfile.TemporaryDirectory(prefix="ds_forecast_") as logs,
             running_engine(settings, logs=Path(logs)) as engine,
         ):
-            found = measure(config, engine, out, start_seconds=time.monotonic() - began)
+            forecast = measure(config, engine, out, start_seconds=time.monotonic() - began)
     except KeyboardInterrupt:
         raise Interrupted from None
     document = {
-        **asdict(found),
+        **asdict(forecast),
         "engine": settings.engine,
         "workers": config.workers,
-        "seconds": round(found.seconds, 1),
-        "disk": found.disk,
+        "seconds": round(forecast.seconds, 1),
+        "disk": forecast.disk,
     }
 
     def show() -> None:
-        gates = f", and {found.gate_drives} of the autopilot for the gates" if found.gate_drives else ""
+        gates = f", and {forecast.gate_drives} of the autopilot for the gates" if forecast.gate_drives else ""
         workers = f"{config.workers} worker{'' if config.workers == 1 else 's'}"
-        print(f"{found.drives} drives at most{gates}, engine {settings.engine}, {workers}.")
+        print(f"{forecast.drives} drives at most{gates}, engine {settings.engine}, {workers}.")
         print(
-            f"About {duration(found.seconds)} on this machine as it is now: "
-            + ", ".join(f"{one.simulator} took {duration(one.seconds)}" for one in found.measured)
-            + f" for one drive beside the others, and the engine {duration(found.start_seconds)} to start. "
+            f"About {duration(forecast.seconds)} on this machine as it is now: "
+            + ", ".join(f"{one.simulator} took {duration(one.seconds)}" for one in forecast.measured)
+            + f" for one drive beside the others, and the engine {duration(forecast.start_seconds)} to start. "
             "Drives that fail are shorter."
         )
-        print(f"About {_size(found.disk)} in {out}, report not included; {_size(found.free)} are free.")
-        if found.disk > found.free:
+        print(f"About {_size(forecast.disk)} in {out}, report not included; {_size(forecast.free)} are free.")
+        if forecast.disk > forecast.free:
             print("That does not fit: free some space, or set record: none.")
 
     return Result(document=document, show=show, next=following)

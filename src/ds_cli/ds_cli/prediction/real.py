@@ -51,17 +51,17 @@ def _recorded(
     if test is None or test not in table.test_ids:
         raise RecordError(f"{which}{', '.join(sorted(table.test_ids)[:6])}")
     road = table.roads[table.test_ids.index(test)]
-    found = read_recording(path, road, scale=scale, topic=topic)
-    outcome = outcome or found.outcome(road.lane_width / 2)
+    recorded = read_recording(path, road, scale=scale, topic=topic)
+    outcome = outcome or recorded.outcome(road.lane_width / 2)
     if outcome is None:
-        driven = "" if found.share is None else f" after {found.share:.0%} of the road"
+        driven = "" if recorded.share is None else f" after {recorded.share:.0%} of the road"
         raise RecordError(f"{path}: the recording tells no verdict{driven}: expected --outcome, such as completed")
     values = {
         "test_id": test,
         "outcome": outcome,
         "who": who or "",
-        "when": when or found.when,
-        "max_lateral_position": "" if found.lateral is None else str(found.lateral / scale),
+        "when": when or recorded.when,
+        "max_lateral_position": "" if recorded.lateral is None else str(recorded.lateral / scale),
         "note": "",
     }
     return drive_of(values, {test: road.lane_width / 2}, scale, path.name)
@@ -146,8 +146,8 @@ def propose_command(
     with locked(folder):
         car = predict_car(folder, read_table(folder))
         driven = [drive.test_id for drive in car.drives]
-        found = propose(folder, car.table, car.prediction, driven, drives, scale=scale, spread=spread)
-        place = write_drives_to_do(folder, len(car.proposed.rounds) + 1, found)
+        proposals = propose(folder, car.table, car.prediction, driven, drives, scale=scale, spread=spread)
+        place = write_drives_to_do(folder, len(car.proposed.rounds) + 1, proposals)
     table = Table(
         name="proposal",
         title=f"Drives on the car, drawn at random, after {len(car.drives)} real drives",
@@ -164,7 +164,7 @@ def propose_command(
                 list(one.siblings.values()).count("failed"),
                 ", ".join(f"{name} {value}" for name, value in one.to_set.items()),
             )
-            for one in found
+            for one in proposals
         ],
     )
     tests = len(car.proposed.population) or len(candidates_of(car.table))
@@ -183,7 +183,7 @@ def propose_command(
         print(f"Drive them in this order, and fill in {TO_FILL}.")
 
     document = {
-        "drives": [one.document() for one in found],
+        "drives": [one.document() for one in proposals],
         "open": list(car.open),
         "drawn_drives_to_certify": sure,
         "folder": str(place),

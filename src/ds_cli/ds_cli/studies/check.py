@@ -79,15 +79,15 @@ def check_command(
         write_whole(Path(network), text)
         say(f"wrote {network}: its comments say what was chosen, and why")
     say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
-    found = check_network(driver_named(network), recordings, seed, search=search, loaded=loaded)
+    check = check_network(driver_named(network), recordings, seed, search=search, loaded=loaded)
     picture = out / "check.png"
-    write_whole(picture, png(draw_check(found, recordings)))
+    write_whole(picture, png(draw_check(check, recordings)))
 
     def show() -> None:
-        table = Table(title=f"{network} against the autopilot on {found.images} images")
+        table = Table(title=f"{network} against the autopilot on {check.images} images")
         for column in ("simulator", "correlation", "slope", "answers", "at full lock", "ms an image"):
             table.add_column(column, justify="left" if column == "simulator" else "right")
-        for one in found.answers:
+        for one in check.answers:
             table.add_row(
                 one.simulator,
                 f"{one.correlation:.2f}",
@@ -97,13 +97,13 @@ def check_command(
                 f"{one.milliseconds:.1f}",
             )
         Console().print(table)
-        print(found.verdict)
-        for finding in found.findings:
+        print(check.verdict)
+        for finding in check.findings:
             print(finding)
         print(picture)
 
-    document = {**found.document(), "picture": str(picture)}
-    unmet = [] if not found.findings else [f"{network} needs another description or training"]
+    document = {**check.document(), "picture": str(picture)}
+    unmet = [] if not check.findings else [f"{network} needs another description or training"]
     following = ds_command("check" if unmet else "test", network)
     end(Result(document=document, show=show, unmet=unmet, next=following), as_json)
 

@@ -46,8 +46,8 @@ def demo_command(
     page = SensitivityPage(place / "sensitivity.html")
     say(f"2 of 4: what else breaks it? Open {page.path} in a browser: it fills while you watch")
     with stopped_in(place):
-        found = demo.measure_sensitivity(fog, place, workers, progress=ScreenProgress(), watch=page.write)
-    ranges = demo.searched(found)
+        sensitivity = demo.measure_sensitivity(fog, place, workers, progress=ScreenProgress(), watch=page.write)
+    ranges = demo.searched(sensitivity)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
     result = campaign(with_engine(demo.campaign_config(ranges, fog["siblings"]), workers, engine), out)
     result.document["fog"], result.document["searched"] = fog, ranges

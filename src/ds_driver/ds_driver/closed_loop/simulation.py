@@ -126,11 +126,11 @@ class InterleavedDrives:
             raise ValueError(f"{request.driver} was not started, expected {self._driver}, or {AUTOPILOT}")
         self._note(Phase.LOADING, key)
         idle = self._idle.setdefault(request.simulator, [])
-        made = idle.pop() if idle else make_simulator(request.simulator)
+        simulator = idle.pop() if idle else make_simulator(request.simulator)
         try:
-            self._active[key] = request.simulator, self._started(made, request)
+            self._active[key] = request.simulator, self._started(simulator, request)
         except NotApplicableError:
-            idle.append(made)
+            idle.append(simulator)
             raise
 
     def _started(self, made: Simulator, request: DriveRequest) -> _Drive:

@@ -46,17 +46,17 @@ def command_habits(steering: NDArray[np.float64], speed: NDArray[np.float64]) ->
         >>> [habit.kind for habit in command_habits(np.ones(100), np.full(101, 6.0))]
         ['saturated', 'constant']
     """
-    found: list[Habit] = []
+    habits: list[Habit] = []
     if len(steering) < FEWEST:
         return ()
     share = float(np.mean(np.abs(steering) >= _FULL_LOCK))
     if share >= SATURATED_SHARE:
-        found.append(
+        habits.append(
             Habit("saturated", f"{share:.0%} of its steering commands are at full lock: is its output in degrees?")
         )
     if np.ptp(steering) <= CONSTANT_SPREAD:
-        found.append(Habit("constant", f"it always steers {steering[0]:.3f}: does the image reach the network?"))
+        habits.append(Habit("constant", f"it always steers {steering[0]:.3f}: does the image reach the network?"))
     mean = float(np.mean(speed))
     if mean < CRAWLING:
-        found.append(Habit("crawls", f"it drives at {3.6 * mean:.1f} km/h on average: is its throttle scaled?"))
-    return tuple(found)
+        habits.append(Habit("crawls", f"it drives at {3.6 * mean:.1f} km/h on average: is its throttle scaled?"))
+    return tuple(habits)

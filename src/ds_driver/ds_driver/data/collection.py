@@ -104,7 +104,7 @@ def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
         ds_road.RoadError: a road is invalid, or has no valid mutant.
         ds_sim.conditions.model.ConditionsError: conditions cannot be.
     """
-    found: dict[str, GivenRoad] = {}
+    roads_by_id: dict[str, GivenRoad] = {}
     for index, raw in enumerate(read_raw_roads(file)):
         text = raw.get("conditions", "") if isinstance(raw, dict) else ""
         if not isinstance(text, str):
@@ -117,11 +117,11 @@ def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
         except RoadError as error:
             raise RoadError(f"{file}: road {index}: {error}") from None
         for one in (GivenRoad(r, road.road_id, parse_conditions(text)) for r in (road, *around)):
-            found.setdefault(one.name, one)
-    if not found:
+            roads_by_id.setdefault(one.name, one)
+    if not roads_by_id:
         command = ds_command("campaign", "roads", "DIR", "--failed", "--out", file)
         raise DatasetError(f"{file} holds no road: expected those of `{command}`")
-    return list(found.values())
+    return list(roads_by_id.values())
 
 
 class _Job(NamedTuple):

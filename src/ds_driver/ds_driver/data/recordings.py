@@ -294,12 +294,12 @@ def _nearest(steering: dict[int, float]) -> _Labels:
 def _field(bag: BagReader, recording: Recording) -> dict[int, float]:
     reading = recording.reading
     topic, _, path = (reading.steering or "").partition(":")
-    found = [connection for connection in bag.connections if connection.topic == topic]
-    if not found or not path:
+    connections = [connection for connection in bag.connections if connection.topic == topic]
+    if not connections or not path:
         names = ", ".join(sorted({c.topic for c in bag.connections}))
         raise BagError(f"{bag.path}: steering {reading.steering!r}: expected TOPIC:FIELD with one of {names}")
     values = {}
-    for connection, logged, message in bag.decoded(found):
+    for connection, logged, message in bag.decoded(connections):
         try:
             value = reading.factor * float(reduce(getattr, path.split("."), message))
         except (AttributeError, TypeError, ValueError):

@@ -143,10 +143,10 @@ def onnx_runner(content: bytes, where: str) -> Runner:
     def compute(*given: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
             feed = {one.name: np.ascontiguousarray(array) for one, array in zip(inputs, given, strict=True)}
-            found = session.run(None, feed)
+            outputs = session.run(None, feed)
         except Exception as error:
             raise BackendError(f"the network rejects {shape_and_type(*given)}: {last_line(error)}") from None
-        return [np.asarray(part, np.float32) for part in found]
+        return [np.asarray(part, np.float32) for part in outputs]
 
     return Runner(
         compute,
@@ -308,7 +308,7 @@ def _read(core: Any, content: bytes, kind: str, folder: Path) -> Any:
 
 def _infer(request: Any, *inputs: NDArray[Any]) -> list[NDArray[np.float32]]:
     try:
-        found = request.infer([np.ascontiguousarray(one) for one in inputs], share_inputs=True)
+        outputs = request.infer([np.ascontiguousarray(one) for one in inputs], share_inputs=True)
     except Exception as error:
         raise BackendError(f"the network rejects {shape_and_type(*inputs)}: {last_line(error)}") from None
-    return [np.array(output, np.float32) for output in found.values()]
+    return [np.array(output, np.float32) for output in outputs.values()]

@@ -17,9 +17,9 @@ FOLDER = SHIPPED / "calibration"
 def calibration_frames() -> list[Frame]:
     """Return frames of drives on every shipped simulator, in a fixed order."""
     crops = read_json(FOLDER / "crops.json")
-    found = []
+    frames = []
     for name, (top, bottom) in sorted(crops.items()):
         pixels = rgb_of_file(read_regular(FOLDER / f"{name}.jpg"))
         images = pixels.reshape(-1, IMAGE_HEIGHT, *pixels.shape[1:])
-        found += [Frame(image=image, speed=0.0, crop=Crop(top, bottom), simulator=name) for image in images]
-    return found
+        frames += [Frame(image=image, speed=0.0, crop=Crop(top, bottom), simulator=name) for image in images]
+    return frames

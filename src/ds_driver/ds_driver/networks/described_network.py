@@ -203,13 +203,13 @@ class DescribedNetworkPilot(Pilot):
     def _state(self, outputs: list[NDArray[np.float32]], place: int) -> NDArray[np.float32]:
         spec, shape = self._given[place]
         assert spec.state is not None
-        found = self._output(outputs, f"the state of input {place}", spec.state)
-        if found.size != np.prod(shape):
+        state = self._output(outputs, f"the state of input {place}", spec.state)
+        if state.size != np.prod(shape):
             raise DriverError(
-                f"output {spec.state!r} has {found.size} numbers, the input that it comes back in has "
+                f"output {spec.state!r} has {state.size} numbers, the input that it comes back in has "
                 f"{int(np.prod(shape))}: name another output"
             )
-        return found
+        return state
 
     def _number(self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec) -> float:
         return spec.value(self._numbers(outputs, what, spec, 2 if spec.bins else spec.index + 1))
@@ -217,10 +217,10 @@ class DescribedNetworkPilot(Pilot):
     def _numbers(
         self, outputs: list[NDArray[np.float32]], what: str, spec: OutputSpec | PathSpec, wanted: int
     ) -> NDArray[np.float32]:
-        found = self._output(outputs, what, spec.output)
-        if found.size < wanted:
-            raise DriverError(f"the output for {what} has {found.size} numbers: its description needs {wanted}")
-        return found.reshape(-1)
+        output = self._output(outputs, what, spec.output)
+        if output.size < wanted:
+            raise DriverError(f"the output for {what} has {output.size} numbers: its description needs {wanted}")
+        return output.reshape(-1)
 
 
 def _places(
@@ -242,8 +242,8 @@ def _places(
         expected = ", ".join(filter(None, known)) or f"its position, 0 to {count - 1}"
         raise DriverError(f"{name} has no input {key!r}: expected {expected}")
 
-    given = {place_of(key): one for key, one in described.inputs.items()}
-    free = [place for place in range(count) if place not in given]
+    input_at = {place_of(key): one for key, one in described.inputs.items()}
+    free = [place for place in range(count) if place not in input_at]
     if len(free) != 1:
         named = ", ".join(one or f"number {place}" for place, one in enumerate(known))
         raise DriverError(
@@ -251,7 +251,7 @@ def _places(
             "image, and each other one stands in `inputs`, as `h: {state: OUTPUT}` or `speed: {value: speed}`"
         )
     shapes = {}
-    for place, one in given.items():
+    for place, one in input_at.items():
         try:
             shapes[place] = one, one.shape_in(inputs[place].shape if inputs else None)
         except ValueError as error:

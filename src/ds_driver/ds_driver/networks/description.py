@@ -135,10 +135,10 @@ class OutputSpec(_Strict):
             low, high = self.bins
             expected = float(np.sum(np.arange(numbers.size) * numbers.astype(np.float64)))
             place = expected if self.expectation else int(np.argmax(numbers))
-            found = low + (high - low) * place / max(numbers.size - 1, 1)
+            value = low + (high - low) * place / max(numbers.size - 1, 1)
         else:
-            found = float(numbers[self.index])
-        return found * self.scale + self.offset
+            value = float(numbers[self.index])
+        return value * self.scale + self.offset
 
     def steering(self, value: float, vehicle: Geometry | None) -> float:
         """Return the share of full steering, -1 left to +1 right, that a value in its unit is on a vehicle.
@@ -195,10 +195,10 @@ class PathSpec(_Strict):
             DriverError: the vehicle is unknown.
         """
         known = _known(vehicle, "a path")
-        given = numbers[self.index : self.numbers].astype(np.float64).reshape(-1, 2) * self.scale
+        waypoints = numbers[self.index : self.numbers].astype(np.float64).reshape(-1, 2) * self.scale
         forward = self.axes.index("forward")
-        left = given[:, 1 - forward] * (-1.0 if "right" in self.axes else 1.0)
-        path = np.column_stack([given[:, forward] + self.ahead, left])
+        left = waypoints[:, 1 - forward] * (-1.0 if "right" in self.axes else 1.0)
+        path = np.column_stack([waypoints[:, forward] + self.ahead, left])
         return known.steering_of(known.angle_of_curvature(pursuit_curvature(path, self.lookahead or math.inf)))
 
 

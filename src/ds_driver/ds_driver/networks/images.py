@@ -165,12 +165,12 @@ def rgb_of_file(data: bytes) -> Pixels:
     if size is not None and size[0] * size[1] > MAX_PIXELS:
         raise ImageError(f"an image of {size[0]} x {size[1]} px: the limit is {MAX_PIXELS} pixels")
     try:
-        found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if size is not None else None
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if size is not None else None
     except cv2.error:
-        found = None
-    if found is None:
+        image = None
+    if image is None:
         raise ImageError("an image is damaged, or neither JPEG nor PNG")
-    return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), np.uint8)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:

@@ -81,8 +81,8 @@ class GivenInput(BaseModel):
         if np.prod(shape) > MOST_NUMBERS:
             raise ValueError(f"a state of {'x'.join(map(str, shape))} is too large")
         if numbers is not None and np.prod(shape) != numbers:
-            given = f"{self.value} of {self.last} frames" if self.value else "its constant"
-            raise ValueError(f"it takes {int(np.prod(shape))} numbers, {given} gives {numbers}")
+            value_words = f"{self.value} of {self.last} frames" if self.value else "its constant"
+            raise ValueError(f"it takes {int(np.prod(shape))} numbers, {value_words} gives {numbers}")
         return shape
 
 
@@ -130,13 +130,13 @@ class RunMemory:
         """
         self._images.append(pixels)
         back = [min(k * self._stride, len(self._images) - 1) for k in range(self._frames)]
-        seen = [self._images[-1 - k] for k in (back if self._newest_first else reversed(back))]
-        stacked = np.stack(seen) if self._axis is None else np.concatenate(seen, self._axis)
+        stack = [self._images[-1 - k] for k in (back if self._newest_first else reversed(back))]
+        stacked = np.stack(stack) if self._axis is None else np.concatenate(stack, self._axis)
         for position, (one, shape) in self._given.items():
             if one.value == "speed":
                 self._values[position] = np.full(shape, speed * one.scale, np.float32)
-        found: dict[int, NDArray[Any]] = {**self._values, place: np.ascontiguousarray(stacked[None])}
-        return [found[position] for position in sorted(found)]
+        inputs: dict[int, NDArray[Any]] = {**self._values, place: np.ascontiguousarray(stacked[None])}
+        return [inputs[position] for position in sorted(inputs)]
 
     def note(self, states: Mapping[int, NDArray[np.float32]], steering: float, throttle: float | None) -> None:
         """Remember what the network answered.

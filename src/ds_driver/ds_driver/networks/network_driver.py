@@ -147,10 +147,10 @@ class NetworkDriver:
         if size == 1:
             return [self._attempt(frame) for frame in frames]
         parts = (frames[begin : begin + size] for begin in range(0, len(frames), size))
-        found = [prediction for part in parts for prediction in self._pilot.predict_batch(part)]
+        predictions = [prediction for part in parts for prediction in self._pilot.predict_batch(part)]
         return [
             prediction if isinstance(prediction, DriverError) else _command(prediction, frame.speed)
-            for frame, prediction in zip(frames, found, strict=True)
+            for frame, prediction in zip(frames, predictions, strict=True)
         ]
 
     def _attempt(self, frame: Frame) -> Command | DriverError:

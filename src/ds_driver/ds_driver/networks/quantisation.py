@@ -54,8 +54,8 @@ def quantised(content: bytes, where: str, samples: Samples) -> bytes:
     inputs = sorted({node.input[0] for node in model.graph.node if node.op_type == "Conv"})
     opset = next((used.version for used in model.opset_import if used.domain in ("", "ai.onnx")), 0)
     if not inputs or opset < OPSET:
-        found = f"has opset {opset}, expected {OPSET} or later" if inputs else "has no convolution"
-        raise BackendError(f"{where} cannot be quantised, it {found}: use another backend")
+        problem = f"has opset {opset}, expected {OPSET} or later" if inputs else "has no convolution"
+        raise BackendError(f"{where} cannot be quantised, it {problem}: use another backend")
     ranges = _ranges(model, inputs, where, samples())
     try:
         quantiser = QDQQuantizer(

@@ -163,12 +163,12 @@ def torch_runner(network: Callable[..., Any], device: torch.device) -> Runner:
     @torch.inference_mode()
     def compute(*inputs: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
-            found = network(*(torch.from_numpy(one).to(device) for one in inputs))
+            outputs = network(*(torch.from_numpy(one).to(device) for one in inputs))
         except Exception as error:  # TorchScript raises whatever its program raises: IndexError, KeyError, ...
             raise BackendError(f"the network rejects {shape_and_type(*inputs)}: {last_line(error)}") from None
-        parts: Sequence[Any] = found if isinstance(found, (tuple, list)) else [found]
+        parts: Sequence[Any] = outputs if isinstance(outputs, (tuple, list)) else [outputs]
         if not parts or not all(isinstance(part, torch.Tensor) for part in parts):
-            raise BackendError(f"the network returns {type(found).__name__}: expected a tensor or a tuple of them")
+            raise BackendError(f"the network returns {type(outputs).__name__}: expected a tensor or a tuple of them")
         return [part.float().cpu().numpy() for part in parts]
 
     return Runner(compute)
@@ -192,12 +192,12 @@ def replayed(network: Callable[[Tensor], Tensor], device: torch.device) -> Calla
                     network(held)
             torch.cuda.current_stream().wait_stream(side)
             with torch.cuda.graph(graph):
-                found = network(held)
-            recorded[batch.shape] = held, graph, found
-        held, graph, found = recorded[batch.shape]
+                outputs = network(held)
+            recorded[batch.shape] = held, graph, outputs
+        held, graph, outputs = recorded[batch.shape]
         held.copy_(batch)
         graph.replay()
-        return found
+        return outputs
 
     return replay
 

@@ -180,13 +180,13 @@ def load_weights(name_or_path: str) -> Weights:
                     f"weights {path.name} name the architecture {name!r:.60}: expected one of {', '.join(NETWORKS)}"
                 )
             slices = {key: file.get_slice(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
-            found = {key: tuple(part.get_shape()) for key, part in slices.items()}
+            stored_shapes = {key: tuple(part.get_shape()) for key, part in slices.items()}
             types = {part.get_dtype() for part in slices.values()}
             eight_bit = [key for key, part in slices.items() if part.get_dtype() == "I8"]
         shapes = NETWORKS[name].shapes()
         # Matrices of 8 bits, and no other tensors, have scales, one per row.
         shapes |= {key + SCALE: shapes.get(key, ())[:-1] for key in eight_bit}
-        if found != shapes or not types <= set(_FLOAT32):
+        if stored_shapes != shapes or not types <= set(_FLOAT32):
             raise WeightsError(f"weights {path.name} do not fit {name}: they belong to another network")
         with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinity, which is refused below
             stored = {

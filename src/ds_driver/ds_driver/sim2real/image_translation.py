@@ -107,7 +107,7 @@ def set_of_network(name: str, weights: Path, digests: Mapping[str, str]) -> Gene
     """
     beside = weights.parent / GENERATORS
     places = [beside, *sorted(path for path in beside.glob("*") if path.is_dir()), *shipped_sets().values()]
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for simulator, digest in digests.items():
         label = label_of(simulator)
         candidates = (_files_in(place).get(label) for place in dict.fromkeys(places))
@@ -117,8 +117,8 @@ def set_of_network(name: str, weights: Path, digests: Mapping[str, str]) -> Gene
                 f"{name} was trained on images of {simulator} that a generator translated, which is missing: copy it "
                 f"to {beside}/{label}.safetensors"
             )
-        found[label] = match
-    return GeneratorSet(name, found, _by_label(digests))
+        files[label] = match
+    return GeneratorSet(name, files, _by_label(digests))
 
 
 def _by_label(digests: Mapping[str, str]) -> dict[str, str]:
@@ -164,14 +164,14 @@ class ImageTranslation:
             if frame.simulator is None:
                 raise DriverError("the network sees translated images, but the frame does not name its simulator")
             places.setdefault(frame.simulator, []).append(index)
-        found = list(frames)
+        translated = list(frames)
         for simulator, indices in places.items():
             if simulator == NOT_SIMULATED:
                 continue
             images = self._translator(simulator).translate_all([checked(frames[i].image) for i in indices])
             for index, image in zip(indices, images, strict=True):
-                found[index] = replace(frames[index], image=image, crop=Crop(), simulator=NOT_SIMULATED)
-        return found
+                translated[index] = replace(frames[index], image=image, crop=Crop(), simulator=NOT_SIMULATED)
+        return translated
 
     def rows_seen(self, simulator: str) -> tuple[int, int]:
         """Return first row and end of the rows that the generator of a simulator looks at."""
@@ -204,10 +204,10 @@ class TranslatingPilot(Pilot):
     def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:
         """See `ds_driver.networks.pilot.Pilot`."""
         try:
-            seen = self.translation.seen(frames)
+            translated = self.translation.seen(frames)
         except DriverError:  # of one frame; the others are answered
             return super().predict_batch(frames)
-        return self._pilot.predict_batch(seen)
+        return self._pilot.predict_batch(translated)
 
     def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
         """Return what the network sees of the translated frame; see `Pilot.seen`."""

@@ -91,12 +91,12 @@ def _lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float6
     first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows
     shape = np.full((2, len(HEIGHTS)), np.nan)
     for side in (0, 1):
-        seen = first + np.flatnonzero(np.isfinite(borders[first:, side]))
-        span = np.ptp(seen) / rows if seen.size else 0.0
-        if seen.size < LEAST_ROWS * rows or span < LEAST_SPAN:
+        visible = first + np.flatnonzero(np.isfinite(borders[first:, side]))
+        span = np.ptp(visible) / rows if visible.size else 0.0
+        if visible.size < LEAST_ROWS * rows or span < LEAST_SPAN:
             break
         degree = next(degree for least, degree in DEGREES if span >= least)
-        line = np.polynomial.Polynomial.fit(seen, borders[seen, side], degree)
+        line = np.polynomial.Polynomial.fit(visible, borders[visible, side], degree)
         # A line that left the picture is not followed any further.
         shape[side] = (line(at) / columns).clip(-0.25, 1.25)
     return shape.ravel()
@@ -109,20 +109,20 @@ def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> 
         Sim2RealError: too few images show both lines.
     """
     shapes = [lane_shapes(images) for images in (simulated, photographs)]
-    seen = [np.flatnonzero(np.isfinite(part).all(axis=1)) for part in shapes]
-    for name, found, images in zip(("simulated images", "photographs"), seen, (simulated, photographs), strict=True):
+    visible = [np.flatnonzero(np.isfinite(part).all(axis=1)) for part in shapes]
+    for name, found, images in zip(("simulated images", "photographs"), visible, (simulated, photographs), strict=True):
         if len(found) < FEWEST:
             raise Sim2RealError(
                 f"{len(found)} of {len(images)} {name} show both lines of the lane, expected at least {FEWEST}: take "
                 "more photographs from the right lane"
             )
-    tree = KDTree(shapes[1][seen[1]])
-    distance, nearest = tree.query(shapes[0][seen[0]], k=min(NEIGHBOURS, len(seen[1])))
+    tree = KDTree(shapes[1][visible[1]])
+    distance, nearest = tree.query(shapes[0][visible[0]], k=min(NEIGHBOURS, len(visible[1])))
     apart = float(np.median(distance) / np.sqrt(shapes[0].shape[1]))
     return LanePairs(
-        simulated=seen[0],
-        photographs=seen[1][nearest],
-        simulated_lanes=shapes[0][seen[0]],
+        simulated=visible[0],
+        photographs=visible[1][nearest],
+        simulated_lanes=shapes[0][visible[0]],
         photographed_lanes=shapes[1],
         apart=apart,
     )

@@ -89,17 +89,17 @@ def lane_borders(lines: Lines) -> NDArray[np.float64]:
 
     A run of pixels that touches the side of the image has no middle, so it does not count.
     """
-    found = np.full((lines.yellow.shape[0], 2), np.nan)
+    borders = np.full((lines.yellow.shape[0], 2), np.nan)
     for row, (yellow, white) in enumerate(zip(lines.yellow, lines.white, strict=True)):
         middles = _run_middles(yellow)
         if not middles.size:
             continue
-        found[row, 0] = middles[-1]
+        borders[row, 0] = middles[-1]
         edges = _run_middles(white)
         edges = edges[edges > middles[-1]]
         if edges.size:
-            found[row, 1] = edges[0]
-    return found
+            borders[row, 1] = edges[0]
+    return borders
 
 
 def _ridges(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
@@ -191,8 +191,8 @@ def lane_difference(views: tuple[LaneView, LaneView], windows: tuple[Window, Win
     places = []
     for view, window in zip(views, windows, strict=True):
         rows = window.top + HEIGHTS * (window.bottom - window.top)
-        found = view.medians[rows.astype(int).clip(0, view.rows - 1)]
-        places.append((found - window.left) / (window.right - window.left))
+        medians = view.medians[rows.astype(int).clip(0, view.rows - 1)]
+        places.append((medians - window.left) / (window.right - window.left))
     apart = np.abs(places[0] - places[1])
     if not np.isfinite(apart).any(axis=0).all():
         return 1.0
@@ -283,8 +283,8 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
     best_rank = (-np.inf, -np.inf, -np.inf)
     for top in range(round(HIGHEST_TOP * real.rows)):
         for bottom in range(top + round(LEAST_HEIGHT * real.rows), real.rows + 1):
-            found = real.medians[(top + HEIGHTS * (bottom - top)).astype(int).clip(0, real.rows - 1)]
-            borders = _borders(wanted, found)
+            medians = real.medians[(top + HEIGHTS * (bottom - top)).astype(int).clip(0, real.rows - 1)]
+            borders = _borders(wanted, medians)
             if borders is None:
                 continue
             left, width = borders

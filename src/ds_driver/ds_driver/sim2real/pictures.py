@@ -38,17 +38,17 @@ def read_photographs(source: Path, *, limit: int | None = None) -> NDArray[np.ui
         Sim2RealError: there are too few, one is damaged, or they differ in size.
         ds_bags.layout.BagError: the tub or bag is damaged.
     """
-    found: list[NDArray[np.uint8]] = []
+    images: list[NDArray[np.uint8]] = []
     for name, image in read_images(source, limit):
         image = _reduced(image)
-        if found and image.shape != found[0].shape:
-            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (found[0].shape, image.shape))
+        if images and image.shape != images[0].shape:
+            sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (images[0].shape, image.shape))
             raise Sim2RealError(f"{name}: photographs of {sizes} px, expected one size: sort them into folders by size")
-        found.append(image)
-    if len(found) < FEWEST:
-        count = {0: "no photographs", 1: "one photograph"}.get(len(found), f"{len(found)} photographs")
+        images.append(image)
+    if len(images) < FEWEST:
+        count = {0: "no photographs", 1: "one photograph"}.get(len(images), f"{len(images)} photographs")
         raise Sim2RealError(f"{source}: {count}, expected at least {FEWEST}: JPEG or PNG files, a tub, or a bag")
-    return np.stack(found)
+    return np.stack(images)
 
 
 def split(photographs: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

@@ -134,8 +134,8 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
     check_fits(translator.generator, simulator)
     if out.exists():
         with BagReader(out) as bag:
-            found = bag.facts.get(MARK)
-        if found != translator.generator.sha256:
+            mark_text = bag.facts.get(MARK)
+        if mark_text != translator.generator.sha256:
             raise Sim2RealError(f"{out} is no translation by this generator: choose another --out")
         return total
     done = 0
@@ -198,8 +198,8 @@ def _claim(mark: Path, translator: Translator) -> None:
             raise Sim2RealError(f"{mark.parent} holds drives that are no translations: choose another --out")
         return
     try:
-        found = read_json(mark).get(MARK)
+        mark_text = read_json(mark).get(MARK)
     except (ValueError, AttributeError):
-        found = None
-    if found != translator.generator.sha256:
+        mark_text = None
+    if mark_text != translator.generator.sha256:
         raise Sim2RealError(f"{mark.parent} holds translations by another generator: choose another --out")
