@@ -225,7 +225,7 @@ def csv_text(rows: Iterable[Sequence[object]]) -> str:
 
 def plain_cell(value: object) -> object:
     """A cell that no spreadsheet computes: text that begins like a formula, and is no number, after a `'`."""
-    if not isinstance(value, str) or not value.startswith(_FORMULA):
+    if not isinstance(value, str) or not value.startswith(_FORMULA) or len(value) == 1:
         return value
     try:
         float(value)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -18,6 +16,7 @@ from rich.text import Text
 
 from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_file import read_regular
+from ds_base.bounded_tables import csv_text
 from ds_base.errors import InputError
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
@@ -110,21 +109,19 @@ class Table:
         return {"name": self.name, "title": self.title, "rows": rows, "notes": list(self.notes)}
 
     def csv(self) -> str:
-        """Format as comma-separated values; an interval takes two columns, a missing value is empty."""
+        """Format as CSV; an interval takes two columns, a missing value is empty, a formula gets a `'`."""
         wide = [any(isinstance(row[k], tuple) for row in self.rows) for k in range(len(self.columns))]
-        out = io.StringIO()
-        writer = csv.writer(out, lineterminator="\n")
         heads: list[str] = []
         for column, pair in zip(self.columns, wide, strict=True):
             heads += [f"{column.name}, low", f"{column.name}, high"] if pair else [column.name]
-        writer.writerow(heads)
+        rows = [heads]
         for row in self.rows:
             values: list[str] = []
             for value, pair in zip(row, wide, strict=True):
                 parts = value if isinstance(value, tuple) else (value, None) if pair else (value,)
                 values += ["" if part is None else str(part) for part in parts]
-            writer.writerow(values)
-        return out.getvalue()
+            rows.append(values)
+        return csv_text(rows)
 
     def latex(self) -> str:
         """Format as LaTeX `table` with `tabular`; needs the package booktabs."""

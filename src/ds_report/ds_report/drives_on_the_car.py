@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from pathlib import Path
 
 from ds_analysis.real.proposal import ProposedDrive
 from ds_analysis.real.records import COLUMNS, FOLDER, OPTIONAL
 from ds_base.atomic_files import write_whole
+from ds_base.bounded_tables import csv_text
 from ds_report.road_sheet import draw_sheet, sheet_of
 from ds_sim.camera.encodings import png
 from ds_sim.conditions.model import FIELDS
@@ -59,9 +58,6 @@ def write_drives_to_do(folder: Path, number: int, drives: Sequence[ProposedDrive
         said = ", ".join(f"{name} {outcome}" for name, outcome in drive.siblings.items())
         lines += [f"- in simulation: {said}; the car is expected to fail with {drive.probability:.0%}", ""]
     write_whole(place / "README.md", "\n".join(lines))
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([*COLUMNS, *OPTIONAL])
-    writer.writerows([drive.test_id, *[""] * (len(COLUMNS) + len(OPTIONAL) - 1)] for drive in drives)
-    write_whole(place / TO_FILL, out.getvalue())
+    to_fill = [[drive.test_id, *[""] * (len(COLUMNS) + len(OPTIONAL) - 1)] for drive in drives]
+    write_whole(place / TO_FILL, csv_text([[*COLUMNS, *OPTIONAL], *to_fill]))
     return place
