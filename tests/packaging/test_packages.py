@@ -30,6 +30,7 @@ KEYS = {
     "pandas": "python3-pandas",
     "onnxruntime": "python3-onnxruntime-pip",
     "pydantic": "python3-pydantic",
+    "pydantic_core": "python3-pydantic",
     "rich": "python3-rich",
     "rosbags": "python3-rosbags-pip",
     "scipy": "python3-scipy",

@@ -81,6 +81,7 @@ def build(
 
     def run_cmake(package: Path) -> None:
         target = workspace / "build" / package.name
+        target.mkdir(parents=True, exist_ok=True)
         advice = "the compiler's message is in the log"
         configure: list[str | Path] = [
             *("-S", package, "-B", target, "-GNinja", "-DBUILD_TESTING=OFF", f"-DPython3_EXECUTABLE={python}"),
@@ -93,7 +94,8 @@ def build(
             ["--install", target],
         ]
         for arguments in steps:
-            console.run(["cmake", *arguments], environment=environment, folder=workspace, advice=advice)
+            # ament's installation writes its manifest into the working directory.
+            console.run(["cmake", *arguments], environment=environment, folder=target, advice=advice)
 
     folders = packages(source, prefix).values()
     with ThreadPoolExecutor(BUILD_JOBS) as pool:
