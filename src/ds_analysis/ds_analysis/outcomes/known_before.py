@@ -29,7 +29,7 @@ AFTERWARDS = re.compile(
 """Names of columns that are written after a drive."""
 MEASURED = re.compile(
     r"(^|[\W_])(time|t|seconds|frames?|steps?|ticks?|final|end|last|stop|driven|travell?ed|covered|reached|progress|"
-    r"complet(ed|ion)|damage|impact|laps?)([\W_]|$)",
+    r"completed|completion|damage|impact|laps?)([\W_]|$)",
     re.IGNORECASE,
 )
 """Names of columns that may be measured in a drive, or be set before it, such as a time of day."""
