@@ -132,9 +132,10 @@ def write_bag(
             writer.close(facts | results_of(run) | images)
         shutil.rmtree(folder, ignore_errors=True)
         place_folder(hidden / folder.name, folder)
-        hidden.rmdir()
     except OSError as error:
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
+    finally:
+        shutil.rmtree(hidden, ignore_errors=True)
     return messages.images
 
 
