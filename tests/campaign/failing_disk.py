@@ -57,11 +57,11 @@ def ds(folder: Path, disk: Any, kind: int, nth: int, error: str, *, stays: bool)
 
 
 def content(folder: Path) -> dict[str, bytes | list[Any]]:
-    """Every result in a folder, hidden files included; of the store the rows without times."""
+    """Every result in a folder, hidden files included; of the store, and the log that it may keep, the rows."""
     files: dict[str, bytes | list[Any]] = {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
-        if path.is_file() and path.name != "campaign.sqlite"
+        if path.is_file() and not path.name.startswith("campaign.sqlite")
     }
     with closing(sqlite3.connect(folder / "campaign.sqlite")) as db:
         for table in ("tests", "executions", "errors", "given_up", "searches", "results", "gates"):

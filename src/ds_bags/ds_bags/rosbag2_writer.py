@@ -8,6 +8,7 @@ type. A metadata record `rosbag2` repeats the folder's metadata, so readers need
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -149,6 +150,8 @@ class Rosbag2Writer:
         information = self._information(custom_data)
         self._mcap.add_metadata("rosbag2", {"serialized_metadata": _yaml(information)})
         self._mcap.finish()
+        self._file.flush()
+        os.fsync(self._file.fileno())  # a campaign's store names the bag next, and a power cut must not keep that alone
         self._file.close()
         write_whole(self._folder / "metadata.yaml", _yaml({"rosbag2_bagfile_information": information}))
 

@@ -14,7 +14,7 @@ from ds_base.folder_files import StoreError, make_parents
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a path to write to, which replaces `path` at the end; an error or a killed process leaves what was there.
+    """Yield a path to write to, which replaces `path` at the end; an error, kill or power cut leaves what was there.
 
     Processes that write the same file at once do not disturb each other: the last one wins. A link is replaced, not
     followed; the folder is created if missing.
@@ -30,9 +30,19 @@ def whole_file(path: Path) -> Iterator[Path]:
     try:
         os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666))
         yield partial
+        _sync(partial)
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _sync(path: Path) -> None:
+    """Wait until the disk has a file's content: a name that is moved may get there before it."""
+    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+    try:
+        os.fsync(file)
+    finally:
+        os.close(file)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:
