@@ -343,7 +343,7 @@ def test_bad_input_ends_with_2_and_one_line(campaign: Path, tmp_path: Path) -> N
             ("siblings", "compare", "--sims", "donkey,softbody", "--twin", "bullet", "--driver", "autopilot"),
         ),
         ("road 0 is not valid", ("siblings", "compare", "--file", crossing, "--driver", "autopilot")),
-        ("--lane", ("drive", "--sim", "donkey", "--lane", "middle")),
+        ("--lane", ("drive", "--sim", "donkey", "--lane", "centre")),
         ("unknown condition 'fog'", ("drive", "--sim", "donkey", "--conditions", "fog=1")),
         ("expected 20 m or more", ("drive", "--sim", "donkey", "--conditions", "visibility=3")),
         ("bicycle cannot realise friction", ("drive", "--sim", BICYCLE, "--conditions", "friction=0.5")),

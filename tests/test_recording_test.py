@@ -139,4 +139,5 @@ def test_without_throttle_the_twin_stays_nominal_and_says_so(folder: Path, tmp_p
     _fit_twin(tmp_path, SILENT)
     twin = json.loads((tmp_path / "twin.json").read_text())
     assert not twin["fitted"] and not (tmp_path / "car.yaml").exists()
-    assert twin["cautions"][0].startswith("The twin is not fitted, it is the nominal car: no drive lasts")
+    assert twin["cautions"][0].startswith("The twin is not fitted, it is the nominal car: ")
+    assert "no record has throttle" in twin["cautions"][0]

@@ -15,6 +15,7 @@ import sys
 import ds_driver
 from ds_driver import Autopilot, DriverError, Frame, NetworkDriver, drive_road, load_pilot, make_driver
 from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines.preflight import check_driver
 import ds_driver.ros.autopilot_node, ds_driver.ros.camera_driver_node, ds_driver.ros.driver_node
@@ -26,7 +27,7 @@ from ds_sim import make_simulator
 simulator = make_simulator("bullet")
 road = Road([(20.0, 20.0), (20.0, 60.0), (30.0, 100.0), (40.0, 140.0)])
 for name in ("autopilot", "dave2", "dave2@openvino"):
-    check_driver(name, ["bullet"])
+    check_driver(DriverName.parse(name), ["bullet"])
     driver = make_driver(name, simulator.spec)
     def stopping(observation):
         if observation.step == 3:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from ament_index_python.packages import get_package_prefix
 
 from ds_road import Road
 
@@ -31,10 +32,10 @@ def start() -> Iterator[Start]:
 
     def begin(executable: str, domain: int, *arguments: str) -> subprocess.Popen[str]:
         package, name = executable.split("/")
-        code = f"from importlib.metadata import distribution as d; d('{package}').entry_points['{name}'].load()()"
+        here = os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])  # for this project's tests.*
         process = subprocess.Popen(
-            [sys.executable, "-c", code, "--ros-args", *arguments],
-            env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1"},
+            [Path(get_package_prefix(package)) / "lib" / package / name, "--ros-args", *arguments],
+            env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1", "PYTHONPATH": here},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

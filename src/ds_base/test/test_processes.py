@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 PROGRAM = """
-import sys, time
+import signal, sys, time
 from pathlib import Path
 from ds_base.processes import map_in_processes
 
@@ -22,6 +22,7 @@ def work(seconds):
     time.sleep(seconds)
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     try:
         list(map_in_processes(work, [60, 61, 62, 63], workers=2, abandon=True))
     except KeyboardInterrupt:

@@ -17,7 +17,6 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from ds_base.bounded_file import read_words
 from ds_cli import doctor
 from ds_cli.verbs import COMPLETION_VARIABLE, VERBS, completion, overview, uses_colour
 
@@ -53,7 +52,7 @@ def answer_without_libraries(arguments: Sequence[str]) -> int | None:
 def version() -> str:
     """The version in this checkout's pyproject.toml, or that of the installed package."""
     project = doctor.repository() / "pyproject.toml"
-    if project.is_file() and (found := re.search(r'^version = "(.*)"$', read_words(project), re.MULTILINE)):
+    if project.is_file() and (found := re.search(r'^version = "(.*)"$', project.read_text("utf-8"), re.MULTILINE)):
         return found[1]
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
