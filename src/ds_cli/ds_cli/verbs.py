@@ -170,8 +170,8 @@ def overview(*, colour: bool = False) -> str:
     lines = [
         f"{bold('Usage:')} ds VERB [OPTIONS] [ARGUMENTS]",
         "",
-        "Test a driving network on digital siblings: several cheap simulators that together",
-        "predict how it drives on a digital twin of the real car.",
+        "Find out where a steering network leaves its lane: on several cheap simulators (the",
+        "digital siblings), and on a digital twin of a small car.",
     ]
     for heading, verbs in GROUPS:
         lines += ["", bold(f"{heading}:")]
