@@ -11,8 +11,8 @@ import sqlite3
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
-from http.client import HTTPConnection
+from contextlib import closing, contextmanager, suppress
+from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlencode, urlsplit
@@ -351,6 +351,28 @@ def test_readers_that_do_not_read_keep_nobody_waiting(tmp_path: Path) -> None:
         assert server.ask(paths[1])[0] == 200  # whose limit is 60 s
         for one in idle:
             one.close()
+
+
+def test_idle_readers_beyond_the_limit_are_sent_away_until_others_leave(tmp_path: Path) -> None:
+    make_campaign(tmp_path, CONFIG, 1).close()
+    with served(tmp_path) as server:
+        where = urlsplit(server.address)
+        assert where.hostname is not None and where.port is not None
+        idle = [socket.create_connection((where.hostname, where.port)) for _ in range(watch_server.MOST_CONNECTIONS)]
+        with socket.create_connection((where.hostname, where.port), timeout=30) as late:
+            assert late.recv(1) == b""
+        for one in idle:
+            one.close()
+        deadline = time.monotonic() + 30
+        while (answer := _answer(server)) is None and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert answer == 200
+
+
+def _answer(server: Server) -> int | None:
+    with suppress(OSError, HTTPException):
+        return server.ask("/state.json")[0]
+    return None
 
 
 def test_a_connection_that_asks_nothing_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

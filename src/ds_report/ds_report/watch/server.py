@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tornado.httpserver import HTTPServer
+from tornado.iostream import IOStream
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler
 
@@ -35,6 +36,8 @@ MOST_WAITING = 8
 """Drives that wait to be rendered; a further one takes the place of the oldest; chosen: two pages ask for so many."""
 _KEPT = 32
 """Rendered drives in memory, 0.1 MB each; chosen: all that a few pages show at once."""
+MOST_CONNECTIONS = 100
+"""At a time; chosen: fits with all else into 256 descriptors, the usual limit of macOS."""
 PATIENCE = 60.0
 """s after which a connection that asks nothing, or does not take its answer, is closed; chosen: a page asks often."""
 _POLICY = "default-src 'none'; connect-src 'self'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
@@ -170,6 +173,16 @@ def page_of(reader: CampaignReader) -> str:
     return render("watch.html.j2", config=reader.config, folder=str(reader.folder), paired=paired)
 
 
+class _Server(HTTPServer):
+    """Closes the connections that are too many, as without descriptors it could not even refuse them."""
+
+    def handle_stream(self, stream: IOStream, address: tuple[str, int]) -> None:
+        if len(self._connections) < MOST_CONNECTIONS:
+            super().handle_stream(stream, address)
+        else:
+            stream.close()
+
+
 async def serve(
     folder: Path,
     *,
@@ -199,7 +212,7 @@ async def serve(
         raise ServerError(f"port {port} {why}: choose another with --port, or 0 for any free one") from None
     watched = Watched(reader, trusted)
     parts = {"watched": watched, "page": page_of(reader)}
-    server = HTTPServer(
+    server = _Server(
         Application(
             [("/", _Page, parts), ("/state.json", _State, parts), ("/drive.json", _Drive, parts)],
             log_function=lambda handler: None,
