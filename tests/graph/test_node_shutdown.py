@@ -25,6 +25,12 @@ SECOND = 1.0
 Start = Callable[..., "subprocess.Popen[str]"]
 
 
+def heed_signals() -> None:
+    """Take back what a shell's background job or `nohup` hands down: signals that are ignored."""
+    for number in (*SIGNALS, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+
+
 @pytest.fixture
 def start() -> Iterator[Start]:
     """Start a package's executable in a domain, as `ros2 run` does."""
@@ -40,6 +46,7 @@ def start() -> Iterator[Start]:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            preexec_fn=heed_signals,
         )
         processes.append(process)
         return process
