@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +56,6 @@ def test_the_page_of_the_replication_counts_what_its_table_holds() -> None:
     rows = row.findall((DOCS / "results.md").read_text())
     assert {name for name, *_ in rows} == set(pages)
     for name, *counts in rows:
-        agreed = [(who, of) for who in ("all siblings", "no sibling") for of in ("tests", "fail on the twin")]
-        kinds = [(f"{who} fail{'s' * who.startswith('no ')}", of) for who, of in agreed]
+        kinds = product(("all siblings fail", "no sibling fails"), ("tests", "fail on the twin"))
         expected = [ours[pages[name], *kind] for kind in (*kinds, ("tests failed", "donkey"))]
         assert [count.replace(",", "") for count in counts] == expected

@@ -106,24 +106,23 @@ def read_csv(path: Path) -> pd.DataFrame:
         raise
     except MemoryError:
         raise too_large(f"{TABLE_MEMORY // 2**30} GiB of memory") from None
-    except (EOFError, ValueError, Warning, csv.Error, zlib.error, lzma.LZMAError) as error:
-        raise FileError(f"not CSV ({_line(error)}): expected a table with a header") from None
-    except OSError as error:
-        if error.errno is not None:
+    except (EOFError, OSError, ValueError, Warning, csv.Error, zlib.error, lzma.LZMAError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
             raise
         raise FileError(f"not CSV ({_line(error)}): expected a table with a header") from None
-    for name in filter(
-        lambda name: pd.api.types.is_object_dtype(frame[name]), frame.columns
-    ):  # of integers beyond 64 bits, too
-        frame[name] = frame[name].map(
-            lambda value: str(value) if isinstance(value, int) and abs(value) >= 2**63 else value
-        )
+    for name in (one for one in frame if pd.api.types.is_object_dtype(frame[one])):
+        frame[name] = frame[name].map(_bounded_integer)
     if separator != "," and not any((frame[name] % 1).any() for name in frame.select_dtypes("float")):
         for name in (one for one in frame if frame[one].dtype.kind == "O"):
             if frame[name].dropna().astype(str).str.fullmatch(_COMMA).all():
                 frame[name] = frame[name].str.replace(",", ".").astype(float)
     frame.index = pd.RangeIndex(2, 2 + len(frame), name="line")  # the first has the names
     return frame.dropna(how="all")
+
+
+def _bounded_integer(value: object) -> object:
+    """A value of a column; an integer beyond 64 bits as text, which no reader takes for a number."""
+    return str(value) if isinstance(value, int) and abs(value) >= 2**63 else value
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
