@@ -17,7 +17,7 @@ from ds_studies.suite.suite_file import SuiteError, read_suite
 
 @pytest.mark.parametrize("place", ["tests.0", "tests.1.outcomes.bullet", ""])
 def test_an_unknown_key_inside_a_suite_is_one_line_with_its_place(place: str, tmp_path: Path) -> None:
-    path = SUITES[0].write(tmp_path)
+    path = SUITES[0].write(tmp_path, 2)
     raw = inside = json.loads(path.read_text())
     for part in filter(None, place.split(".")):
         inside = inside[int(part) if part.isdigit() else part]

@@ -41,21 +41,26 @@ class Kind:
 
     Attributes:
         name: name in the test's id.
-        write: writes an undamaged, small file or folder into an empty folder and returns its path; called once.
+        write: writes an undamaged file or folder of so many units into an empty folder and returns its path.
         damage: changes the copy at a path in place, by the generator alone.
         read: reads a path as the command line would; may write only below the folder of the path.
         errors: errors that the reader documents.
-        sized: writes an undamaged input of so many units; None if its size has no such measure.
-        units: units that take the reader some hundredths of a second.
+        units: units that take the reader some hundredths of a second; 0 if the size has no such measure.
+        small: units of the input that is damaged.
     """
 
     name: str
-    write: Callable[[Path], Path]
+    write: Callable[[Path, int], Path]
     damage: Callable[[Path, np.random.Generator], None]
     read: Callable[[Path], object]
     errors: tuple[type[Exception], ...]
-    sized: Callable[[Path, int], Path] | None = None
     units: int = 0
+    small: int = 12
+
+    def base(self, folder: Path) -> Path:
+        """Write the input that is damaged into a new folder."""
+        folder.mkdir()
+        return self.write(folder, self.small)
 
 
 @dataclass(frozen=True, kw_only=True)

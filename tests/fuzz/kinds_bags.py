@@ -19,6 +19,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from tests.fuzz.damage import Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_value
 from tests.fuzz.harness import Kind
+from tests.fuzz.kinds_tables import as_text
 
 from ds_bags.copying import recover
 from ds_bags.donkey_tub import TubError, read_tub
@@ -43,78 +44,73 @@ base: &base {seed: 7, roads: [[0, 1.5], [2, 3]]}
 more: {<<: *base, seed: 8}
 """
 _ERRORS = (BagError, UntrustedSimulatorError)
-FRAMES = 4
 
 
 @lru_cache
-def _run() -> RunRecord:
+def _run(frames: int) -> RunRecord:
     session = Session(make_simulator("donkey"))
-    session.start(Scenario(Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)]), seed=3))
-    for _ in range(FRAMES):
-        session.advance(Command(0.1, 0.5))
+    session.start(Scenario(Road([(125.0 + i % 2, 25.0 * i) for i in range(9)]), seed=3))
+    for _ in range(frames):
+        session.advance(Command(0.0, 0.2))
     session.simulator.close()
     assert session.run is not None
     return session.run
 
 
-def _write_yaml(folder: Path) -> Path:
-    (folder / "file.yaml").write_text(_YAML)
-    return folder / "file.yaml"
-
-
-def _write_bag(folder: Path) -> Path:
-    write_bag(folder / "bag", "/twin", "donkey", _run(), {"driver": "autopilot"}, "telemetry")
+def _write_bag(folder: Path, n: int) -> Path:
+    write_bag(folder / "bag", "/twin", "donkey", _run(n), {"driver": "autopilot"}, "telemetry")
     return folder / "bag"
 
 
-def _write_image_bag(folder: Path) -> Path:
-    write_bag(folder / "bag", "/twin", "donkey", _run(), {"driver": "autopilot"}, "compressed")
+def _write_image_bag(folder: Path, n: int) -> Path:
+    write_bag(folder / "bag", "/twin", "donkey", _run(n), {"driver": "autopilot"}, "compressed")
     return folder / "bag"
 
 
-def _write_unfinished(folder: Path) -> Path:
-    file = _write_bag(folder) / "bag.mcap"
+def _write_unfinished(folder: Path, n: int) -> Path:
+    file = _write_bag(folder, n) / "bag.mcap"
     shutil.copy(file, folder / "left.mcap")
     return folder / "left.mcap"
 
 
-def _write_foreign(folder: Path) -> Path:
+def _write_foreign(folder: Path, n: int) -> Path:
     """Write a rosbag2 in SQLite, as other projects do."""
     store = get_typestore(Stores.ROS2_JAZZY)
     make = store.types["std_msgs/msg/String"]
     with Ros2Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
         connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
-        for number in range(5):
-            message = make(data="x" * number)  # type: ignore[call-arg]
+        for number in range(n):
+            message = make(data="x" * (number % 9))  # type: ignore[call-arg]
             writer.write(connection, number, store.serialize_cdr(message, "std_msgs/msg/String"))
     return folder / "bag"
 
 
-def _write_ros1(folder: Path) -> Path:
+def _write_ros1(folder: Path, n: int) -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
     make = store.types["std_msgs/msg/String"]
     file = Ros1Writer(folder / "file.bag")
     file.set_compression(Ros1Writer.CompressionFormat.LZ4)
     with file as writer:
         connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
-        for number in range(5):
-            message = make(data="x" * number)  # type: ignore[call-arg]
+        for number in range(n):
+            message = make(data="x" * (number % 9))  # type: ignore[call-arg]
             writer.write(connection, number, store.serialize_ros1(message, "std_msgs/msg/String"))
     return folder / "file.bag"
 
 
-def _write_tub(folder: Path) -> Path:
+def write_tub(folder: Path, n: int) -> Path:
+    """Write a tub of n records and images."""
     tub = folder / "tub"
     (tub / "images").mkdir(parents=True)
     rows = []
-    for index in range(6):
+    for index in range(n):
         name = f"{index}_cam_image_array_.jpg"
-        cv2.imwrite(str(tub / "images" / name), np.full((40, 80, 3), 30 * index, np.uint8))
-        commands = {"user/angle": 0.1 * index, "user/throttle": 0.3, "user/mode": "user", "cam/image_array": name}
+        cv2.imwrite(str(tub / "images" / name), np.full((40, 80, 3), 30 * (index % 6), np.uint8))
+        commands = {"user/angle": 0.1 * (index % 9), "user/throttle": 0.3, "user/mode": "user", "cam/image_array": name}
         place = {"pos/pos_x": 0.1 * index, "pos/pos_z": 0.0, "pos/speed": 2.0}
         rows.append({"_index": index, "_timestamp_ms": 1_700_000_000_000 + 50 * index} | commands | place)
     (tub / "catalog_0.catalog").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
-    index_line = {"paths": ["catalog_0.catalog"], "current_index": 6, "max_len": 1000, "deleted_indexes": [5]}
+    index_line = {"paths": ["catalog_0.catalog"], "current_index": n, "max_len": 1000, "deleted_indexes": [n - 1]}
     lines = [["cam/image_array", "user/angle"], ["image_array", "float"], {}, {"created_at": 0}, index_line]
     (tub / "manifest.json").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
     return tub
@@ -214,6 +210,7 @@ def _read_recording(path: Path) -> None:
 
 def _recover(path: Path) -> None:
     recover(path, path.parent / "out")
+    shutil.rmtree(path.parent / "out")
 
 
 def _one_of(*choices: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], None]:
@@ -223,15 +220,23 @@ def _one_of(*choices: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], None
 _damage_bag = _one_of(damaged_one_of, _damage_records)
 
 KINDS = [
-    Kind("yaml", _write_yaml, damaged_file, read_yaml, (BoundedYamlError, OSError)),
-    Kind("bag-info", _write_bag, _damage_bag, _read_everything, _ERRORS),
-    Kind("bag-run", _write_bag, _damage_bag, _read_run, _ERRORS),
-    Kind("bag-log", _write_bag, _damage_bag, read_log, (LogError,)),
-    Kind("bag-sqlite", _write_foreign, damaged_one_of, _read_everything, _ERRORS),
-    Kind("bag-ros1", _write_ros1, damaged_file, _read_everything, _ERRORS),
-    Kind("bag-images", _write_image_bag, _damage_bag, _read_recording, _ERRORS),
-    Kind("bag-recover", _write_unfinished, damaged_file, _recover, _ERRORS),
-    Kind("tub", _write_tub, _damage_lines, read_tub, (TubError,)),
-    Kind("tub-images", _write_tub, _damage_lines, _read_recording, (TubError, BagError)),
-    Kind("tub-log", _write_tub, _damage_lines, read_log, (LogError,)),
+    Kind(
+        "yaml",
+        as_text(lambda n: _YAML + "".join(f"k{k}: [{k}]\n" for k in range(n)), "file.yaml"),
+        damaged_file,
+        read_yaml,
+        (BoundedYamlError, OSError),
+        200,
+        small=0,
+    ),
+    Kind("bag-info", _write_bag, _damage_bag, _read_everything, _ERRORS, 20, small=4),
+    Kind("bag-run", _write_bag, _damage_bag, _read_run, _ERRORS, 20, small=4),
+    Kind("bag-log", _write_bag, _damage_bag, read_log, (LogError,), 20, small=4),
+    Kind("bag-sqlite", _write_foreign, damaged_one_of, _read_everything, _ERRORS, 500, small=5),
+    Kind("bag-ros1", _write_ros1, damaged_file, _read_everything, _ERRORS, 500, small=5),
+    Kind("bag-images", _write_image_bag, _damage_bag, _read_recording, _ERRORS, 20, small=4),
+    Kind("bag-recover", _write_unfinished, damaged_file, _recover, _ERRORS, 20, small=4),
+    Kind("tub", write_tub, _damage_lines, read_tub, (TubError,), 100, small=6),
+    Kind("tub-images", write_tub, _damage_lines, _read_recording, (TubError, BagError), 50, small=6),
+    Kind("tub-log", write_tub, _damage_lines, read_log, (LogError,), 100, small=6),
 ]

@@ -24,6 +24,7 @@ from tests.fuzz.damage import (
     replace_with_no_file,
 )
 from tests.fuzz.harness import Kind
+from tests.fuzz.kinds_tables import as_text
 
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
 from ds_base.folder_files import StoreError
@@ -74,25 +75,18 @@ outputs: {steering: {output: steering, index: 0, scale: -1.0, offset: 0.0}, thro
 """
 
 
-def _text(name: str, text: str) -> Callable[[Path], Path]:
-    def write(folder: Path) -> Path:
-        (folder / name).write_text(text)
-        return folder / name
-
-    return write
-
-
-def _write_store(folder: Path) -> Path:
+def _write_store(folder: Path, n: int) -> Path:
     """Write a small campaign with conditions, gates, errors, drives, notes and results."""
     from report_campaigns import make_tests, set_conditions
 
-    _text("config.yaml", _CONFIG)(folder)
-    config = read_config(folder / "config.yaml")
+    config = read_config(
+        as_text(lambda n: _CONFIG.replace("population: 2", f"population: {max(n, 2)}"), "config.yaml")(folder, n)
+    )
     (folder / "config.yaml").unlink()
     store = Store(folder / "campaign.sqlite", config=config.identity())
     store.note("version numpy", "2")
     store.add_seconds("search", 12.5)
-    for test, executions in make_tests(config, 3):
+    for test, executions in make_tests(config, n):
         store.add_test(set_conditions(test, config.conditions))
         for execution in executions[1:]:
             store.add_execution(execution)
@@ -102,8 +96,8 @@ def _write_store(folder: Path) -> Path:
                 state=GateState.INFEASIBLE, message="too far", outcome=Outcome.OUT_OF_BOUNDS, visible_contrast=0.7
             )
             store.add_gate(test.test_id, executions[0].simulator, gate)
-    store.add_search("bullet", 0, "deephyperion", 3)
-    store.set_result("maps", 3)
+    store.add_search("bullet", 0, "deephyperion", n)
+    store.set_result("maps", n)
     store.close()
     return folder / "campaign.sqlite"
 
@@ -181,7 +175,7 @@ def _read_store(path: Path) -> object:
         store.close()
 
 
-def _write_weights(folder: Path) -> Path:
+def _write_weights(folder: Path, n: int) -> Path:
     import torch
 
     from ds_driver.networks.torch_networks import make_network, save_weights
@@ -202,7 +196,7 @@ def _damage_weights(path: Path, rng: Rng) -> None:
     path.write_bytes(len(header).to_bytes(8, "little") + header + content[8 + length :])
 
 
-def _write_network(folder: Path) -> Path:
+def _write_network(folder: Path, n: int) -> Path:
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
@@ -210,7 +204,8 @@ def _write_network(folder: Path) -> Path:
     graph = helper.make_graph(
         [
             helper.make_node("Flatten", ["image"], ["flat"]),
-            helper.make_node("MatMul", ["flat", "weight"], ["steering"]),
+            helper.make_node("MatMul", ["flat", "weight"], ["0"]),
+            *(helper.make_node("Relu", [f"{k}"], [f"{k + 1}" if k < n - 1 else "steering"]) for k in range(n)),
         ],
         "network",
         [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 1, 16, 32])],
@@ -220,7 +215,7 @@ def _write_network(folder: Path) -> Path:
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
     (folder / "network").mkdir()
     onnx.save(model, folder / "network" / "network.onnx")
-    _text("network.yaml", _DESCRIPTION)(folder / "network")
+    as_text(lambda n: _DESCRIPTION, "network.yaml")(folder / "network", n)
     return folder / "network"
 
 
@@ -232,12 +227,12 @@ def _read_network(folder: Path) -> object:
     return DescribedNetworkPilot(folder / "network.yaml")
 
 
-def _write_data(folder: Path) -> Path:
+def _write_data(folder: Path, n: int) -> Path:
     image = jpeg(np.zeros((160, 320, 3), np.uint8))
     rows: list[dict[str, object]] = [
         {
             "image": image,
-            "steering": 0.1 * k,
+            "steering": 0.1 * (k % 9),
             "throttle": 0.5,
             "speed": 3.0,
             "lateral_position": 0.1,
@@ -246,7 +241,7 @@ def _write_data(folder: Path) -> Path:
             "road_id": "0123456789ab",
             "direction": "forward",
         }
-        for k in range(4)
+        for k in range(n)
     ]
     write_drive(folder / "data" / "donkey" / "0123456789ab-forward.parquet", rows)
     return folder / "data"
@@ -256,19 +251,27 @@ def _damage_data(folder: Path, rng: Rng) -> None:
     damaged_parquet(next(folder.glob("*/*.parquet")), rng)
 
 
+def _car(n: int) -> str:
+    return _CAR.replace("10.0}", "10.0}" + ", {name: drive, kind: tub, sha256: '00', seconds: 10.0}" * (n - 1))
+
+
 KINDS = [
-    Kind("campaign-yaml", _text("campaign.yaml", _CONFIG), damaged_file, read_config, (ConfigError,)),
-    Kind("campaign-sqlite", _write_store, _damage_store, _read_store, (StoreError, ConfigError)),
-    Kind("roads", _text("roads.json", json.dumps(_ROADS)), damaged_file, read_roads, (RoadError, OSError)),
-    Kind("weights", _write_weights, _damage_weights, lambda path: load_weights(str(path)), (WeightsError,)),
-    Kind("network-description", _write_network, _damage_of("network.yaml"), _read_network, (DriverError,)),
-    Kind("network-onnx", _write_network, _damage_of("network.onnx"), _read_network, (DriverError,)),
+    Kind("campaign-yaml", as_text(lambda n: _CONFIG, "campaign.yaml"), damaged_file, read_config, (ConfigError,)),
+    Kind("campaign-sqlite", _write_store, _damage_store, _read_store, (StoreError, ConfigError), 10, small=3),
     Kind(
-        "data-set",
-        _write_data,
-        lambda folder, rng: damaged_parquet(next(folder.glob("*/*.parquet")), rng),
-        read_samples,
-        (DatasetError,),
+        "roads",
+        as_text(lambda n: json.dumps(_ROADS * n), "roads.json"),
+        damaged_file,
+        read_roads,
+        (RoadError, OSError),
+        10,
+        small=1,
     ),
-    Kind("twin-parameters", _text("car.yaml", _CAR), damaged_file, read_parameters, (ParameterFileError,)),
+    Kind("weights", _write_weights, _damage_weights, lambda path: load_weights(str(path)), (WeightsError,)),
+    Kind("network-description", _write_network, _damage_of("network.yaml"), _read_network, (DriverError,), small=1),
+    Kind("network-onnx", _write_network, _damage_of("network.onnx"), _read_network, (DriverError,), 200, small=1),
+    Kind("data-set", _write_data, _damage_data, read_samples, (DatasetError,), 200, small=4),
+    Kind(
+        "twin-parameters", as_text(_car, "car.yaml"), damaged_file, read_parameters, (ParameterFileError,), 100, small=1
+    ),
 ]

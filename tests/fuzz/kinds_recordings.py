@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tests.fuzz.damage import damaged_file, damaged_one_of
 from tests.fuzz.harness import Kind
-from tests.fuzz.kinds_bags import _write_tub
+from tests.fuzz.kinds_bags import write_tub
 
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
@@ -28,20 +28,20 @@ _CAMERA = FloorCamera(
 )
 
 
-def _write_located(folder: Path) -> Path:
+def _write_located(folder: Path, n: int) -> Path:
     made = folder / "located"
     made.mkdir()
-    tub = _write_tub(made)
-    along = 0.35 * np.arange(5.0)
-    table = np.zeros((5, len(COLUMNS)))
+    tub = write_tub(made, n)
+    along = 0.35 * np.arange(n - 1.0)
+    table = np.zeros((n - 1, len(COLUMNS)))
     for name, values in (
-        ("frame", np.arange(5.0)),
-        ("time_s", 0.05 * np.arange(5)),
+        ("frame", np.arange(n - 1.0)),
+        ("time_s", 0.05 * np.arange(n - 1)),
         ("x_m", along),
         ("along_m", along),
     ):
         table[:, COLUMNS.index(name)] = values
-    track = Track(np.column_stack((np.linspace(-1.0, 5.0, 25), np.zeros(25))))
+    track = Track(np.column_stack((np.linspace(-1.0, 0.35 * n + 3.0, 4 * n + 1), np.zeros(4 * n + 1))))
     about = {"source": tub.name, "lane_width_m": 0.25, "closed": False}
     write_located(made, Located(table=table, track=track, lane_width=0.25, camera=_CAMERA, about=about))
     (made / "simulator.yaml").write_text("crop_top: 40\n")
@@ -53,22 +53,22 @@ def _drive(folder: Path) -> None:
     simulator = RecordingSimulator.from_file(folder)
     drive = simulator.drive
     session = Session(simulator)
-    session.start(Scenario(sections(drive, 20.0, 1000.0)[0], seed=1))
+    session.start(Scenario(sections(drive, 20.0)[0], seed=1))
     for _ in range(3):
         if session.driving:
             session.advance(Command(0.1, 0.5))
 
 
-def _write_camera(folder: Path) -> Path:
+def _write_camera(folder: Path, n: int) -> Path:
     write_camera(folder / "camera.yaml", _CAMERA)
     return folder / "camera.yaml"
 
 
-def _write_description(folder: Path) -> Path:
+def _write_description(folder: Path, n: int) -> Path:
     made = folder / "described"
     made.mkdir()
     text = (Path(__file__).parents[2] / "examples/ros_simulator.yaml").read_text()
-    (made / "track.csv").write_text("0,0\n10,0\n20,1\n30,3\n")
+    (made / "track.csv").write_text("".join(f"{30 * k / n},{3 * (k / n) ** 2}\n" for k in range(n)))
     (made / "sim.yaml").write_text(text.replace("{service: /load_road}", "{centre_line: track.csv}"))
     return made
 
@@ -80,8 +80,10 @@ KINDS = [
         damaged_one_of,
         lambda folder: RosSimulator.from_file(folder / "sim.yaml"),
         (RosSettingsError,),
+        1000,
+        small=4,
     ),
-    Kind("located", _write_located, damaged_one_of, _drive, (RecordingError,)),
-    Kind("located-log", _write_located, damaged_one_of, read_log, (LogError,)),
+    Kind("located", _write_located, damaged_one_of, _drive, (RecordingError,), 60, small=6),
+    Kind("located-log", _write_located, damaged_one_of, read_log, (LogError,), 200, small=6),
     Kind("floor-camera", _write_camera, damaged_file, read_camera, (RecordingError,)),
 ]

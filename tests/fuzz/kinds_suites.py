@@ -15,14 +15,14 @@ from ds_road import generate
 from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
 
 
-def _write(folder: Path) -> Path:
+def _write(folder: Path, n: int) -> Path:
     tests = []
-    for number in range(2):
+    for number in range(n):
         points = [list(map(float, point)) for point in generate(np.random.default_rng(number)).control_points]
         outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
         tests.append(
             {
-                "name": f"bullet-0-000{number}",
+                "name": f"bullet-0-{number:04d}",
                 "why": ["failing", "cell"],
                 "control_points": points,
                 "road_sha256": road_sha256(points),
@@ -43,4 +43,4 @@ def _read(path: Path) -> object:
     return settings_of_suite(suite, AUTOPILOT), [suite.scenario_of(test).road.points for test in suite.tests]
 
 
-KINDS = [Kind("suite", _write, damaged_file, _read, (ConfigError,))]
+KINDS = [Kind("suite", _write, damaged_file, _read, (ConfigError,), 20, small=2)]

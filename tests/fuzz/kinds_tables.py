@@ -43,7 +43,6 @@ where: [{column: road, is_not: ""}]
 map: {turns: 2.0, length: 10}
 twin: b
 """
-_MYCONFIG = "WHEEL_BASE = 0.17\nMAX_STEERING_ANGLE = math.radians(25)\nPWM = {'STEERING_LEFT_PWM': 460}\n"
 _CLUSTER = "scheduler: tcp://127.0.0.1:8786\nlisten: 127.0.0.1\nunencrypted: true\n"
 
 
@@ -53,8 +52,12 @@ def outcomes(n: int) -> str:
     return "\n".join(["test_id,simulator,failed,xte,turns,length", *rows]) + "\n"
 
 
+def _myconfig(n: int) -> str:
+    return "WHEEL_BASE = 0.17\nMAX_STEERING_ANGLE = math.radians(25)\n" + "PWM = {'STEERING_LEFT_PWM': 460}\n" * n
+
+
 def _study(folder: Path, n: int) -> Path:
-    path = _as(outcomes, "outcomes.csv")(folder, n)
+    path = as_text(outcomes, "outcomes.csv")(folder, n)
     write_study(folder / "study", import_outcomes([path], Columns()))
     return folder / "study"
 
@@ -110,23 +113,23 @@ def _drives(n: int) -> str:
     return "test_id,outcome,who,when,max_lateral_position\n" + "".join(rows)
 
 
-def _proposed(folder: Path) -> Path:
+def _proposed(folder: Path, n: int) -> Path:
     (folder / FOLDER).mkdir()
-    (folder / FOLDER / PROPOSAL).write_text(
-        json.dumps({"scale": 16.0, "population": ["a", "b"], "rounds": [[{"test_id": "a"}], [{"test_id": "b"}]]})
-    )
+    names = [f"t{k}" for k in range(n)]
+    rounds = [[{"test_id": name}] for name in names]
+    (folder / FOLDER / PROPOSAL).write_text(json.dumps({"scale": 16.0, "population": names, "rounds": rounds}))
     return folder
 
 
-def _tables(folder: Path) -> Path:
-    rows = [(f"t{k}", k, (0.1, 0.5), None) for k in range(4)]
+def _tables(folder: Path, n: int) -> Path:
+    rows = [(f"t{k}", k, (0.1, 0.5), None) for k in range(n)]
     columns = [*styled("text", "name"), *styled("number", "a", "b", "c")]
     keep_tables([Table(name="one", title="One", columns=columns, rows=rows)], folder / "tables.json")
     return folder / "tables.json"
 
 
-def _comparison(folder: Path) -> Path:
-    write_roads([_road(20 + k) for k in range(2)], folder / "roads.json")
+def _comparison(folder: Path, n: int) -> Path:
+    write_roads([_road(20 + k) for k in range(n)], folder / "roads.json")
     from ds_road import read_roads
 
     found = [
@@ -137,7 +140,7 @@ def _comparison(folder: Path) -> Path:
     return folder
 
 
-def _ranges(folder: Path) -> Path:
+def _ranges(folder: Path, n: int) -> Path:
     row: dict[str, object] = {
         "condition": "visibility",
         "end": 5.0,
@@ -146,20 +149,18 @@ def _ranges(folder: Path) -> Path:
         "start": 1e3,
         "first_fails": 40.0,
     }
-    (folder / RESULT).write_text(json.dumps({"thresholds": [row, row], "seed": 1}))
+    (folder / RESULT).write_text(json.dumps({"thresholds": [row] * n, "seed": 1}))
     return folder
 
 
-def _as(text: Callable[[int], str], name: str) -> Callable[[Path, int], Path]:
+def as_text(text: Callable[[int], str], name: str) -> Callable[[Path, int], Path]:
+    """Write a text of so many units."""
+
     def write(folder: Path, n: int) -> Path:
         (folder / name).write_text(text(n))
         return folder / name
 
     return write
-
-
-def _fixed(text: str, name: str) -> Callable[[Path], Path]:
-    return lambda folder: _as(lambda n: text, name)(folder, 0)
 
 
 def _damage_cells(path: Path, rng: Rng) -> None:
@@ -230,34 +231,23 @@ _OUTCOMES = (OutcomeTableError,)
 _START = (ParameterFileError,)
 
 
-def _sized(
-    name: str,
-    write: Callable[[Path, int], Path],
-    n: int,
-    damage: Callable[[Path, Rng], None],
-    read: Callable[[Path], object],
-    errors: tuple[type[Exception], ...],
-) -> Kind:
-    return Kind(name, lambda folder: write(folder, 12), damage, read, errors, sized=write, units=n)
-
-
 KINDS = [
-    _sized("outcomes-csv", _as(outcomes, "t.csv"), 2000, _damage_cells, _import, _OUTCOMES),
-    _sized("outcomes-gz", _packed, 2000, _damage_packed, _import, _OUTCOMES),
-    _sized("outcomes-parquet", _parquet, 2000, damaged_parquet, _import, _OUTCOMES),
-    _sized("study", _study, 1000, _damage_study, lambda path: read_study(path).table(), _OUTCOMES),
-    _sized("sbft-folder", _sbft, 100, damaged_one_of, lambda path: read_competition([path]), _OUTCOMES),
-    _sized("track", _as(_track, "track.csv"), 10_000, _damage_cells, import_roads, (RoadError,)),
-    _sized("opendrive", _exported("opendrive"), 90, damaged_file, import_roads, (RoadError,)),
-    _sized("commonroad", _exported("commonroad"), 90, damaged_file, import_roads, (RoadError,)),
-    _sized("car-urdf", _as(_urdf, "car.urdf"), 400, damaged_file, read_start, _START),
-    _sized("log-table", _as(_log, "log.csv"), 3000, _damage_cells, read_log, (LogError,)),
-    _sized("real-drives", _as(_drives, "drives.csv"), 900, _damage_cells, _read_drives, (RecordError,)),
-    Kind("columns", _fixed(_COLUMNS, "columns.yaml"), damaged_file, read_columns, _OUTCOMES),
-    Kind("car-myconfig", _fixed(_MYCONFIG, "myconfig.py"), damaged_file, read_start, _START),
-    Kind("cluster", _fixed(_CLUSTER, "cluster.yaml"), damaged_file, read_cluster, (ClusterError,)),
-    Kind("proposed", _proposed, damaged_one_of, read_proposed, (RecordError, ValueError)),
-    Kind("tables", _tables, damaged_file, read_tables, (TableError,)),
-    Kind("comparison", _comparison, damaged_one_of, table_of_comparison, (*_OUTCOMES, StoreError)),
-    Kind("ranges", _ranges, damaged_one_of, read_ranges, (ConditionsError,)),
+    Kind("outcomes-csv", as_text(outcomes, "t.csv"), _damage_cells, _import, _OUTCOMES, 2000),
+    Kind("outcomes-gz", _packed, _damage_packed, _import, _OUTCOMES, 2000),
+    Kind("outcomes-parquet", _parquet, damaged_parquet, _import, _OUTCOMES, 2000),
+    Kind("study", _study, _damage_study, lambda path: read_study(path).table(), _OUTCOMES, 1000),
+    Kind("sbft-folder", _sbft, damaged_one_of, lambda path: read_competition([path]), _OUTCOMES, 100),
+    Kind("track", as_text(_track, "track.csv"), _damage_cells, import_roads, (RoadError,), 10_000),
+    Kind("opendrive", _exported("opendrive"), damaged_file, import_roads, (RoadError,), 90),
+    Kind("commonroad", _exported("commonroad"), damaged_file, import_roads, (RoadError,), 90),
+    Kind("car-urdf", as_text(_urdf, "car.urdf"), damaged_file, read_start, _START, 400),
+    Kind("log-table", as_text(_log, "log.csv"), _damage_cells, read_log, (LogError,), 3000),
+    Kind("real-drives", as_text(_drives, "drives.csv"), _damage_cells, _read_drives, (RecordError,), 900),
+    Kind("columns", as_text(lambda n: _COLUMNS, "columns.yaml"), damaged_file, read_columns, _OUTCOMES),
+    Kind("car-myconfig", as_text(_myconfig, "myconfig.py"), damaged_file, read_start, _START, 400, small=1),
+    Kind("cluster", as_text(lambda n: _CLUSTER, "cluster.yaml"), damaged_file, read_cluster, (ClusterError,)),
+    Kind("proposed", _proposed, damaged_one_of, read_proposed, (RecordError, ValueError), 900, small=2),
+    Kind("tables", _tables, damaged_file, read_tables, (TableError,), 1000, small=4),
+    Kind("comparison", _comparison, damaged_one_of, table_of_comparison, (*_OUTCOMES, StoreError), 20, small=2),
+    Kind("ranges", _ranges, damaged_one_of, read_ranges, (ConditionsError,), 2000, small=2),
 ]

@@ -39,6 +39,7 @@ def sections(drive: RecordedDrive, length: float, every: float | None = None) ->
     last = len(lane.points) if lane.closed else len(lane.points) - count + 1
     step = max(round(EVERY if every is None else every), 1)
     roads: list[Road] = []
+    reasons = ["" if last > 0 else "it is longer than the lane"]
     while True:
         for start in range(0, max(last, 0), step):
             part = (start + np.arange(count)) % len(lane.points)
@@ -46,12 +47,15 @@ def sections(drive: RecordedDrive, length: float, every: float | None = None) ->
             road = Road.from_road_points(centre.points.round(4), lane_width=drive.lane_width)
             if shown[part].all() and road.validity.valid:
                 roads.append(road)
+            else:
+                reasons.append(road.validity.reason or "photographs are missing")
         if every is not None or len(roads) >= ENOUGH or step == 1:
             break
         step, roads = step // 2, []
     if not roads:
         raise RecordingError(
-            f"no section of {length:g} road metres is a valid road, the lane has {lane.length:.0f}: shorten --length"
+            f"no section of {length:g} road metres is a valid road, the lane has {lane.length:.0f}: of the last one, "
+            f"{reasons[-1]}; shorten --length, or locate another part of the recording"
         )
     return roads
 
