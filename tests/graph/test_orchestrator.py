@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -231,6 +232,8 @@ def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign
     [
         ({"folder": "../c"}, "expected a folder below"),
         ({"folder": "/tmp/c"}, "expected a folder below"),
+        ({"folder": "link"}, "leads through a link"),
+        ({"folder": "link/new"}, "leads through a link"),
         ({"folder": "new", "engine": "warp"}, "expected one of attach"),
         ({"folder": "new", "config": "nothing.yaml"}, "nothing.yaml"),
         ({"folder": "new", "config": "siblings: [bullet"}, "not YAML: line 2"),
@@ -243,6 +246,8 @@ def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign
 def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str], expected: str) -> None:
     from ds_interfaces.action import RunCampaign
 
+    (graph.root / "link").unlink(missing_ok=True)
+    (graph.root / "link").symlink_to(graph.root)
     status, result = graph.run(RunCampaign, "run_campaign", **fields)
     assert status == 6 and expected in result.message and "\n" not in result.message
     assert result.reason.value == 2  # BAD_GOAL
@@ -251,14 +256,19 @@ def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str
 def test_a_cancelled_campaign_resumes_and_another_goal_waits(graph: Graph, tmp_path: Path) -> None:
     from ds_interfaces.action import DriveTests, RunCampaign
 
+    from ds_orchestrator.graph.supervisor import closed_loop_process_name
+
     graph.client(DriveTests, "drive_tests")
-    handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="d", engine="local")
+    handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="d", engine="attach")
     graph.until(lambda: len(stored(graph.root / "d")) >= 2)
+    twin = graph.supervisor._processes[closed_loop_process_name("/twin")]
+    twin.send_signal(signal.SIGSTOP)  # the campaign is not over before it is cancelled, however busy the machine is
     status, result = graph.run(DriveTests, "drive_tests", folder="e", driver="autopilot", simulators=["bullet"])
     assert (status, result.reason.value) == (6, 4) and "under way" in result.message  # BUSY
     graph.wait(handle.cancel_goal_async())
     found = graph.wait(handle.get_result_async())
     assert found.status == 5 and "the same goal resumes" in found.result.message
+    twin.send_signal(signal.SIGCONT)
     kept = stored(graph.root / "d")
     assert 2 <= len(kept) < DRIVES
     status, result = graph.run(RunCampaign, "run_campaign", folder="d", engine="local")  # no config: the folder's
