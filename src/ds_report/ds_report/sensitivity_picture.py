@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws how much of each condition a driver withstands: a tornado chart, the most sensitive condition on top."""
+"""Draws at which strength of each condition a driver first fails, the most sensitive condition on top."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ds_analysis.sensitivity.factors import LEVELS
 from ds_analysis.sensitivity.result import Sensitivity
 from ds_base.figures import WIDTH, draw_figure, short_name
+from ds_sim.conditions.text import format_3sf
 from ds_sim.registry import colours_of
 
 if TYPE_CHECKING:
@@ -19,10 +21,10 @@ if TYPE_CHECKING:
 
 
 def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
-    """Draw one group of bars for each factor, one bar for each simulator.
+    """Draw a row for each factor in which something fails or cannot be judged, and name the others below.
 
-    A bar reaches to the strength at which the median road fails; a thin line spans the roads. A hollow bar has no
-    failure in its end: hollow to the hardest value, or to where no driver can be judged.
+    A dot marks the strength at which the median road fails on a simulator, and a line spans the roads. A cross marks
+    where no driver can be judged. The value is written beside the first failure of a row.
 
     Args:
         found: the analysis.
@@ -31,28 +33,40 @@ def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    share = 0.8 / len(found.simulators)
+    colours = colours_of(found.simulators)
+    drawn, quiet = [], []
+    for position in found.order:
+        ends = [one for name in found.simulators if (one := found.thresholds[position, name]).fails or one.excluded]
+        (drawn if ends else quiet).append(position)
+    said = "No failure on any simulator, up to: " + ", ".join(found.factors[position].title for position in quiet)
+    lines = wrap(said, 120) if quiet else []
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
-        for index, (name, colour) in enumerate(colours_of(found.simulators).items()):
-            axes.barh(np.nan, np.nan, color=colour, label=short_name(name))
-            for row, position in enumerate(found.order):
-                one, at, end = found.thresholds[position, name], row - 0.4 + (index + 0.5) * share, 0.0
-                if one.withstood is not None:
-                    fails, end = one.verdict == "fails", one.withstood
-                    axes.barh(at, end, 0.8 * share, color=colour if fails else "none", edgecolor=colour)
-                    if fails:
-                        ends = [(level or LEVELS) / LEVELS for level in one.interval]
-                        axes.plot(ends, (at, at), color="black", linewidth=1)
-                        end = max(end, ends[1])
-                text = one.verdict if one.withstood is None else one.text
-                axes.text(end + 0.006, at, text, va="center", fontsize=7)
-        axes.set_yticks(range(len(found.order)), [found.factors[position].title for position in found.order])
-        axes.set(xlim=(0.0, 1.2), ylim=(len(found.order) - 0.5, -0.5), xlabel="share of the condition's range")
-        axes.set_xticks(np.linspace(0.0, 1.0, 6), [f"{10 * tenth} %" for tenth in range(0, 11, 2)])
-        axes.grid(visible=False, axis="y")
-        axes.set_title(f"Strength at which {found.driver} first fails; hollow: no failure")
-        figure.legend(loc="outside lower left", ncols=5)
+        for row, position in enumerate(drawn):
+            thresholds = [found.thresholds[position, name] for name in found.simulators]
+            first = min((one.fails for one in thresholds if one.fails), default=None)
+            for index, one in enumerate(thresholds):
+                if one.withstood is None or not (level := one.fails or one.excluded):
+                    continue
+                at, colour = row + 0.6 * ((index + 0.5) / len(thresholds) - 0.5), colours[one.simulator]
+                if one.fails:
+                    ends = [(end or LEVELS) / LEVELS for end in one.interval]
+                    axes.plot(ends, (at, at), color=colour, linewidth=1.5)
+                axes.plot(level / LEVELS, at, "o" if one.fails else "x", color=colour, markersize=6)
+                if one.fails == first and first is not None:
+                    text = f"{format_3sf(one.factor.value(first))} {one.factor.unit}".strip()
+                    box = {"color": "white", "pad": 0.5}
+                    axes.text(level / LEVELS - 0.008, at, text, va="center", ha="right", fontsize=8, bbox=box)
+                    first = None
+        for name, colour in colours.items():
+            axes.plot([], [], "o", color=colour, label=f"first fails on {short_name(name)}")
+        axes.plot([], [], "x", color="#555555", label="cannot be judged from here")
+        axes.set_yticks(range(len(drawn)), [found.factors[position].title for position in drawn])
+        axes.set(xlim=(0.0, 1.03), ylim=(len(drawn) - 0.5, -0.5))
+        axes.set_xticks((0.0, 1.0), ["no change", "hardest value"])
+        axes.set_title(f"Where {found.driver} first fails as a condition gets worse")
+        axes.set_xlabel("\n".join(lines), loc="left")
+        figure.legend(loc="outside upper right", ncols=len(colours) + 1)
 
-    return draw_figure(WIDTH, 150 + (13 * len(found.simulators) + 12) * len(found.order), draw, vector)
+    return draw_figure(WIDTH, 130 + 34 * len(drawn) + 14 * len(lines), draw, vector)
