@@ -34,12 +34,14 @@ def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[
         (rows, columns, 3) uint8 RGB.
     """
     colours = colours_of(found.simulators)
-    drawn, quiet = [], []
-    for position in found.order:
-        ends = [one for name in found.simulators if (one := found.thresholds[position, name]).fails or one.excluded]
-        (drawn if ends else quiet).append(position)
-    said = "No failure on any simulator, up to: " + ", ".join(found.factors[position].title for position in quiet)
-    lines = wrap(said, 120) if quiet else []
+    withstood = {
+        position: {found.thresholds[position, name].verdict for name in found.simulators}
+        <= {"completes", "not applicable"}
+        for position in found.order
+    }
+    drawn = [position for position in found.order if not withstood[position]]
+    quiet = [found.factors[position].title for position in found.order if withstood[position]]
+    lines = wrap("No failure on any simulator, up to: " + ", ".join(quiet), 120) if quiet else []
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
@@ -47,9 +49,11 @@ def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[
             thresholds = [found.thresholds[position, name] for name in found.simulators]
             first = min((one.fails for one in thresholds if one.fails), default=None)
             for index, one in enumerate(thresholds):
-                if one.withstood is None or not (level := one.fails or one.excluded):
-                    continue
                 at, colour = row + 0.6 * ((index + 0.5) / len(thresholds) - 0.5), colours[one.simulator]
+                if not (level := one.fails or one.excluded):
+                    if one.verdict not in ("completes", "not applicable"):
+                        axes.text(0.01, at, one.verdict, va="center", fontsize=8, color=colour)
+                    continue
                 if one.fails:
                     ends = [(end or LEVELS) / LEVELS for end in one.interval]
                     axes.plot(ends, (at, at), color=colour, linewidth=1.5)
