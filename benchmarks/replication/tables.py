@@ -19,8 +19,10 @@ from typing import NamedTuple
 import numpy as np
 from benchmarks.replication.drive import NETWORKS, TABLES, title_of
 from benchmarks.replication.stored import read
+from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -41,6 +43,8 @@ QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
 RUNS = 5
 REAL_TESTS = 120
 """Tests of a run on pseudo-real images in the paper: 20, and 100 iterations (4.2.4); ours have 150 iterations."""
+SHOWN = "epoch"
+"""Network of the picture of the idea; chosen: most of its cells have tests, and its siblings differ."""
 THIRD = "panda"
 THIRD_RUN = 0
 """Run whose tests a third sibling drives, too; chosen: whole searches, so that its maps are like those of any run."""
@@ -201,30 +205,54 @@ def _counts(driven: Driven) -> Iterator[Row]:
         yield ("counts", "cells", who), (np.nan, len(of_these), *UNDEFINED)
 
 
+SCALE = LinearSegmentedColormap.from_list("maps", [PASS, BETWEEN, FAIL])
+
+
+def _draw_map(found: FeatureMap, axes: Axes, title: str) -> AxesImage:
+    """Draw the failure probabilities of a map of turns and curvature."""
+    (turns, curvature), values = zip(*found.cells, strict=True), found.cells.values()
+    grid = np.full((max(curvature) + 1, max(turns) + 1), np.nan)
+    grid[curvature, turns] = [cell.probability for cell in values]
+    extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
+    image = axes.imshow(grid, SCALE, vmin=0.0, vmax=1.0, origin="lower", aspect="auto", extent=extent)
+    axes.set(title=title, xlim=(0.5, None), ylim=(0.01, None))
+    axes.grid(visible=False)
+    return image
+
+
 def draw_maps(networks: Mapping[str, Driven]) -> NDArray[np.uint8]:
     """Draw the failure probabilities of each network in a row: the siblings', the merged ones, the twin's."""
-    scale = LinearSegmentedColormap.from_list("maps", [PASS, BETWEEN, FAIL])
 
     def draw(figure: Figure) -> None:
         panels = figure.subplots(len(networks), 4, squeeze=False, sharex=True, sharey=True)
         for (network, driven), row in zip(networks.items(), panels, strict=True):
-            maps = driven.maps
-            for id_, axes in zip(compared_ids(maps), row, strict=True):
-                (turns, curvature), cells = zip(*maps[id_].cells, strict=True), maps[id_].cells.values()
-                grid = np.full((max(curvature) + 1, max(turns) + 1), np.nan)
-                grid[curvature, turns] = [cell.probability for cell in cells]
-                extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
-                image = axes.imshow(grid, scale, vmin=0.0, vmax=1.0, origin="lower", aspect="auto", extent=extent)
-                title = maps[id_].title.removeprefix("All tests on ").lower()
+            for id_, axes in zip(compared_ids(driven.maps), row, strict=True):
+                title = driven.maps[id_].title.removeprefix("All tests on ").lower()
                 title = {"siblings merged": "merged", "twin donkey": "twin"}.get(title, title)
-                axes.set(title=f"{title_of(network)}: {title}", xlim=(0.5, None), ylim=(0.01, None))
-                axes.grid(visible=False)
+                image = _draw_map(driven.maps[id_], axes, f"{title_of(network)}: {title}")
             row[0].set_ylabel("curvature, 1/m")
         for axes in panels[-1]:
             axes.set_xlabel("turns count")
         figure.colorbar(image, ax=panels, label="failure probability; white cells have no test", aspect=60, pad=0.01)
 
     return draw_figure(WIDTH, 60 + 260 * len(networks), draw)
+
+
+def draw_idea(network: str, driven: Driven) -> NDArray[np.uint8]:
+    """Draw the maps of two siblings, their product and the twin's map side by side."""
+    titles = ("bullet, a sibling", "\u00d7   softbody, a sibling", "=   the merged map", "donkey, the twin")
+
+    def draw(figure: Figure) -> None:
+        figure.suptitle(f"Where both siblings fail, expect the twin to fail ({title_of(network)})", x=0.01, ha="left")
+        panels = figure.subplots(1, 4, sharey=True)
+        for id_, axes, title in zip(compared_ids(driven.maps), panels, titles, strict=True):
+            image = _draw_map(driven.maps[id_], axes, title)
+            axes.set_xlabel("number of turns")
+        panels[0].set_ylabel("curvature of the sharpest bend, 1/m")
+        bar = figure.colorbar(image, ax=panels, label="share of tests that fail", aspect=20, pad=0.01)
+        bar.set_ticks([0.0, 0.5, 1.0], labels=["0%", "50%", "100%"])
+
+    return draw_figure(WIDTH, 320, draw)
 
 
 def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[float, ...]]) -> NDArray[np.uint8]:
@@ -284,6 +312,7 @@ def main() -> None:
                 [*key, *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)]
             )
     (arguments.pictures / "replication_maps.png").write_bytes(png(draw_maps(drawn)))
+    (arguments.pictures / "idea.png").write_bytes(png(draw_idea(SHOWN, drawn[SHOWN])))
     (arguments.pictures / "replication_claims.png").write_bytes(png(draw_claims(list(drawn), cells)))
 
 
