@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names, places and limits of bags on disk (docs/bags.md), and the errors that readers and writers of bags raise."""
+"""Names, places and limits of bags on disk (docs/bags.md, SECURITY.md), and the errors of their readers and writers."""
 
 from __future__ import annotations
 
