@@ -190,8 +190,8 @@ def test_from_a_cell_or_a_failure_to_its_roads(campaign: Path, tmp_path: Path) -
         found = json.loads(ds("campaign", "roads", campaign, "--cell", cell).stdout)
         assert "bullet-0-0001" in {road["test_id"] for road in found}
         assert all(road["cell"] == {"turns_count": turns, "curvature": curvature} for road in found)
-    exported = ds("road", "export", tmp_path / "failed.json", "--format", "sbft", "--out", tmp_path / "sbft")
-    assert exported.stdout.splitlines() == [str(tmp_path / f"sbft/bullet-0-000{n}.json") for n in (1, 2)]
+    exported = ds("road", "export", tmp_path / "failed.json", "--out", tmp_path / "xodr")
+    assert exported.stdout.splitlines() == [str(tmp_path / f"xodr/bullet-0-000{n}.xodr") for n in (1, 2)]
 
 
 def test_maps_are_grids_of_every_simulator_with_one_scale(campaign: Path) -> None:

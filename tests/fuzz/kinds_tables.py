@@ -8,7 +8,6 @@ import json
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -84,8 +83,20 @@ def _road(n: int) -> Road:
     return Road.from_road_points([(100.0 + x, 100.0 + np.sin(x / 20)) for x in np.linspace(0, 60, n)])
 
 
-def _exported(form: Any) -> Callable[[Path, int], Path]:
-    return lambda folder, n: write_all([_road(n)], ["road"], folder, form)[0]
+def _opendrive(folder: Path, n: int) -> Path:
+    return write_all([_road(n)], ["road"], folder)[0]
+
+
+def _commonroad(n: int) -> str:
+    road = _road(n)
+    bounds = zip(("left", "right"), (road.points, road.right_edge), strict=True)
+    text = "".join(
+        f"<{side}Bound>{''.join(f'<point><x>{x}</x><y>{y}</y></point>' for x, y in line.tolist())}</{side}Bound>"
+        for side, line in bounds
+    )
+    at = "<point><x>{}</x><y>{}</y></point>".format(*road.lane_centre[1])
+    start = f"<planningProblem><initialState><position>{at}</position></initialState></planningProblem>"
+    return f'<commonRoad commonRoadVersion="2020a"><lanelet id="1">{text}</lanelet>{start}</commonRoad>'
 
 
 def _track(n: int) -> str:
@@ -238,8 +249,8 @@ KINDS = [
     Kind("study", _study, _damage_study, lambda path: read_study(path).table(), _OUTCOMES, 1000),
     Kind("sbft-folder", _sbft, damaged_one_of, lambda path: read_competition([path]), _OUTCOMES, 100),
     Kind("track", as_text(_track, "track.csv"), _damage_cells, import_roads, (RoadError,), 10_000),
-    Kind("opendrive", _exported("opendrive"), damaged_file, import_roads, (RoadError,), 90),
-    Kind("commonroad", _exported("commonroad"), damaged_file, import_roads, (RoadError,), 90),
+    Kind("opendrive", _opendrive, damaged_file, import_roads, (RoadError,), 90),
+    Kind("commonroad", as_text(_commonroad, "road.xml"), damaged_file, import_roads, (RoadError,), 90),
     Kind("car-urdf", as_text(_urdf, "car.urdf"), damaged_file, read_start, _START, 400),
     Kind("log-table", as_text(_log, "log.csv"), _damage_cells, read_log, (LogError,), 3000),
     Kind("real-drives", as_text(_drives, "drives.csv"), _damage_cells, _read_drives, (RecordError,), 900),

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from ds_base.left_out import LeftOut
     from ds_road import Road, Side
     from ds_road.importing import ImportedRoad
-
-Format = Literal["opendrive", "commonroad", "sbft"]
 
 app = typer.Typer()
 road_app = typer.Typer(help="Generate, check, draw, export, import and cut roads.", no_args_is_help=True)
@@ -148,9 +146,8 @@ def road_show_command(
 def road_export_command(
     file: Annotated[Path, typer.Argument(metavar="ROADS", help="JSON list of roads.")],
     out: Annotated[Path, typer.Option(help="Folder to write to, created if missing.")],
-    form: Annotated[Format, typer.Option("--format", help="File format.")] = "opendrive",
 ) -> None:
-    """Export roads for other tools: ASAM OpenDRIVE 1.7, CommonRoad 2020a, or the JSON of the SBFT tool competition.
+    """Export roads for other tools, as ASAM OpenDRIVE 1.7.
 
     Writes one file per road, named after its test or its place in the list, and prints their paths.
     """
@@ -163,7 +160,7 @@ def road_export_command(
         one["test_id"] if isinstance(one, dict) and isinstance(one.get("test_id"), str) else f"road_{index:04d}"
         for index, one in enumerate(raw)
     ]
-    paths = export.write_all(roads, names, out, form)
+    paths = export.write_all(roads, names, out)
     print(*paths, sep="\n")
     say_next(ds_command("road", "import", paths[0]))
 

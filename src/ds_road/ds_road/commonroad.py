@@ -1,16 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes and reads roads as CommonRoad scenarios, XML format 2020a (Althoff, Koschi and Manzinger 2017).
-
-A road is two lanelets: 1 is the driven lane, 2 the oncoming one. A CommonRoad scenario needs a planning problem: from
-rest at the start of the driven lane to its end, within the 2,000 frames of 1/20 s that a run may take.
-"""
+"""Reads roads from CommonRoad scenarios, XML formats 2018b and 2020a (Althoff, Koschi and Manzinger 2017)."""
 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -20,7 +14,6 @@ from numpy.typing import NDArray
 from ds_road.geometry import apart
 from ds_road.road import MAX_POINTS, MIN_SPACING, Road, RoadError, Side
 
-VERSION = "2020a"
 READABLE = ("2018b", "2020a")
 """Versions whose lanelets are written alike."""
 WIDTH_SPREAD = 0.5
@@ -29,15 +22,6 @@ MOST_LANELETS = 10_000
 """Lanelets of a file; chosen: a town's, read within seconds."""
 _NEAR = 0.01
 """m from a lanelet within which a planning problem starts in it."""
-_DATE = "1970-01-01"
-"""Of the file: the schema wants one, and the same road gives the same bytes."""
-_TIME_STEP = "0.05"
-_MOST_STEPS = "2000"
-_GOAL_LENGTH = 5.0
-"""m of the lane's end in which the goal is reached; chosen: a car's length."""
-_START = 0.1
-"""m from the lane's beginning to the initial position, which has to lie inside of the lanelet."""
-_DRIVEN, _ONCOMING = "1", "2"
 
 
 @dataclass(frozen=True)
@@ -50,37 +34,6 @@ class Lanelet:
     successors: tuple[str, ...]
     oncoming_left: bool
     oncoming_right: bool
-
-
-def commonroad(road: Road, name: str) -> str:
-    """A road as a CommonRoad scenario, XML."""
-    root = Element(
-        "commonRoad",
-        commonRoadVersion=VERSION,
-        benchmarkID=f"ZAM_{_letters(name)}-1_1_T-1",
-        date=_DATE,
-        author="Digital Siblings",
-        affiliation="",
-        source=f"road {road.road_id}",
-        timeStepSize=_TIME_STEP,
-    )
-    location = add(root, "location")
-    for tag, unknown in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):
-        add(location, tag, unknown)
-    tags = add(root, "scenarioTags")
-    for tag in ("no_oncoming_traffic", "rural", "simulated", "two_lane"):
-        add(tags, tag)
-    if road.lane not in ("right", "left"):
-        raise RoadError(f"road {road.road_id} is driven in its {road.lane} lane: CommonRoad has right and left ones")
-    right = road.lane == "right"
-    centre, outer = road.points, road.right_edge if right else road.left_edge
-    other = (road.left_edge if right else road.right_edge)[::-1]
-    side = "adjacentLeft" if right else "adjacentRight"
-    _lanelet(root, _DRIVEN, (centre, outer) if right else (outer, centre), side, _ONCOMING)
-    _lanelet(root, _ONCOMING, (centre[::-1], other) if right else (other, centre[::-1]), side, _DRIVEN)
-    _planning_problem(root, road)
-    ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def read_commonroad(root: Element) -> Road:
@@ -119,44 +72,6 @@ def constant_width(widths: NDArray[np.float64]) -> float:
         low, high = (widths.min(), widths.max()) if len(widths) else (math.nan, math.nan)
         raise RoadError(f"the lane is {low:.2f} to {high:.2f} m wide: expected widths within {WIDTH_SPREAD:g} m")
     return round(float(np.median(widths)), 6)
-
-
-def _lanelet(
-    root: Element, number: str, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], side: str, neighbour: str
-) -> None:
-    lanelet = add(root, "lanelet", id=number)
-    for tag, points in zip(("leftBound", "rightBound"), bounds, strict=True):
-        bound = add(lanelet, tag)
-        for point in points:
-            _point(bound, point)
-        add(bound, "lineMarking", "solid")  # paper 3.1.2: all three lines are
-    add(lanelet, side, ref=neighbour, drivingDir="opposite")
-    add(lanelet, "laneletType", "country")
-    add(lanelet, "userOneWay", "vehicle")
-
-
-def _planning_problem(root: Element, road: Road) -> None:
-    line = road.lane_centre
-    first, last = line[1] - line[0], line[-1] - line[-2]
-    problem = add(root, "planningProblem", id="3")
-    start = add(problem, "initialState")
-    _point(add(start, "position"), line[0] + _START * first / np.hypot(*first))
-    for tag, value in (("orientation", math.atan2(first[1], first[0])), ("velocity", 0.0), ("yawRate", 0.0)):
-        _exact(start, tag, value)
-    _exact(start, "slipAngle", 0.0)
-    add(add(start, "time"), "exact", "0")
-    goal = add(problem, "goalState")
-    time = add(goal, "time")
-    add(time, "intervalStart", "1")
-    add(time, "intervalEnd", _MOST_STEPS)
-    rectangle = add(add(goal, "position"), "rectangle")
-    add(rectangle, "length", _decimal(_GOAL_LENGTH))
-    add(rectangle, "width", _decimal(road.lane_width))
-    add(rectangle, "orientation", _decimal(math.atan2(last[1], last[0])))
-    centre = add(rectangle, "center")
-    back = line[-1] - last / np.hypot(*last) * _GOAL_LENGTH / 2
-    for axis, value in zip("xy", back, strict=True):
-        add(centre, axis, _decimal(value))
 
 
 def _start(root: Element, lanelets: dict[str, Lanelet]) -> str:
@@ -207,31 +122,3 @@ def _coordinates(point: Element) -> tuple[float, float]:
     if not (math.isfinite(x) and math.isfinite(y)):
         raise RoadError("a point is not finite: expected metres")
     return x, y
-
-
-def add(parent: Element, tag: str, text: str | None = None, **attributes: str | float) -> Element:
-    """Append an element; numbers are written so that every bit comes back."""
-    texts = {key: value if isinstance(value, str) else repr(float(value)) for key, value in attributes.items()}
-    element = ElementTree.SubElement(parent, tag, texts)
-    element.text = text
-    return element
-
-
-def _point(parent: Element, point: NDArray[np.float64]) -> None:
-    element = add(parent, "point")
-    for axis, value in zip("xy", point, strict=True):
-        add(element, axis, _decimal(value))
-
-
-def _exact(parent: Element, tag: str, value: float) -> None:
-    add(add(parent, tag), "exact", _decimal(value))
-
-
-def _decimal(value: float) -> str:
-    """All digits, without the exponent that xs:decimal forbids."""
-    return np.format_float_positional(value, trim="0")
-
-
-def _letters(name: str) -> str:
-    """Name of a scene, of letters and digits."""
-    return re.sub(r"[^A-Za-z0-9]", "", name)[:60] or "Road"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exports roads: ASAM OpenDRIVE for simulators and scenario editors, CommonRoad for planners, SBFT's JSON.
+"""Exports roads as ASAM OpenDRIVE, for simulators and scenario editors.
 
 OpenDRIVE 1.7 (ASAM, 2021): one road with its centre line as the reference line, a left and a right lane. Vehicles drive
 in the right lane, id -1, of right-hand traffic, or in the left lane, id 1, of left-hand traffic. The reference line
@@ -8,20 +8,14 @@ passes through every sample of `Road.points`:
 * A road of control points is written as what it is: each segment of its Catmull-Rom spline is a cubic polynomial, which
   a `paramPoly3` represents exactly. It stays within 1 um of the spline.
 * A road of road points has one `line` from each point to the next.
-
-SBFT: the test format of the cyber-physical systems track of the SBFT tool competition, editions 2021 to 2023
-(`road_points`, from which its pipeline interpolates the road by a cubic spline), with the samples of the centre line as
-road points. `ds_road.read_roads` reads it back, as a road of road points.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -29,30 +23,24 @@ from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_whole
 from ds_base.folder_files import enter_folder
-from ds_road.commonroad import add, commonroad
 from ds_road.geometry import SAMPLES_PER_SEGMENT
 from ds_road.opendrive import LANE_CODE, STEPS_CODE
 from ds_road.road import Road, RoadError
 
-Format = Literal["opendrive", "commonroad", "sbft"]
-SUFFIXES: dict[Format, str] = {"opendrive": ".xodr", "commonroad": ".xml", "sbft": ".json"}
-SBFT_VERSION = "SBFT CPS-SDC tool competition 2023"
-"""Edition of the format, written into each file."""
 _STRAIGHT = 1e-9
 """m of bend in a segment that still counts as a straight line."""
 _MARK_WIDTH = 0.12
 """m; width of the painted lines (chosen: common on rural roads)."""
 
 
-def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path, form: Format) -> list[Path]:
-    """Write one file per road.
+def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path) -> list[Path]:
+    """Write one OpenDRIVE file per road.
 
     Args:
         roads: to export.
         names: of the roads, one each; the names of the files, in which other characters than letters, digits, `_`, `-`
             and `.` become `_`.
         folder: created if missing; files of the same name are replaced.
-        form: file format.
 
     Returns:
         Paths of the files, in the order of the roads.
@@ -65,33 +53,19 @@ def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path, form: F
         >>> from ds_road import Road
         >>> from ds_road.export import write_all
         >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75)])
-        >>> [path.name for path in write_all([road], ["bend"], Path("exported"), "opendrive")]
+        >>> [path.name for path in write_all([road], ["bend"], Path("exported"))]
         ['bend.xodr']
     """
     if not roads:
         raise RoadError("no road to export: expected at least one")
-    files = [_file_name(name) + SUFFIXES[form] for name in names]
+    files = [f"{_file_name(name)}.xodr" for name in names]
     if twice := sorted({file for file in files if files.count(file) > 1}):
         raise RoadError(f"two roads are called {twice[0]}: give them different names")
     enter_folder(folder)
     paths = [folder / file for file in files]
-    writers = {"opendrive": opendrive, "commonroad": commonroad, "sbft": sbft}
     for road, name, path in zip(roads, names, paths, strict=True):
-        write_whole(path, writers[form](road, name))
+        write_whole(path, opendrive(road, name))
     return paths
-
-
-def sbft(road: Road, name: str) -> str:
-    """A road as a test of the SBFT tool competition, JSON."""
-    document = {
-        "name": name,
-        "format": SBFT_VERSION,
-        "road_id": road.road_id,
-        "road_points": road.points.tolist(),
-        **({"lane_width": road.lane_width} if road.lane_width != 4.0 else {}),
-        **({"lane": road.lane} if road.lane != "right" else {}),
-    }
-    return json.dumps(document, allow_nan=False) + "\n"
 
 
 def opendrive(road: Road, name: str) -> str:
@@ -100,23 +74,23 @@ def opendrive(road: Road, name: str) -> str:
     edges = np.vstack((road.left_edge, road.right_edge))
     (west, south), (east, north) = edges.min(axis=0), edges.max(axis=0)
     root = ElementTree.Element("OpenDRIVE")
-    add(
+    _add(
         root, "header", revMajor="1", revMinor="7", name=_printable(name), version="1.0",
         north=north, south=south, east=east, west=west,
     )  # fmt: skip
     rule = "LHT" if road.lane == "left" else "RHT"
-    body = add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule=rule)
-    add(body, "type", s="0", type="rural")
+    body = _add(root, "road", name=_printable(name), length=length, id="1", junction="-1", rule=rule)
+    _add(body, "type", s="0", type="rural")
     body.append(geometry)
-    lanes = add(body, "lanes")
-    section = add(lanes, "laneSection", s="0")
-    _lane(add(section, "left"), 1, road.half_width, "solid")
-    _lane(add(section, "center"), 0, None, "solid" if road.has_centre_line else "none", "yellow")
-    _lane(add(section, "right"), -1, road.half_width, "solid")
-    add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
+    lanes = _add(body, "lanes")
+    section = _add(lanes, "laneSection", s="0")
+    _lane(_add(section, "left"), 1, road.half_width, "solid")
+    _lane(_add(section, "center"), 0, None, "solid" if road.has_centre_line else "none", "yellow")
+    _lane(_add(section, "right"), -1, road.half_width, "solid")
+    _add(body, "userData", code="digital_siblings_road_id", value=road.road_id)
     if road.lane in ("middle", "single"):
-        add(body, "userData", code=LANE_CODE, value=road.lane)
-    add(body, "userData", code=STEPS_CODE, value="1" if road.sampled else str(SAMPLES_PER_SEGMENT - 1))
+        _add(body, "userData", code=LANE_CODE, value=road.lane)
+    _add(body, "userData", code=STEPS_CODE, value="1" if road.sampled else str(SAMPLES_PER_SEGMENT - 1))
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -133,11 +107,11 @@ def _plan_view(road: Road) -> tuple[ElementTree.Element, float]:
         v = coefficients @ np.array([-sin, cos])
         straight = np.abs(v).max() < _STRAIGHT
         length = float(math.hypot(*coefficients.sum(axis=0))) if straight else _arc_length(coefficients)
-        piece = add(element, "geometry", s=s, x=start[0], y=start[1], hdg=heading, length=length)
+        piece = _add(element, "geometry", s=s, x=start[0], y=start[1], hdg=heading, length=length)
         if straight:
-            add(piece, "line")
+            _add(piece, "line")
         else:
-            add(
+            _add(
                 piece, "paramPoly3", aU="0", bU=u[0], cU=u[1], dU=u[2], aV="0", bV="0", cV=v[1], dV=v[2],
                 pRange="normalized",
             )  # fmt: skip
@@ -173,10 +147,22 @@ def _arc_length(coefficients: NDArray[np.float64]) -> float:
 
 
 def _lane(side: ElementTree.Element, number: int, width: float | None, mark: str, colour: str = "white") -> None:
-    lane = add(side, "lane", id=str(number), type="none" if width is None else "driving", level="false")
+    lane = _add(side, "lane", id=str(number), type="none" if width is None else "driving", level="false")
     if width is not None:
-        add(lane, "width", sOffset="0", a=width, b="0", c="0", d="0")
-    add(lane, "roadMark", sOffset="0", type=mark, weight="standard", color=colour, width=_MARK_WIDTH, laneChange="none")
+        _add(lane, "width", sOffset="0", a=width, b="0", c="0", d="0")
+    _add(
+        lane, "roadMark", sOffset="0", type=mark, weight="standard", color=colour, width=_MARK_WIDTH, laneChange="none"
+    )
+
+
+def _add(
+    parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str | float
+) -> ElementTree.Element:
+    """Append an element; numbers are written so that every bit comes back."""
+    texts = {key: value if isinstance(value, str) else repr(float(value)) for key, value in attributes.items()}
+    element = ElementTree.SubElement(parent, tag, texts)
+    element.text = text
+    return element
 
 
 def _printable(name: str) -> str:

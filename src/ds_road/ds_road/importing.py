@@ -85,7 +85,7 @@ def import_roads(
         >>> from ds_road.export import write_all
         >>> from ds_road.importing import import_roads
         >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75)])
-        >>> [file] = write_all([road], ["bend"], Path("exported"), "opendrive")
+        >>> [file] = write_all([road], ["bend"], Path("exported"))
         >>> [found] = import_roads(file)
         >>> abs(found.road.length - road.length) < 0.01
         True

@@ -98,7 +98,7 @@ def test_a_spline_is_exported_exactly() -> None:
 
 
 def test_files_are_named_after_the_roads_and_stay_in_their_folder(tmp_path: Path) -> None:
-    paths = write_all([ROADS["random"]] * 2, ["../../x", "cell 3/17"], tmp_path / "out", "opendrive")
+    paths = write_all([ROADS["random"]] * 2, ["../../x", "cell 3/17"], tmp_path / "out")
     assert [path.parent for path in paths] == [tmp_path / "out"] * 2 and all(path.is_file() for path in paths)
     with pytest.raises(RoadError, match="two roads are called"):
-        write_all([ROADS["random"]] * 2, ["a/b", "a_b"], tmp_path / "out", "sbft")
+        write_all([ROADS["random"]] * 2, ["a/b", "a_b"], tmp_path / "out")

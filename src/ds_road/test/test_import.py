@@ -1,31 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imported and exported roads against CommonRoad's schema and reader, an OpenDRIVE library and closed forms."""
+"""Imported roads against closed forms, and exported ones that are imported again."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
-import sys
 from contextlib import suppress
-from importlib.machinery import ModuleSpec
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
-import shapely
 
 from ds_base.left_out import LeftOut
 from ds_road import Road, RoadError, Side, generate, read_roads
-from ds_road.commonroad import commonroad
-from ds_road.export import Format, opendrive, sbft, write_all
+from ds_road.export import opendrive, write_all
 from ds_road.importing import cut_roads, import_roads
 from ds_road.opendrive import SPACING
 
-etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
 ROADS = {
     "random": generate(np.random.default_rng(3)),
     "straight": Road([(125.0, 25.0 * i) for i in range(9)]),
@@ -34,67 +27,14 @@ ROADS = {
 }
 
 
-@pytest.fixture(scope="module")
-def read_scenario() -> Any:
-    """CommonRoad's own reader; its drawing, which needs matplotlib and Pillow, is not needed."""
-
-    class Drawing:
-        def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-            drawn = name.partition(".")[0] in ("matplotlib", "mpl_toolkits", "PIL")
-            return ModuleSpec(name, self, is_package=True) if drawn else None  # type: ignore[arg-type]
-
-        def create_module(self, spec: ModuleSpec) -> Any:
-            return mock.MagicMock(__spec__=spec, __path__=[])
-
-        def exec_module(self, module: Any) -> None: ...
-
-    with mock.patch.object(sys, "meta_path", [Drawing(), *sys.meta_path]):
-        from commonroad.common.reader.file_reader_xml import XMLFileReader
-
-        yield lambda path: XMLFileReader(str(path)).open()
-    # What else it imported stays: a second copy of yaml would not be that of yaml's C extension.
-    for name, module in list(sys.modules.items()):
-        if isinstance(module, mock.MagicMock) or name.partition(".")[0] == "commonroad":
-            del sys.modules[name]
-
-
 @pytest.mark.parametrize("name", ROADS)
-def test_commonroad_is_valid_by_its_schema_and_means_the_road(name: str, read_scenario: Any, tmp_path: Path) -> None:
-    road, text = ROADS[name], commonroad(ROADS[name], name)
-    found = find_spec("commonroad")  # not imported: the schema alone is needed
-    assert found is not None and found.submodule_search_locations
-    folder = Path(found.submodule_search_locations[0]) / "common/xml_definition_files"
-    etree.XMLSchema(etree.parse(str(folder / "XML_commonRoad_XSD.xsd"))).assertValid(etree.fromstring(text.encode()))
-    (tmp_path / "road.xml").write_text(text)
-    scenario, problems = read_scenario(tmp_path / "road.xml")
-    network = scenario.lanelet_network
-    driven, oncoming = network.find_lanelet_by_id(1), network.find_lanelet_by_id(2)
-    assert np.abs(driven.center_vertices - road.lane_centre).max() < 1e-9
-    assert np.abs(oncoming.center_vertices - road.other_lane_centre[::-1]).max() < 1e-9
-    beside = (driven.adj_left, driven.adj_left_same_direction)
-    if road.lane == "left":
-        beside = (driven.adj_right, driven.adj_right_same_direction)
-    assert beside == (2, False) and scenario.dt == 0.05
-    (problem,) = problems.planning_problem_dict.values()
-    start, goal = problem.initial_state, problem.goal.state_list[0]
-    assert network.find_lanelet_by_position([start.position]) == [[1]]
-    direction = road.lane_centre[1] - road.lane_centre[0]
-    assert np.array([np.cos(start.orientation), np.sin(start.orientation)]) @ direction == pytest.approx(
-        np.hypot(*direction)
-    )
-    assert goal.position.shapely_object.buffer(1e-6).covers(shapely.Point(road.lane_centre[-1]))
-    assert goal.position.shapely_object.buffer(0.05).covers(shapely.Point(road.lane_centre[-2]))
-
-
-@pytest.mark.parametrize("form", ["opendrive", "commonroad", "sbft"])
-@pytest.mark.parametrize("name", ROADS)
-def test_what_was_exported_comes_back(name: str, form: Format, tmp_path: Path) -> None:
+def test_what_was_exported_comes_back(name: str, tmp_path: Path) -> None:
     road = ROADS[name]
-    (path,) = write_all([road], [name], tmp_path, form)
+    (path,) = write_all([road], [name], tmp_path)
     (back,) = import_roads(path)
     assert back.name == name and back.moved == (0.0, 0.0)
     assert (back.road.lane, back.road.lane_width) == (road.lane, road.lane_width)
-    assert back.road.points == pytest.approx(road.points, abs=1e-6 if form == "opendrive" else 0.0)
+    assert back.road.points == pytest.approx(road.points, abs=1e-6)
     assert int(100 * back.road.curvature) == int(100 * road.curvature) and back.road.turns_count == road.turns_count
     (tmp_path / "again.json").write_text(json.dumps([back.to_json()]))
     assert read_roads(tmp_path / "again.json") == [back.road]
@@ -165,23 +105,36 @@ def test_sparse_road_points_are_interpolated_and_dense_ones_kept(tmp_path: Path)
     assert (kept.points == road.points).all()
 
 
-def test_a_chain_of_lanelets_is_followed_from_the_planning_problem(tmp_path: Path) -> None:
+START = "<planningProblem><initialState><position><point><x>51</x><y>35</y></point></position></initialState>"
+
+
+def lanelets(start: str = f"{START}</planningProblem>", left: float = 50.0, right: float = 53.0) -> str:
+    """CommonRoad with three lanelets in a row, from y = 10, 30 and 50 m on, each 20 m long."""
+
     def bound(tag: str, x: float, begin: float) -> str:
         points = "".join(f"<point><x>{x}</x><y>{begin + 2 * k}</y></point>" for k in range(11))
         return f"<{tag}>{points}</{tag}>"
 
-    lanelets = "".join(
-        f'<lanelet id="{n}">{bound("leftBound", 50.0, b)}{bound("rightBound", 53.0, b)}'
+    row = "".join(
+        f'<lanelet id="{n}">{bound("leftBound", left, b)}{bound("rightBound", right, b)}'
         f'{f"""<successor ref="{n + 1}"/>""" if n < 4 else ""}</lanelet>'
         for n, b in ((2, 10.0), (3, 30.0), (4, 50.0))
     )
-    start = "<planningProblem><initialState><position><point><x>51</x><y>35</y></point></position></initialState>"
-    text = f'<commonRoad commonRoadVersion="2018b">{lanelets}{start}</planningProblem></commonRoad>'
-    road = imported(text, tmp_path, "xml")
+    return f'<commonRoad commonRoadVersion="2018b">{row}{start}</commonRoad>'
+
+
+def test_a_chain_of_lanelets_is_followed_from_the_planning_problem(tmp_path: Path) -> None:
+    road = imported(lanelets(), tmp_path, "xml")
     assert road.lane_width == 3.0 and road.lane == "right"
     assert road.points[0] == pytest.approx((50.0, 30.0)) and road.points[-1] == pytest.approx((50.0, 70.0))
-    road = imported(text.replace(f"{start}</planningProblem>", ""), tmp_path, "xml")
-    assert road.points[0] == pytest.approx((50.0, 10.0))
+    assert imported(lanelets(""), tmp_path, "xml").points[0] == pytest.approx((50.0, 10.0))
+
+
+@pytest.mark.parametrize(("side", "lane", "x"), [("Left", "right", 50.0), ("Right", "left", 53.0)])
+def test_the_centre_line_is_beside_the_oncoming_lanelet(side: str, lane: Side, x: float, tmp_path: Path) -> None:
+    beside = f'</rightBound><adjacent{side} ref="9" drivingDir="opposite"/>'
+    road = imported(lanelets().replace("</rightBound>", beside), tmp_path, "xml")
+    assert road.lane == lane and (road.points[:, 0] == x).all()
 
 
 LINE = (0, 50, 50, 0.0, 100, "<line/>")
@@ -210,7 +163,7 @@ LINE = (0, 50, 50, 0.0, 100, "<line/>")
         ('<commonRoad commonRoadVersion="2017a"/>', "CommonRoad version 2017a, expected 2018b or 2020a"),
         ('<commonRoad commonRoadVersion="2020a"/>', "without lanelets"),
         ('<commonRoad commonRoadVersion="2020a"><lanelet id="1"/></commonRoad>', "0 points on its left"),
-        (commonroad(ROADS["left"], "x").replace("<x>", "<x>a", 1), "no x and y"),
+        (lanelets().replace("<x>", "<x>a", 1), "no x and y"),
         ("[1, 2]", "JSON without tests"),
         ("{", "not JSON"),
         ('{"road_points": [[1, 2], [NaN, 3]]}', "expected finite metres"),
@@ -230,7 +183,8 @@ def test_every_damaged_file_is_refused_or_read(tmp_path: Path) -> None:
     """Bytes cut out or exchanged never end in anything but a road or a `RoadError`."""
     rng = np.random.default_rng(4)
     path = tmp_path / "file"
-    for text in (opendrive(ROADS["straight"], "x"), commonroad(ROADS["straight"], "x"), sbft(ROADS["straight"], "x")):
+    points = json.dumps({"name": "x", "road_points": ROADS["straight"].points.tolist()})
+    for text in (opendrive(ROADS["straight"], "x"), lanelets(), points):
         for _ in range(150):
             content = bytearray(text.encode())
             at, length = rng.integers(len(content)), rng.integers(1, 40)
@@ -347,13 +301,10 @@ def test_the_line_lies_in_the_middle_of_its_track(tmp_path: Path) -> None:
 @pytest.mark.parametrize("lane", ["middle", "single"])
 def test_lanes_in_the_middle_come_back(lane: Side, tmp_path: Path) -> None:
     road = ROADS[next(iter(ROADS))].in_lane(lane)
-    for form in ("opendrive", "sbft"):
-        (path,) = write_all([road], ["r"], tmp_path, form)  # type: ignore[arg-type]
-        back = import_roads(path)[0].road
-        assert (back.lane, back.lane_width) == (lane, road.lane_width)
-        assert back.right_edge == pytest.approx(road.right_edge, abs=1e-4)
-    with pytest.raises(RoadError, match=f"{lane} lane: CommonRoad has right and left ones"):
-        write_all([road], ["r"], tmp_path, "commonroad")
+    (path,) = write_all([road], ["r"], tmp_path)
+    back = import_roads(path)[0].road
+    assert (back.lane, back.lane_width) == (lane, road.lane_width)
+    assert back.right_edge == pytest.approx(road.right_edge, abs=1e-4)
 
 
 def test_a_track_is_as_wide_as_in_its_narrowest_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
