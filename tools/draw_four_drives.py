@@ -24,11 +24,12 @@ SIMULATORS = {"bullet": "sibling", "softbody": "sibling", "panda": "sibling", "d
 ROWS = {"clear air": [], "fog, 40 m of visibility": ["--conditions", "visibility=40"]}
 SEED, MAX_ANGLE = 3, 200
 SPEED_UP, FRAMES_PER_SECOND, VIDEO_RATE, LAST_PICTURE_MS = 2, 8, 20, 3000
-WIDTH, HEIGHT, MAP, GAP, STRIP = 216, 108, 62, 6, 22
+WIDTH, CAMERA_HEIGHT, MAP, GAP, STRIP = 216, 108, 132, 6, 22
+HEIGHT = CAMERA_HEIGHT + MAP
 CAMERA, ROAD = (slice(0, 480), slice(0, 960)), (slice(28, 308), slice(970, 1250))
 """Where a video of `ds drive` shows the camera and the road, rows and columns in pixels."""
-PAPER, INK, PASSED, FAILED = (255, 255, 255), (58, 45, 31), (75, 122, 43), (20, 20, 190)
-"""Colours, BGR."""
+PAPER, INK, PASSED, FAILED = (255, 255, 255), (58, 45, 31), (178, 114, 0), (0, 78, 194)
+"""Colours, BGR; of a failure as in the report."""
 
 
 def drive(folder: Path, simulator: str, row: int, conditions: list[str]) -> tuple[list[Any], bool]:
@@ -50,10 +51,12 @@ def drive(folder: Path, simulator: str, row: int, conditions: list[str]) -> tupl
 
 
 def panel(picture: Any) -> Any:
-    """Scale the camera's picture and put the road from above into its corner."""
-    scaled = cv2.resize(picture[CAMERA], (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
-    scaled[4 : 4 + MAP, 4 : 4 + MAP] = cv2.resize(picture[ROAD], (MAP, MAP), interpolation=cv2.INTER_AREA)
-    return scaled
+    """Scale the camera's picture and put the road from above below it."""
+    page = np.full((HEIGHT, WIDTH, 3), PAPER, np.uint8)
+    page[:CAMERA_HEIGHT] = cv2.resize(picture[CAMERA], (WIDTH, CAMERA_HEIGHT), interpolation=cv2.INTER_AREA)
+    left = (WIDTH - MAP) // 2
+    page[CAMERA_HEIGHT:, left : left + MAP] = cv2.resize(picture[ROAD], (MAP, MAP), interpolation=cv2.INTER_AREA)
+    return page
 
 
 def write(page: Any, words: str, x: int, y: int, colour: tuple[int, int, int] = INK) -> None:
