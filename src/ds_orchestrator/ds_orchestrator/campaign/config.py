@@ -179,7 +179,7 @@ class CampaignConfig(_Strict):
         sim2real: generators that translate every image to a pseudo-real one before the network sees it: a shipped set,
             a folder, or `none`; it becomes part of the driver's name. False: those that the driver names, if any.
         search: search on each sibling.
-        maxitwo_compatible: reproduce the five known quirks of the authors' package (docs/method.md).
+        maxitwo_compatible: reproduce known quirks of the authors' package (docs/method.md).
         lane: lane in which every road is driven, `right` or `left`.
         conditions: operating conditions of every test, as in `visibility=60,line_contrast=0.4`; `none` for each
             simulator's own world.
