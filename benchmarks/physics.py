@@ -208,7 +208,8 @@ def draw_same_commands(chosen: dict[str, Car], road: Road, path: Path) -> None:
             axes.plot(*line.T, style, color="#aaaaaa")
         for name, way in paths.items():
             axes.plot(*way.T, color=COLOURS[name], label=name)
-        axes.set(title=f"The commands that drive {next(iter(paths))} along the lane, given to all")
+        axes.plot(*way[0], "o", color="black", label="start")
+        axes.set(title=f"The same commands, which drive {next(iter(paths))} along the lane, on every vehicle")
         axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
         axes.legend()
 
