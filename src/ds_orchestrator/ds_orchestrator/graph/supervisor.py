@@ -90,7 +90,7 @@ class Supervisor:
         self._logs = logs
         self._environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain),
-            USER_DOMAIN: os.environ.get(USER_DOMAIN) or os.environ.get("ROS_DOMAIN_ID", ""),
+            USER_DOMAIN: os.environ.get(USER_DOMAIN) or os.environ.get("ROS_DOMAIN_ID") or "0",
             "OMP_NUM_THREADS": "1",
             "PYTHONUNBUFFERED": "1",
             "RCUTILS_COLORIZED_OUTPUT": "0",
