@@ -12,7 +12,6 @@ from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable
 from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_base.palette import FAIL, PASS
 from ds_report.heatmap import Picture
-from ds_sim.conditions.text import format_3sf
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,10 +58,10 @@ def draw_matrix(table: OutcomeTable, feature: str, vector: Path | None = None) -
             axes.barh(row, len(order), height=0.85, color=PASS)
             axes.bar(failed, 0.85, 1.0, row - 0.425, align="edge", color=FAIL, edgecolor="white", linewidth=0.5)
         shown = np.unique(np.round(np.linspace(0, len(order) - 1, 9)).astype(int))
-        axes.set_xticks(shown + 0.5, [format_3sf(value) for value in table.feature(feature)[order[shown]]])
+        axes.set_xticks(shown + 0.5, [f"{value:.2g}" for value in table.feature(feature)[order[shown]]])
         axes.set_yticks(range(len(table.simulators)), map(short_name, table.simulators))
         axes.set(xlim=(0, len(order)), ylim=(len(table.simulators) - 0.5, -0.5), xlabel=_with_unit(feature))
-        axes.set_title("Who fails where: a column for each road, dark where the driver fails")
+        axes.set_title("Who fails where: a column for each road, orange where the driver fails")
         axes.grid(visible=False)
 
     return draw_figure(WIDTH, 104 + 30 * len(table.simulators), draw, vector)
