@@ -33,7 +33,6 @@ VERBS = {
     "predict": ("predict", "", "--json"),
     "evaluate": ("evaluate", "", "--json"),
     "report": ("report", ""),
-    "runs": ("runs", "", "--json"),
 }
 """Verb -> its words; the folder stands for the empty one."""
 BUDGET, POPULATION = 200, 20

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds compare`, `ds suite`, `ds runs` and `ds campaign init` as commands, with drives that are made up."""
+"""`ds compare`, `ds suite` and `ds test` as commands, with drives that are made up."""
 
 from __future__ import annotations
 
@@ -333,25 +333,6 @@ def test_a_road_that_was_changed_is_found_by_its_digest(tmp_path: Path, engine: 
     assert done.returncode == 2 and "does not match its digest" in done.stderr
 
 
-def test_runs_lists_campaigns_with_their_state(tmp_path: Path, engine: list[OfDriver]) -> None:
-    campaign(tmp_path / "old")
-    campaign(tmp_path / "new", driver="other")
-    (tmp_path / "broken").mkdir()
-    (tmp_path / "broken/campaign.sqlite").write_bytes(b"no database")
-    with locked(tmp_path / "new"):
-        found = {Path(row["folder"]).name: row for row in json.loads(ds("runs", tmp_path, "--json").stdout)}
-    assert {name: row["state"] for name, row in found.items() if name != "broken"} == {
-        "old": "stopped",
-        "new": "running",
-    }
-    assert "damaged" in found["broken"]["state"] or "not a database" in found["broken"]["state"]
-    assert found["old"]["drives"] == found["old"]["drives_at_most"] == 24
-    assert found["new"]["sha256"].startswith(b"other".hex())
-    assert sum(tests for _, tests in found["old"]["failures"].values()) == 24
-    assert "old" in ds("runs", tmp_path).stdout
-    assert ds("runs", tmp_path / "nowhere").returncode == 2
-
-
 @pytest.mark.parametrize("size", SIZES)
 def test_the_template_names_every_key_and_is_what_was_asked_for(
     tmp_path: Path, size: str, monkeypatch: pytest.MonkeyPatch
@@ -367,7 +348,9 @@ def test_the_template_names_every_key_and_is_what_was_asked_for(
     assert f"{asked.executions_at_most} drives" in text.splitlines()[0]
 
 
-def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: Path, engine: list[OfDriver]) -> None:
+def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(
+    tmp_path: Path, configs: list[tuple[CampaignConfig, Path]]
+) -> None:
     """From the simulator's own world to where the median simulator fails; each end of a signed condition counts."""
     levels: dict[str, list[int | None]] = {
         "visibility": [2, 4, 8],
@@ -389,10 +372,10 @@ def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: P
     }
     found = Sensitivity(driver=AUTOPILOT, simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
     (tmp_path / "sensitivity.json").write_text(json.dumps(found.document()))
-    file = tmp_path / "campaign.yaml"
-    options = ("--driver", "autopilot", "--sims", "bullet,donkey", "--sensitivity", tmp_path)
-    assert ds("campaign", "init", file, *options).returncode == 0
-    searched = {name: (one.low, one.high) for name, one in read_config(file).search.conditions.items()}
+    file = tmp_path / "out/campaign.yaml"
+    words = ("test", "autopilot", "--sims", "bullet,donkey", "--sensitivity", tmp_path, "--out", file.parent)
+    assert ds(*words).returncode == 0
+    searched = {name: (one.low, one.high) for name, one in configs[0][0].search.conditions.items()}
     # Visibility is even in 1 / m: level 4 of 16 up to 20 m is 80 m; yaw is even, level 8 of 16 up to 0.15 rad.
     assert searched == {"visibility": (80.0, 1000.0), "camera_yaw": (-0.075, 0.075)}
     assert "    # lens_dirt: {low: 0, high: 0.375}" in file.read_text() and "illuminance" not in file.read_text()
@@ -400,36 +383,37 @@ def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(tmp_path: P
         (tmp_path / "sensitivity.json").write_text(content or "") if content else (
             tmp_path / "sensitivity.json"
         ).unlink()
-        bad = ds("campaign", "init", file, "--force", *options)
+        bad = ds(*words)
         assert bad.returncode == 2 and "sensitivity" in bad.stderr and len(bad.stderr.splitlines()) == 1, bad.stderr
 
 
-def test_init_asks_nothing_without_a_terminal_and_keeps_files(tmp_path: Path, engine: list[OfDriver]) -> None:
-    file = tmp_path / "campaign.yaml"
-    assert ds("campaign", "init", file, "--driver", "autopilot", "--sims", "bullet").returncode == 0
-    assert read_config(file).twin is None
-    again = ds("campaign", "init", file)
-    assert again.returncode == 2 and "exists already" in again.stderr
-    assert ds("campaign", "init", file, "--force", "--size", "huge").returncode == 2
-
-
-def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
-    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The folder holds the configuration that `ds campaign init` writes, and what `ds campaign run` makes of it."""
-    monkeypatch.chdir(tmp_path)
-    configs: list[tuple[CampaignConfig, Path]] = []
+@pytest.fixture
+def configs(monkeypatch: pytest.MonkeyPatch) -> list[tuple[CampaignConfig, Path]]:
+    """Configurations that `ds test` was about to run, and their folders."""
+    tested: list[tuple[CampaignConfig, Path]] = []
 
     def run(config: CampaignConfig, out: Path, **_: object) -> Result:
-        configs.append((config, out))
+        tested.append((config, out))
         return Result(document={}, show=lambda: None, next="ds models")
 
     monkeypatch.setattr("ds_cli.campaign.run.campaign", run)
+    return tested
+
+
+def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
+    tmp_path: Path, configs: list[tuple[CampaignConfig, Path]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     assert ds("test", "autopilot", "--sims", "bullet,donkey").returncode == 0
-    assert ds("campaign", "init", "own.yaml", "--driver", "autopilot", "--sims", "bullet,donkey").returncode == 0
     (config, out), written = configs[0], Path("autopilot_test/campaign.yaml")
-    assert out == written.parent and written.read_text() == Path("own.yaml").read_text()
+    assert out == written.parent and config.search.max_angle == 300
     assert config.engine == "local" and config.identity() == read_config(written).identity()
+    angles = ("--min-angle", 20, "--max-angle", 60)
+    assert ds("test", "autopilot", "--sims", "bullet", *angles, "--out", "gentle").returncode == 0
+    gentle = configs.pop()[0]
+    assert (gentle.search.min_angle, gentle.search.max_angle, gentle.twin) == (20, 60, None)
+    huge = ds("test", "autopilot", "--sims", "bullet", "--size", "huge", "--out", "huge")
+    assert huge.returncode == 2 and "expected one of small, medium, paper" in huge.stderr
     # The same test goes on; another one does not write over it.
     assert ds("test", "autopilot", "--sims", "bullet,donkey", "--engine", "graph").returncode == 0
     assert (configs[1][0].engine, configs[1][0].workers) == ("graph", 1)
@@ -510,25 +494,6 @@ def test_an_error_prevails_over_a_criterion() -> None:
         with pytest.raises(typer.Exit) as exit_, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             end(result, True)
         assert exit_.value.exit_code == status
-
-
-def test_init_asks_three_questions_at_a_terminal(
-    tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Enter takes the value in brackets."""
-    answers, asked = iter(["mine.yaml", "softbody,panda,donkey", "medium"]), []
-
-    def prompt(question: str, default: str, **_: object) -> str:
-        asked.append((question, default))
-        return next(answers)
-
-    monkeypatch.setattr("sys.stdin", type("Terminal", (io.StringIO,), {"isatty": lambda self: True})())
-    monkeypatch.setattr(typer, "prompt", prompt)
-    file = tmp_path / "campaign.yaml"
-    assert ds("campaign", "init", file).returncode == 0
-    config = read_config(file)
-    assert (str(config.driver), config.siblings, config.twin) == ("mine.yaml", ["softbody", "panda"], "donkey")
-    assert config.search == SIZES["medium"] and [default for _, default in asked][0] == "dave2"
 
 
 def test_a_name_that_is_neither_a_campaign_nor_a_network_is_refused_in_one_line(tmp_path: Path) -> None:

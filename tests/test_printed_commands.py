@@ -44,12 +44,12 @@ def printed(text: str) -> list[str]:
     return shlex.split(command)[1:]
 
 
-def test_init_prints_what_runs_next(here: Path) -> None:
-    (here / "my runs").mkdir()
-    done = ds("campaign", "init", "my runs/it's one.yaml", "--driver", "autopilot")
-    assert done.returncode == 0, done.stderr
-    forecast = ds(*printed(done.stderr))
+def test_a_dry_run_prints_what_runs_next(here: Path) -> None:
+    forecast = ds("test", "autopilot", "--dry-run", "--out", "my runs/it's one")
     assert forecast.returncode == 0 and "72 drives at most" in forecast.stdout, forecast.stderr
+    words = printed(forecast.stderr)
+    assert words[:2] == ["campaign", "run"] and "driver: autopilot" in Path(words[2]).read_text()
+    assert ds(*words, "--workers", "0").returncode == 2
 
 
 def test_a_campaign_without_drives_says_how_it_goes_on(here: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_command_begins_as_the_one_that_printed_it(monkeypatch: pytest.MonkeyP
     assert ds_command("report", Path("my out")) == "ds report 'my out'"
     monkeypatch.setenv("DS_COMMAND", "./ds")
     assert ds_command("report", "out") == "./ds report out"
-    command = ["./ds", "campaign", "init", str(tmp_path / "c.yaml"), "--driver", "autopilot"]
+    command = ["./ds", "road", "show", "--out", str(tmp_path / "road.png")]
     env = {"DS_COMMAND": "other"}
     done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, timeout=120, env=os.environ | env)
-    assert f"next: ./ds campaign run {tmp_path}/c.yaml" in done.stderr, done.stderr
+    assert "next: ./ds drive --sim bullet" in done.stderr, done.stderr

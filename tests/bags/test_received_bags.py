@@ -78,23 +78,6 @@ def test_a_simulator_that_a_bag_names_is_not_imported(
         verify_bag(bag, trusted=["evilmod:S"])
 
 
-def test_only_installed_messages_are_imported_for_a_replay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from ds_bags.ros.publisher import _message_class
-
-    (tmp_path / "evilpkg").mkdir()
-    (tmp_path / "evilpkg" / "__init__.py").write_text("raise SystemExit('imported')\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg("int32 a", "evilpkg/msg/X"))
-    with Ros2Writer(tmp_path / "bag", version=9) as writer:
-        for name in ("evilpkg/msg/X", "std_msgs/msg/String"):
-            writer.add_connection(f"/{name}", name, typestore=store)
-    with BagReader(tmp_path / "bag") as bag:
-        found = {connection.msgtype: _message_class(connection) for connection in bag.connections}
-    assert found["evilpkg/msg/X"] == (None, "evilpkg/msg/X is not installed here")
-    assert found["std_msgs/msg/String"][0] is not None
-
-
 @pytest.mark.parametrize(
     "name", ["../x", "/tmp/ds_absolute", "a/b", "a\\b", "", ".", "..", ".hidden", "a\nb", "x" * 300]
 )

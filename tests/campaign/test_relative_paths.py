@@ -10,6 +10,7 @@ import pytest
 import yaml
 from tests.command_line import ds
 
+from ds_cli.output import Result
 from ds_driver.networks.description import file_of, read_description
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.engines.cluster import read_cluster
@@ -59,15 +60,16 @@ def test_keys_of_a_cluster_lie_beside_its_file(project: Path) -> None:
     assert tls is not None and tls.key.samefile(project / "key.pem")
 
 
-def test_init_writes_a_file_that_is_read_as_what_was_typed(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_test_writes_a_file_that_is_read_as_what_was_typed(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_: None)
-    typed = ("--driver", project / "nets/mine.yaml", "--sims", f"bullet,donkey@{project}/car.yaml")
-    for file in (Path("campaign.yaml"), project / "runs/deep.yaml"):
-        file.parent.mkdir(exist_ok=True)
-        assert ds("campaign", "init", file, *typed).returncode == 0
-        config = read_config(file)
+    run = Result(document={}, show=lambda: None, next="ds models")
+    monkeypatch.setattr("ds_cli.campaign.run.campaign", lambda *_, **__: run)
+    typed = ("test", project / "nets/mine.yaml", "--sims", f"bullet,donkey@{project}/car.yaml")
+    for folder in (Path("out"), project / "runs"):
+        assert ds(*typed, "--out", folder).returncode == 0
+        config = read_config(folder / "campaign.yaml")
         assert (str(config.driver), config.twin) == ("../my project/nets/mine.yaml", "donkey@../my project/car.yaml")
-    assert "driver: ../nets/mine.yaml " in (project / "runs/deep.yaml").read_text()
+    assert "driver: ../nets/mine.yaml " in (project / "runs/campaign.yaml").read_text()
 
 
 def test_a_suite_finds_the_car_beside_it(project: Path) -> None:

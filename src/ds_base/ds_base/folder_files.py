@@ -179,20 +179,3 @@ def locked(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(file)
-
-
-def is_locked(folder: Path) -> bool:
-    """Whether a process holds the lock of a folder."""
-    try:
-        file = os.open(folder / ".lock", os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return False
-    finally:
-        os.close(file)
-    return False

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds sim2real train`, `show`, `translate`: simulated images that look like photographs of a real track."""
+"""`ds sim2real train`, `translate`: simulated images that look like photographs of a real track."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 app = typer.Typer()
 sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
 app.add_typer(sim2real_app, name="sim2real")
-
-Generator = Annotated[Path, typer.Argument(metavar="GENERATOR", help="Generator, a .safetensors file.")]
 
 
 @sim2real_app.command("train")
@@ -76,31 +74,9 @@ def train_command(
         "losses": history,
         "epochs": str(out / EPOCHS),
     }
-    following = ds_command("sim2real", "show", max((out / EPOCHS).glob("*.safetensors")), real)
+    newest = max((out / EPOCHS).glob("*.safetensors"))
+    following = ds_command("sim2real", "translate", "data", "--generator", newest, "--out", "translated")
     answer(Result(document=document, show=lambda: print(out / EPOCHS), next=following), as_json)
-
-
-@sim2real_app.command("show")
-def show_command(
-    generator: Generator,
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set, bag, tub or folder of camera images.")],
-    out: Annotated[Path, typer.Option(help="Picture to write, a .png file.")] = Path("sim2real.png"),
-    count: Annotated[int, typer.Option(min=1, max=200, help="Number of images, evenly chosen.")] = 8,
-    as_json: JsonFlag = False,
-) -> None:
-    """Draw simulated images beside their translations."""
-    from ds_base.atomic_files import write_whole
-    from ds_driver.sim2real.generator import load_generator
-    from ds_driver.sim2real.pictures import camera_images, sheet
-    from ds_driver.sim2real.translator import Translator
-    from ds_sim.camera.encodings import png
-
-    translator = Translator(load_generator(generator))
-    images = [translator.prepared(image) for image in camera_images(source, translator.generator.simulator, count)]
-    write_whole(out, png(sheet([[image, translator.small(image)] for image in images])))
-    document = {"picture": str(out), "images": len(images)}
-    following = ds_command("sim2real", "translate", source, "--generator", generator, "--out", "translated")
-    answer(Result(document=document, show=lambda: print(out), next=following), as_json)
 
 
 @sim2real_app.command("translate")

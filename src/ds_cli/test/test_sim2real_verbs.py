@@ -20,7 +20,7 @@ from ds_sim.camera.encodings import jpeg
         ("train --real {0}/noise --out {0}/out", "nothing like a lane"),
         ("train --sim bulet --real {0}/noise --out {0}/out", "unknown simulator 'bulet'"),
         ("train --preset huge --real {0}/noise --out {0}/out", "'huge'"),
-        ("show {0}/missing.safetensors {0}/noise", "no such generator"),
+        ("translate {0}/noise --generator {0}/missing.safetensors --out {0}/out", "no such generator"),
         ("translate {0}/noise --generator {0}/noise/n00.jpg --out {0}/out", "cannot be read"),
     ],
 )

@@ -23,7 +23,7 @@ WINDING = (200, 360)
 GENTLE = (20, 60)
 """The same of gentle roads; chosen: 60 is the tutorial's, whose bends are wider than 20 m."""
 NO_TWIN = "none"
-"""In the place of the twin, for `ds campaign init --sims`."""
+"""In the place of the twin, for `ds test --sims`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,18 +89,15 @@ def proposal(
 
 
 def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int], sensitivity: str = "") -> str:
-    """The command that writes and runs a campaign like the given one, but for its roads and conditions.
-
-    It drives without ROS, as `ds test` does and as an installation from the wheel has to.
-    """
+    """The command that runs a campaign like the given one, but for its roads and conditions."""
     own = (config.search.population, config.search.iterations, config.search.runs)
     size = next((n for n, s in SIZES.items() if (s.population, s.iterations, s.runs) == own), "small")
     under = f"--sensitivity {shlex.quote(sensitivity)} " if sensitivity else ""
     return " ".join(
         [
-            f"ds campaign init {name}.yaml --driver {shlex.quote(str(config.driver))} --sims {_simulators(config)}",
+            f"ds test {shlex.quote(str(config.driver))} --sims {_simulators(config)}",
             f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
-            f"{under}&& ds campaign run {name}.yaml --out {name} --engine local",
+            f"{under}--out {name}",
         ]
     )
 

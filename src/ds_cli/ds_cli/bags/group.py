@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds bag`: inspect, replay, re-simulate and repair rosbag2 recordings."""
+"""`ds bag`: inspect, re-simulate and repair rosbag2 recordings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ds_cli.options import (
 from ds_cli.output import Interrupted, Result, answer, end, say
 
 app = typer.Typer()
-bag_app = typer.Typer(help="Inspect, replay, re-simulate and repair rosbag2 recordings.", no_args_is_help=True)
+bag_app = typer.Typer(help="Inspect, re-simulate and repair rosbag2 recordings.", no_args_is_help=True)
 app.add_typer(bag_app, name="bag")
 
 Truth = Literal["recorded", "autopilot"]
@@ -101,27 +101,6 @@ def recover_command(
         )
 
     answer(Result(document=document, show=show, next=ds_command("bag", "info", bag.folder)), as_json)
-
-
-@bag_app.command("replay")
-def replay_command(
-    folder: BagFolder,
-    rate: Annotated[str, typer.Option(help="Speed as a factor of real time, such as 0.5, or max.")] = "1",
-    topics: Annotated[
-        list[str] | None, typer.Option(help="Topic to publish; * matches anything. May be repeated.")
-    ] = None,
-    wait: Annotated[float, typer.Option(min=0.0, help="Wait at most this many seconds for a subscriber.")] = 3.0,
-    as_json: JsonFlag = False,
-) -> None:
-    """Publish a bag to the graph, with /clock.
-
-    Space pauses and resumes, s or the right arrow steps, q quits.
-    """
-    from ds_cli.bags.replay import bag_replay, rate_of
-
-    answer(
-        bag_replay(folder, rate_of(rate), [name for entry in topics or [] for name in entry.split(",")], wait), as_json
-    )
 
 
 @bag_app.command("redrive")

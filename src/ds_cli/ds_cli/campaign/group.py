@@ -8,7 +8,7 @@ import typer
 from ds_cli.campaign import compare, inspection, run, suites
 
 app = typer.Typer()
-campaign_app = typer.Typer(help="Prepare, run, resume and inspect campaigns.", no_args_is_help=True)
+campaign_app = typer.Typer(help="Run, resume and inspect campaigns.", no_args_is_help=True)
 for part in (run.campaign_app, inspection.campaign_app):
     campaign_app.add_typer(part)
 app.add_typer(campaign_app, name="campaign")

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds test`, `ds campaign init, run, resume`: campaigns, from their configuration to their report."""
+"""`ds test`, `ds campaign run, resume`: campaigns, from their configuration to their report."""
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -44,7 +43,7 @@ from ds_cli.options import (
     usual_workers,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, end, of_networks, say, say_next, warning
+from ds_cli.output import Interrupted, Result, end, of_networks, say, warning
 from ds_sim import registry
 
 if TYPE_CHECKING:
@@ -53,13 +52,16 @@ if TYPE_CHECKING:
     from ds_orchestrator.engines.cluster import ClusterOptions
 
 DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
-"""Answers if somebody only presses Enter."""
+"""What `ds test` takes if it is not told otherwise."""
 
 SimulatorsOfTemplate = Annotated[
     str,
     typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(registry.SIMULATORS)}; or none."),
 ]
 SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
+DryRun = Annotated[
+    bool, typer.Option("--dry-run", help="Only say how many drives, how long here and how much disk, from one drive.")
+]
 SensitivityFolder = Annotated[
     Path | None,
     typer.Option(metavar="DIR", help="Search the two most sensitive conditions of this `ds sensitivity --out`, too."),
@@ -180,51 +182,14 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
     return config
 
 
-@campaign_app.command("init")
-def campaign_init_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE.yaml", help="Configuration to write.")] = Path("campaign.yaml"),
-    driver: Annotated[
-        str | None, typer.Option(help="Network: a name, a .safetensors or .yaml file, or module:Class.")
-    ] = None,
-    sims: SimulatorsOfTemplate | None = None,
-    size: SizeOfTemplate | None = None,
-    sensitivity: SensitivityFolder = None,
-    min_angle: Annotated[
-        int | None, typer.Option(min=1, max=360, help="Degrees; larger: more winding roads, such as 200.")
-    ] = None,
-    max_angle: Annotated[
-        int | None, typer.Option(min=1, max=360, help="Degrees; smaller: gentler roads, such as 60.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-) -> None:
-    """Write a commented configuration for a network, after three questions or from three options.
-
-    Without a terminal nothing is asked, and what is left out takes the value that Enter would give.
-    """
-    from ds_base.atomic_files import write_whole
-    from ds_orchestrator.campaign.config import ConfigError
-
-    ask = sys.stdin.isatty()
-    driver = driver or (typer.prompt("Network", DRIVER, err=True) if ask else DRIVER)
-    sims = sims or (typer.prompt("Simulators: siblings, then the twin", SIMULATORS, err=True) if ask else SIMULATORS)
-    size = size or (typer.prompt("Search: small, medium or paper", SIZE, err=True) if ask else SIZE)
-    if file.exists() and not force:
-        raise ConfigError(f"{file} exists already: choose another file, or --force")
-    limits = {"min_angle": min_angle, "max_angle": max_angle}
-    angles = {name: angle for name, angle in limits.items() if angle is not None}
-    write_whole(file, _template_of(driver, sims, size, sensitivity, file, angles))
-    print(file)
-    say_next(ds_command("campaign", "run", file, "--out", file.stem, "--dry-run"))
-
-
 def _template_of(
     driver: str,
     sims: str,
     size: str,
     sensitivity: Path | None,
     file: Path,
-    angles: Mapping[str, int] | None = None,
-    seed: int = 1,
+    angles: Mapping[str, int],
+    seed: int,
 ) -> str:
     """A commented configuration for a file; the driver and the simulators exist."""
     from ds_orchestrator.campaign.config import rebase_paths
@@ -252,6 +217,12 @@ def search_command(
     sims: SimulatorsOfTemplate = SIMULATORS,
     size: SizeOfTemplate = SIZE,
     sensitivity: SensitivityFolder = None,
+    min_angle: Annotated[
+        int | None, typer.Option(min=1, max=360, help="Degrees; larger: more winding roads, such as 200.")
+    ] = None,
+    max_angle: Annotated[
+        int | None, typer.Option(min=1, max=360, help="Degrees; smaller: gentler roads, such as 60.")
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there goes on."),
@@ -261,6 +232,7 @@ def search_command(
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the search: another one drives other roads.")
     ] = 1,
+    dry_run: DryRun = False,
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
@@ -269,8 +241,8 @@ def search_command(
 ) -> None:
     """Search roads on which a network fails, and report where and why.
 
-    As `ds campaign init` and `ds campaign run` do, without ROS unless --engine says otherwise. The configuration is
-    campaign.yaml in the folder. The last line is the path of the HTML report.
+    Writes campaign.yaml, a configuration with a comment on every key, into the folder, and runs it as `ds campaign run`
+    does, without ROS unless --engine says otherwise. The last line is the path of the HTML report.
     """
     from ds_base.atomic_files import write_whole
     from ds_base.bounded_file import read_words
@@ -279,18 +251,23 @@ def search_command(
 
     def tested(network: str, folder: Path) -> Result:
         file = folder / "campaign.yaml"
-        text = _template_of(network, sims, size, sensitivity, file, seed=seed)
+        text = _template_of(network, sims, size, sensitivity, file, angles, seed)
         make_folder(folder)
         if file.exists() and read_words(file) != text:
             raise ConfigError(f"{folder} holds another test: choose another --out")
         write_whole(file, text)
         config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
+        if dry_run:
+            words = ("campaign", "run", file, "--out", folder, "--engine", config.engine)
+            return _dry_run(config, folder, cluster_of(None), ds_command(*words))
         return judged(campaign(config, folder), folder, criteria, junit)
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    if (networks := several(network)) and junit:
-        raise ConfigError("--junit is for one network: give one")
+    if (networks := several(network)) and (dry_run or junit):
+        raise ConfigError("--dry-run and --junit are for one network: give one")
+    limits = {"min_angle": min_angle, "max_angle": max_angle}
+    angles = {name: angle for name, angle in limits.items() if angle is not None}
     if networks:
         end(each_network(networks, out or Path("networks_test"), tested, sort), as_json)
     else:
@@ -305,10 +282,7 @@ def campaign_run_command(
         str | None,
         typer.Option(help="Network instead of the configuration's; or several, separated by commas, each in a folder."),
     ] = None,
-    dry_run: Annotated[
-        bool,
-        typer.Option("--dry-run", help="Only say how many drives, how long here and how much disk, from one drive."),
-    ] = False,
+    dry_run: DryRun = False,
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads photographs and camera images: a Donkey Car tub, a bag, a data set or a folder; makes sheets of pictures."""
+"""Reads photographs, of a Donkey Car tub, a bag or a folder, and makes sheets of pictures."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_base.progress import counted
-from ds_driver.data.dataset import decode, read_samples
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_driver.sim2real.generator import Sim2RealError, resize
 from ds_driver.sim2real.settings import HELD_OUT
-from ds_sim.registry import simulators
 
 SUFFIXES = (".jpg", ".jpeg", ".png")
 LARGEST_WIDTH = 640
@@ -98,29 +96,6 @@ def _decoded(file: Path) -> tuple[str, NDArray[np.uint8]]:
 def evenly(count: int, limit: int | None) -> NDArray[np.int64]:
     """Choose at most `limit` of `count` items, evenly, all if None; return their indices."""
     return np.unique(np.linspace(0, count - 1, min(count, limit or count)).round().astype(np.int64))
-
-
-def camera_images(source: Path, simulator: str, count: int) -> list[NDArray[np.uint8]]:
-    """Read at most `count` evenly chosen images of a simulator's camera from a data set, bag, tub, or folder.
-
-    Raises:
-        Sim2RealError: there are none, or they are of another simulator.
-    """
-    if source.is_dir() and next(source.glob("*/*.parquet"), None) is not None:
-        samples = [sample for sample in read_samples(source) if sample.simulator == simulator]
-        if not samples:
-            raise Sim2RealError(f"{source} has no drives of {simulator}, whose images the generator translates")
-        return [decode(samples[i].jpeg) for i in evenly(len(samples), count)]
-    if (source / "metadata.yaml").exists() or source.suffix in (".mcap", ".db3", ".bag"):
-        group = open_recording(source, Reading()).group
-        if group in simulators() and group != simulator:
-            raise Sim2RealError(
-                f"the generator translates images of {simulator}, {source} is of {group}: choose the one of {group}"
-            )
-    images = [image for _, image in read_images(source, count)]
-    if not images:
-        raise Sim2RealError(f"{source} has no images: expected a data set, a bag, a tub or {', '.join(SUFFIXES)} files")
-    return images
 
 
 def sheet(rows: Sequence[Sequence[NDArray[np.uint8]]]) -> NDArray[np.uint8]:

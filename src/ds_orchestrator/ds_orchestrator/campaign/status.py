@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a campaign, stage by stage, and a list of the campaigns below a folder."""
+"""Progress of a campaign, stage by stage."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import dataclass, field
-from datetime import UTC, datetime
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from ds_base.folder_files import StoreError, is_locked
+from ds_base.folder_files import StoreError
 from ds_base.intervals import FailureCount
 from ds_driver.control.command_habits import Habit, command_habits
-from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
-from ds_orchestrator.campaign.folder import DRIVER_SHA256, STAGES, CampaignData, config_of, open_store, read_campaign
+from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
 from ds_orchestrator.store.store import Store
 
@@ -161,77 +158,3 @@ def driver_habits(store: Store) -> tuple[Habit, ...]:
 def is_driven(store: Store, config: CampaignConfig) -> bool:
     """Check whether every driving stage is done, so that resuming the campaign needs no graph."""
     return all(one.state == "done" for one in Tally.of_store(store, config).stages() if one.failures is not None)
-
-
-DEEPEST = 3
-"""Levels of folders that are looked into; chosen: deep enough for a folder of campaigns, quick in a home folder."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CampaignRow:
-    """One campaign of a list.
-
-    Attributes:
-        folder: campaign folder.
-        driver: name of the driver; "" if the campaign cannot be read.
-        sha256: digest of the driver's files, or "".
-        changed: time of the last drive, ISO 8601, UTC.
-        state: `done`, `running`, `stopped`, or why it cannot be read.
-        drives: number of drives with a verdict.
-        drives_at_most: their number at the end.
-        failures: simulator -> failures and drives.
-    """
-
-    folder: Path
-    driver: str = ""
-    sha256: str = ""
-    changed: str
-    state: str
-    drives: int = 0
-    drives_at_most: int = 0
-    failures: Mapping[str, FailureCount] = field(default_factory=dict)
-
-
-def campaigns_below(folder: Path) -> Iterator[CampaignRow]:
-    """Find campaigns, by path; a damaged one is in the list, with the reason."""
-    for path in sorted(_stores(folder, DEEPEST)):
-        yield _row(path.parent)
-
-
-def _stores(folder: Path, depth: int) -> Iterator[Path]:
-    try:
-        if (folder / "campaign.sqlite").is_file():
-            yield folder / "campaign.sqlite"
-            return
-        inside = [entry for entry in folder.iterdir() if entry.is_dir() and not entry.is_symlink()] if depth else []
-    except OSError:  # a folder of somebody else's
-        return
-    for entry in inside:
-        if not entry.name.startswith("."):
-            yield from _stores(entry, depth - 1)
-
-
-def _row(folder: Path) -> CampaignRow:
-    changed = max(path.lstat().st_mtime for path in folder.glob("campaign.sqlite*"))
-    written = datetime.fromtimestamp(changed, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-    try:
-        with closing(open_store(folder)) as store:
-            config, failures = config_of(store), store.failures()
-            excluded = sum(not gate.is_valid for gate in store.gates().values())
-            made, current = store.results().get("report"), store.count_results()
-            sha256 = store.notes().get(DRIVER_SHA256, "")
-    except (StoreError, ConfigError, OSError) as error:
-        return CampaignRow(folder=folder, changed=written, state=str(error))
-    drives = sum(count.tests for count in failures.values())
-    complete = config.elites_only or drives + excluded >= config.executions_at_most
-    state = "running" if is_locked(folder) else "done" if complete and made == current else "stopped"
-    return CampaignRow(
-        folder=folder,
-        driver=str(config.driver),
-        sha256=sha256,
-        changed=written,
-        state=state,
-        drives=drives,
-        drives_at_most=config.executions_at_most,
-        failures={name: failures.get(name, FailureCount(0, 0)) for name in config.simulators},
-    )
