@@ -41,6 +41,11 @@ def wheel(wheels: tuple[Path, Path]) -> Path:
     return wheels[0]
 
 
+def environment() -> dict[str, str]:
+    """This process's environment, without what leads to a checkout or to ROS."""
+    return {key: value for key, value in os.environ.items() if not re.match("PYTHON|AMENT|DS_|ROS|LD_", key)}
+
+
 def tracked(*patterns: str) -> set[str]:
     command = ["git", "ls-files", "--cached", "--others", "--exclude-standard", *patterns]
     listed = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
@@ -55,7 +60,7 @@ def test_every_file_of_the_packages_is_in_one_of_the_wheels_and_nothing_else(whe
     packages = {
         "/".join(Path(path).parts[2:]) for path in tracked("src/ds_*/ds_*") if not re.search("/(resource|ros)/", path)
     }
-    shared = {f"ds_sim/share/{path[4:]}" for path in tracked("src/ds_interfaces/msg", "src/ds_bringup/config")}
+    shared = {f"ds_base/share/{path[4:]}" for path in tracked("src/ds_interfaces/msg", "src/ds_bringup/config")}
     assert len(packages) > 300 and len(shared) > 10
     first, second = map(contents, wheels)
     apart = {f"ds_driver/models/{name}.{suffix}" for name in APART for suffix in ("json", "safetensors")}
@@ -114,8 +119,9 @@ for words in ("--version", "doctor", "drive --sim softbody --driver autopilot", 
     except SystemExit as done:
         print(verb[0], done.code, flush=True)
 """
-    command, elsewhere = [sys.executable, "-I", "-c", script], {k: v for k, v in os.environ.items() if k != "DS_ROOT"}
-    done = subprocess.run(command, cwd=tmp_path, env=elsewhere, capture_output=True, text=True, timeout=120)
+    command = [sys.executable, "-I", "-c", script]
+    alone = environment() | {"PYTHONPATH": str(tmp_path / "site")}  # for processes that it starts
+    done = subprocess.run(command, cwd=tmp_path, env=alone, capture_output=True, text=True, timeout=120)
     assert "ds_interfaces/msg/Road" in done.stdout and "dave2" in done.stdout, done.stderr
     assert f"ds {PROJECT['version']}\n" in done.stdout and "checks passed\n" in done.stdout, done.stdout
     assert "doctor 0\n" in done.stdout and "drive 0\n" in done.stdout and "train 1\n" in done.stdout, done.stdout
@@ -129,11 +135,10 @@ for words in ("--version", "doctor", "drive --sim softbody --driver autopilot", 
 @pytest.mark.long
 def test_in_an_empty_environment_it_drives_tests_checks_and_reports(wheel: Path, tmp_path: Path) -> None:
     """Installs it without extras, from the package index, under the newest versions; takes minutes."""
-    keep = {key: value for key, value in os.environ.items() if not re.match("PYTHON|AMENT|DS_|ROS|LD_", key)}
 
     def run(*words: object) -> str:
         done = subprocess.run(
-            list(map(str, words)), cwd=tmp_path, env=keep, capture_output=True, text=True, timeout=1200
+            list(map(str, words)), cwd=tmp_path, env=environment(), capture_output=True, text=True, timeout=1200
         )
         assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr[-2000:]
         return done.stdout
