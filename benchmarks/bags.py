@@ -22,7 +22,7 @@ from ds_bags.layout import LEVELS, Level
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import generate
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.session import RunRecord
 
 TESTS = 5000
@@ -41,7 +41,7 @@ def costs(sim: str, runs: list[RunRecord], folder: Path) -> dict[Level, tuple[fl
         sizes, times, whole = [], [], []
         for run in [runs[0], *runs]:
             started = time.perf_counter()
-            write_bag(folder / level, "/ds1", sim, run, {}, level)
+            write_bag(folder / level, "/ds1", SimulatorName(sim), run, {}, level)
             took = time.perf_counter() - started
             frames = len(run.observations)
             sizes.append(bytes_in(folder / level) / frames)

@@ -33,10 +33,11 @@ from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_report.findings import RoadOutcomes, Split, best_split, kind_of, side_shown
+from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
 from ds_sim.conditions.model import FIELDS
 from ds_sim.simulator import Outcome
 
-SIBLINGS, TWIN = ("bullet", "softbody"), "donkey"
+SIBLINGS, TWIN = (BULLET, SOFTBODY), DONKEY
 SEARCHES = {14: (3, 4), 24: (4, 8), 40: (8, 12), 120: (12, 48)}
 """Tests -> random roads and mutants of the search on each of two siblings; 24 and 120 are the sizes of `ds test`."""
 CONDITIONS = {
@@ -123,7 +124,7 @@ def _searched(size: int, axes: int, number: int) -> Searched:
         while not search.done:
             scenario = search.ask_test(seed=1)
             test_id = f"{sibling}-0-{len(tests):04d}"
-            tests.append(Test(test_id, scenario, Origin(sibling, 0, len(tests))))
+            tests.append(Test(test_id, scenario, Origin(SimulatorName(sibling), 0, len(tests))))
             search.tell(float(rng.uniform(0.0, 2.0)))
     values = [[value_on(test, axis) for test in tests] for axis in ("curvature", "turns", *names)]
     return Searched(tests=tuple(tests), axes=np.array(values), families=families_of([test.road for test in tests]))
@@ -263,10 +264,17 @@ def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
                 cell = test.road.turns_count, int(100 * test.road.curvature)
                 compared = ComparedTest(name=test.test_id, scenario=test.scenario, cell=cell)
                 drives.append(
-                    PairedDrive(test=compared, simulator=name, reference=_outcome(one), candidate=_outcome(other))
+                    PairedDrive(
+                        test=compared, simulator=SimulatorName(name), reference=_outcome(one), candidate=_outcome(other)
+                    )
                 )
         result = compare_networks(
-            drives, reference=old, candidate=new, origin="both", source="", simulators=(*SIBLINGS, TWIN)
+            drives,
+            reference=old,
+            candidate=new,
+            origin="both",
+            source="",
+            simulators=(*SimulatorName(SIBLINGS), TWIN),
         )
         said = ("worse",) if worse else ("worse", "better")
         found += [
@@ -307,7 +315,7 @@ def _execution(test: Test, name: str, failed: bool, rng: np.random.Generator) ->
     lateral = float(rng.uniform(2.0, 3.0) if failed else rng.uniform(0.2, 2.0))
     return Execution(
         test_id=test.test_id,
-        simulator=name,
+        simulator=SimulatorName(name),
         outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
         message="",
         fitness=2.0 - lateral,

@@ -28,6 +28,7 @@ from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
+from ds_sim import BULLET, SOFTBODY, SimulatorName
 from ds_sim.camera.look import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
@@ -48,7 +49,7 @@ PLANTS = {
 }
 """Change -> its part, and strengths: factors on height, brightness, line contrast and grip; seconds of
 steering lag and dead time; frames of latency. Chosen so that most of the cars fail, before any share was seen."""
-AGAINST = {"bullet": "softbody", "softbody": "bullet"}
+AGAINST = {BULLET: SOFTBODY, SOFTBODY: BULLET}
 """Simulator that is changed -> simulator that gives the parts for the exchange."""
 SEGMENTS = 3
 """Segments of 25 m of a road; chosen: a straight one and two bends, to save time."""
@@ -146,9 +147,9 @@ def _faded(line: Colour, asphalt: Colour, strength: float) -> Colour:
     return red, green, blue
 
 
-def made_name(base: str, plant: str, strength: float) -> str:
+def made_name(base: str, plant: str, strength: float) -> SimulatorName:
     """Name a made car, as every engine takes it."""
-    return f"benchmarks.explanation:MadeCar@{base}+{plant}+{strength:g}"
+    return SimulatorName(f"benchmarks.explanation:MadeCar@{base}+{plant}+{strength:g}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,14 +161,14 @@ class MadeExperiment(Experiment):
         planted: its changed part.
     """
 
-    base: str
+    base: SimulatorName
     planted: str
 
-    def drive(self, of_failing: Subset) -> tuple[str, Test]:
+    def drive(self, of_failing: Subset) -> tuple[SimulatorName, Test]:
         """Simulator and test of a drive; see `Experiment`."""
         own = {part: self.fails if part == self.planted else self.base for part in PARTS}
         name = hybrid_name({part: own[part] if part in of_failing else self.against for part in PARTS})
-        return str(name), self.test
+        return name, self.test
 
 
 class Pair(NamedTuple):
@@ -184,17 +185,17 @@ def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
         Test(f"road-0-{k:04d}", scenario) for k, scenario in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
     ]
 
-    def failed_on(work: Mapping[str, Sequence[Test]], stage: str) -> set[tuple[str, str]]:
+    def failed_on(work: Mapping[SimulatorName, Sequence[Test]], stage: str) -> set[tuple[str, str]]:
         driven = drive_tests(replace(settings, siblings=tuple(work)), work, folder / stage, Callbacks())
         return {key for key, execution in driven.executions.items() if execution.outcome.is_failure}
 
     failed = failed_on(dict.fromkeys(AGAINST, tests), "as_they_were")
     tests = [test for test in tests if not any((test.test_id, base) in failed for base in AGAINST)][:roads]
     keys = [(test, base, plant) for test in tests for base in AGAINST for plant in PLANTS]
-    found: dict[tuple[Test, str, str], float] = {}
+    found: dict[tuple[Test, SimulatorName, str], float] = {}
     for stage in range(2):
         left = {key: PLANTS[key[2]][1][stage] for key in keys if key not in found}
-        work: dict[str, list[Test]] = {}
+        work: dict[SimulatorName, list[Test]] = {}
         for (test, base, plant), strength in left.items():
             work.setdefault(made_name(base, plant, strength), []).append(test)
         failed = failed_on(work, f"made_{stage}")
@@ -211,10 +212,17 @@ def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
     ]
 
 
-def _experiment(test: Test, base: str, plant: str, strength: float) -> MadeExperiment:
+def _experiment(test: Test, base: SimulatorName, plant: str, strength: float) -> MadeExperiment:
     name, against = made_name(base, plant, strength), AGAINST[base]
     parts = {" and ".join(parts): parts for parts in differing_parts(exchangeable(against), exchangeable(name))}
-    return MadeExperiment(test=test, fails=name, against=against, base=base, planted=PLANTS[plant][0], parts=parts)
+    return MadeExperiment(
+        test=test,
+        fails=SimulatorName(name),
+        against=SimulatorName(against),
+        base=base,
+        planted=PLANTS[plant][0],
+        parts=parts,
+    )
 
 
 def row(pair: Pair, found: Explanation) -> dict[str, object]:

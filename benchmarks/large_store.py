@@ -24,6 +24,8 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.table import Table
 
+from ds_sim import SimulatorName
+
 if TYPE_CHECKING:
     from ds_orchestrator.store.model import Execution, Test
 
@@ -61,7 +63,7 @@ def write_campaign(folder: Path, executions: int) -> None:
                     store.add_execution(drive)
 
 
-def _tests(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[Test, list[Execution]]]:
+def _tests(sibling: str, run: int, simulators: list[SimulatorName]) -> Iterator[tuple[Test, list[Execution]]]:
     """Tests of a run, each with its executions."""
     import numpy as np
 
@@ -79,7 +81,9 @@ def _tests(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[Test
         points = np.array(roots(root % _ROADS)) + (0.001 * run, 0.001 * len(sibling))
         points[GENES[number % 3]] += rng.uniform(-1.0, 1.0, 2)
         road = Road(points)
-        test = Test(f"{sibling}-{run}-{number:04d}", Scenario(road, seed=number), Origin(sibling, run, number))
+        test = Test(
+            f"{sibling}-{run}-{number:04d}", Scenario(road, seed=number), Origin(SimulatorName(sibling), run, number)
+        )
         hardness = 4.0 * road.curvature + rng.normal(0.0, 0.2)
         drives = []
         along = np.linspace(0.0, len(road.points) - 1.0, 436)
@@ -96,7 +100,7 @@ def _tests(sibling: str, run: int, simulators: list[str]) -> Iterator[tuple[Test
             drives.append(
                 Execution(
                     test_id=test.test_id,
-                    simulator=simulator,
+                    simulator=SimulatorName(simulator),
                     outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
                     message="",
                     fitness=2.0 - largest,

@@ -43,13 +43,13 @@ from ds_orchestrator.search.algorithms import ConditionSpace, SearchedCondition
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import STANDARD, SimulatorName
 from ds_sim.scenario import Scenario
 from ds_studies.same_roads import driven_road
 
-SIMULATORS = ("bullet", "softbody", "panda", "donkey")
-Runs = dict[str, list[DrivenRoad | None]]
+Runs = dict[SimulatorName, list[DrivenRoad | None]]
 """Simulator -> its drives in the tests' order; None for one that is not there."""
-Gates = dict[str, Mapping[Key, Gate]]
+Gates = dict[SimulatorName, Mapping[Key, Gate]]
 """Simulator -> what is known of the tests' validity there."""
 
 KINDS = {"convolutional": False, "residual": False, "transformer": False, "stacked": True, "recurrent": True}
@@ -69,7 +69,7 @@ def draw_tests(conditions: bool) -> list[Test]:
 
 
 def drive(
-    out: Path, driver: str, tests: list[Test], workers: int, *, gates: Gates | None, simulators: list[str]
+    out: Path, driver: str, tests: list[Test], workers: int, *, gates: Gates | None, simulators: list[SimulatorName]
 ) -> tuple[Runs, set[int]]:
     """Drive the tests on every simulator; also the rows that some gate excludes."""
     runs: Runs = {}
@@ -120,7 +120,7 @@ def main() -> None:
     """Drive, and score."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--sims", default=",".join(SIMULATORS))
+    parser.add_argument("--sims", default=",".join(STANDARD))
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
     simulators = arguments.sims.split(",")

@@ -27,7 +27,7 @@ from ds_road import Road, generate
 from ds_sim.camera.encodings import png
 from ds_sim.oracle import LaneTracker, Oracle
 from ds_sim.parts import Vehicle
-from ds_sim.registry import colours_of
+from ds_sim.registry import STANDARD, colours_of
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, Outcome
 from ds_sim_bullet import simulator as bullet
 from ds_sim_bullet.parameters import BulletParameters
@@ -44,7 +44,7 @@ from ds_twin_donkey.dynamics import CarModel
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
-COLOURS = colours_of(["bullet", "softbody", "panda", "donkey"])
+COLOURS = {str(name): colour for name, colour in colours_of(STANDARD).items()}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,7 +28,7 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import DriveResults, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import generate
-from ds_sim.registry import STANDARD
+from ds_sim.registry import STANDARD, SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
@@ -45,10 +45,10 @@ HALF_WIDTH = 5.0
 """Largest half width of the interval of the paired difference, percentage points."""
 
 
-def work_of(count: int) -> dict[str, list[Test]]:
+def work_of(count: int) -> dict[SimulatorName, list[Test]]:
     """Simulator -> its tests, in turn; fewer are the first ones of more."""
     rng, names = np.random.default_rng(SEED), list(STANDARD)
-    work: dict[str, list[Test]] = {name: [] for name in names}
+    work: dict[SimulatorName, list[Test]] = {name: [] for name in names}
     for number in range(count):
         name, road = names[number % len(names)], generate(rng, max_angle=int(rng.choice(ANGLES)))
         test = Test(f"{name}-0-{number:04d}", Scenario(road, seed=SEED + number))

@@ -30,7 +30,7 @@ from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Road, generate, read_roads, write_roads
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import make_simulator
+from ds_sim.registry import BULLET, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 from ds_twin_donkey.fit import _Phases
@@ -65,7 +65,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
         test = Test(
             f"bullet-0-{number:04d}",
             Scenario(generate(np.random.default_rng(number)), seed=100 + number),
-            Origin("bullet", 0, number),
+            Origin(BULLET, 0, number),
         )
         store.add_test(test)
         for simulator in ("bullet", "softbody", "donkey"):
@@ -74,7 +74,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
             store.add_execution(
                 Execution(
                     test_id=test.test_id,
-                    simulator=simulator,
+                    simulator=SimulatorName(simulator),
                     message="",
                     fitness=-0.1 if failed else 0.5,
                     outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,

@@ -37,6 +37,7 @@ from ds_orchestrator.campaign.template import SIZES, template
 from ds_orchestrator.store.model import DriveArrays
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
+from ds_sim import BULLET, DONKEY, PANDA, SimulatorName
 from ds_sim.session import RunRecord
 
 
@@ -338,10 +339,10 @@ def test_the_template_names_every_key_and_is_what_was_asked_for(
     tmp_path: Path, size: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    text = template("my nets/a: b.yaml", ["bullet", "panda"], "donkey", size)
+    text = template("my nets/a: b.yaml", [BULLET, PANDA], DONKEY, size)
     path = Path("campaign.yaml")
     path.write_text(text)
-    asked = CampaignConfig(driver=DriverName("my nets/a: b.yaml"), siblings=["bullet", "panda"], search=SIZES[size])
+    asked = CampaignConfig(driver=DriverName("my nets/a: b.yaml"), siblings=[BULLET, PANDA], search=SIZES[size])
     assert read_config(path) == asked
     assert all(f"{key}:" in text for key in CampaignConfig.model_fields)
     assert all(f"{key}:" in text for key in type(asked.search).model_fields)
@@ -362,7 +363,7 @@ def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(
     factors = factors_named(list(levels))
     thresholds = {
         (number, name): Threshold(
-            simulator=name,
+            simulator=SimulatorName(name),
             factor=factor,
             verdict="fails" if level else "completes",
             roads=[RoadResult(completes=(level or 17) - 1, fails=level)],
@@ -370,7 +371,14 @@ def test_a_campaign_searches_the_conditions_that_a_sensitivity_found(
         for number, factor in enumerate(factors)
         for name, level in zip("abc", levels[factor.name], strict=True)
     }
-    found = Sensitivity(driver=AUTOPILOT, simulators="abc", factors=factors, needed=1, roads={}, thresholds=thresholds)
+    found = Sensitivity(
+        driver=AUTOPILOT,
+        simulators=tuple(map(SimulatorName, "abc")),
+        factors=factors,
+        needed=1,
+        roads={},
+        thresholds=thresholds,
+    )
     (tmp_path / "sensitivity.json").write_text(json.dumps(found.document()))
     file = tmp_path / "out/campaign.yaml"
     words = ("test", "autopilot", "--sims", "bullet,donkey", "--sensitivity", tmp_path, "--out", file.parent)
@@ -461,7 +469,9 @@ def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing
 
 
 def test_a_forecast_takes_as_long_as_all_drives_or_the_longest_searches() -> None:
-    drives = tuple(MeasuredDrive(simulator=name, outcome="", seconds=10.0, disk=100) for name in ("a", "b", "c"))
+    drives = tuple(
+        MeasuredDrive(simulator=SimulatorName(name), outcome="", seconds=10.0, disk=100) for name in ("a", "b", "c")
+    )
     forecast = Forecast(
         drives=60, search_drives=20, searches=2, gate_drives=0, start_seconds=5.0, measured=drives, free=0
     )

@@ -33,7 +33,7 @@ from hypothesis import strategies as st
 from ds_base.progress import LOGGER, lines_to
 from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
-from ds_sim import Command, make_simulator
+from ds_sim import Command, SimulatorName, make_simulator
 from ds_sim.donkey_protocol.conversation import Conversation, ServedTests
 from ds_sim.donkey_protocol.messages import (
     LARGEST_MESSAGE,
@@ -108,7 +108,9 @@ def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[
             ready.set()
 
         with suppress(asyncio.CancelledError):
-            await DonkeyServer(sim, tests, **{"greeting_delay": 0.0, **options}).serve("127.0.0.1", 0, listening)
+            await DonkeyServer(SimulatorName(sim), tests, **{"greeting_delay": 0.0, **options}).serve(
+                "127.0.0.1", 0, listening
+            )
 
     thread = threading.Thread(target=asyncio.run, args=(main(),))
     thread.start()

@@ -25,7 +25,7 @@ from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.registry import make_simulator
+from ds_sim.registry import BULLET, SOFTBODY, SimulatorName, make_simulator
 from ds_sim.simulator import Outcome
 from ds_studies.explanation.experiment import experiment_on
 from ds_studies.explanation.shares import Explanation, shapley, subsets
@@ -34,7 +34,7 @@ from ds_studies.sensitivity.measurement import candidate_roads
 PARTS = ("camera", "look", "vehicle", "delays")
 
 
-def campaign(folder: Path, siblings: list[str], conditions: Conditions = DEFAULT) -> Path:
+def campaign(folder: Path, siblings: list[SimulatorName], conditions: Conditions = DEFAULT) -> Path:
     """A campaign of one short road, driven by the autopilot, which sees no image."""
     folder.mkdir()
     scenario = replace(candidate_roads(1, 1, segments=2)[0], conditions=conditions)
@@ -45,7 +45,7 @@ def campaign(folder: Path, siblings: list[str], conditions: Conditions = DEFAULT
     for name in siblings:
         made = make_simulator(name)
         run = drive_road(made, make_driver(AUTOPILOT, made.spec), test.road, test.seed, conditions)
-        store.add_execution(execution_of(test.test_id, name, run))
+        store.add_execution(execution_of(test.test_id, SimulatorName(name), run))
         made.close()
     store.close()
     return folder
@@ -68,7 +68,10 @@ def test_shapley_values_are_the_means_over_all_orders() -> None:
 def explanation(*losses: float) -> Explanation:
     """Losses with nothing of a, its camera, its vehicle, and both."""
     return Explanation(
-        test_id="t", fails="a", against="b", losses=dict(zip(subsets(("camera", "vehicle")), losses, strict=True))
+        test_id="t",
+        fails=SimulatorName("a"),
+        against=SimulatorName("b"),
+        losses=dict(zip(subsets(("camera", "vehicle")), losses, strict=True)),
     )
 
 
@@ -88,7 +91,7 @@ def test_the_sentence_says_what_is_the_cause_what_is_not_and_what_cures() -> Non
 def test_a_planted_delay_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
     late = made_name("bullet", "late_commands", 0.6)
-    folder = campaign(tmp_path / "c", ["bullet", late])
+    folder = campaign(tmp_path / "c", [BULLET, SimulatorName(late)])
     refused = ds("explain", folder)
     assert refused.returncode == 2 and "--trust" in refused.stderr
     found_out = ds("explain", folder, "--workers", 1, "--trust", late, "--out", tmp_path / "out", "--json")
@@ -102,7 +105,7 @@ def test_a_planted_delay_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_conditions_are_removed_and_what_cannot_be_explained_is_said(tmp_path: Path) -> None:
     """The autopilot fails on bullet with commands 0.4 s late, and completes the same road without that."""
-    folder = campaign(tmp_path / "c", ["bullet", "softbody"], Conditions(command_delay=0.4))
+    folder = campaign(tmp_path / "c", [BULLET, SOFTBODY], Conditions(command_delay=0.4))
     with closing(open_store(folder)) as store:
         data = read_campaign(store)
     experiment = experiment_on(data, "bullet-0-0000")

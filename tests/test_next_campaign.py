@@ -14,13 +14,14 @@ from ds_analysis.common.next_campaign import GENTLE, WINDING, proposal
 from ds_cli.output import Result
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, parse_config, read_config
+from ds_sim import BULLET
 
 SMALL = {"population": 4, "iterations": 8, "runs": 1}
 PASS, FAIL = {"bullet": (0, 24), "donkey": (0, 24)}, {"bullet": (24, 24), "donkey": (24, 24)}
 
 
 def config(**search: Any) -> CampaignConfig:
-    return CampaignConfig(driver=AUTOPILOT, siblings=["bullet"], search=SearchConfig(**{**SMALL, **search}))
+    return CampaignConfig(driver=AUTOPILOT, siblings=[BULLET], search=SearchConfig(**{**SMALL, **search}))
 
 
 def pasted(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> CampaignConfig:

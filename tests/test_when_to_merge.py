@@ -17,6 +17,7 @@ from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import evaluate
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import MapId
+from ds_sim import SimulatorName
 
 
 def only(data: CampaignData, tests: Collection[str]) -> CampaignData:
@@ -33,11 +34,13 @@ def test_maps_of_the_study_have_the_papers_r_and_auc_prc(tmp_path: Path) -> None
     # Any of the simulators as the twin: the study's own are driven later.
     first, second, twin = SIBLINGS
     (case,) = cases_of({"epoch": block}, [(twin, (first, second))], 1, with_auc=True)
-    truth = {MapId.twin(twin): maps[MapId.union(twin)]}
+    truth = {MapId.twin(SimulatorName(twin)): maps[MapId.union(SimulatorName(twin))]}
     campaign = of_runs(read(third_table("epoch").with_name("epoch.parquet")), {0})
     merged = maps_of(only(campaign, drawn))[MapId.merged()]
-    unions = {MapId.union(one): maps[MapId.union(one)] for one in (first, second)}
-    found = evaluate({**unions, MapId.merged(): merged, **truth}, [first, second], twin)
+    unions = {MapId.union(SimulatorName(one)): maps[MapId.union(SimulatorName(one))] for one in (first, second)}
+    found = evaluate(
+        {**unions, MapId.merged(): merged, **truth}, [SimulatorName(first), SimulatorName(second)], SimulatorName(twin)
+    )
     by_r = [one.r or 0.0 for one in found if one.value == "probability"]
     by_auc = [one.auc or 0.0 for one in found if one.value == "probability"]
     assert [case.r[name] for name in ("first", "second", "product")] == pytest.approx(by_r)

@@ -40,7 +40,7 @@ from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.oracle import LaneTracker
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Command, Outcome
 from ds_studies.same_roads import driven_road
@@ -142,9 +142,9 @@ def main() -> None:
                     Test(f"{k:02d}", Scenario(road, conditions, seed=SEED + k))
                     for k, road in enumerate(roads.get(name, roads[MADE[0]]))
                 ]
-                work: dict[str, list[Test]] = {}
+                work: dict[SimulatorName, list[Test]] = {}
                 for of, test in zip(names, tests, strict=True):
-                    work.setdefault(of, []).append(test)
+                    work.setdefault(SimulatorName(of), []).append(test)
                 settings = DriveSettings(
                     siblings=tuple(work),
                     driver=DriverName.parse(f"{network}@onnx"),
@@ -154,7 +154,7 @@ def main() -> None:
                 place = out / "drives" / network / label.replace(" ", "_") / name.replace(" ", "_")
                 driven = drive_tests(settings, work, place, Callbacks())
                 runs: list[DrivenRoad | None] = [
-                    driven_road(driven, test, of) for of, test in zip(names, tests, strict=True)
+                    driven_road(driven, test, SimulatorName(of)) for of, test in zip(names, tests, strict=True)
                 ]
                 verdicts[name] = ["?" if run is None else "F" if run.outcome.is_failure else "." for run in runs]
                 say(f"  {name:10} {''.join(verdicts[name])}")

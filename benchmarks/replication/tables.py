@@ -36,7 +36,9 @@ from ds_base.palette import SERIES as GROUPS
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
+from ds_sim import SimulatorName
 from ds_sim.camera.encodings import png
+from ds_sim.registry import NO_SIMULATOR, PANDA
 
 ROLES = ("DS1", "DS2", "DSS")
 QUESTIONS = {"RQ2": ("probability", RQ2), "RQ3": ("quality_loss", RQ3)}
@@ -45,7 +47,7 @@ REAL_TESTS = 120
 """Tests of a run on pseudo-real images in the paper: 20, and 100 iterations (4.2.4); ours have 150 iterations."""
 SHOWN = "epoch"
 """Network of the picture of the idea; chosen: most of its cells have tests, and its siblings differ."""
-THIRD = "panda"
+THIRD = PANDA
 THIRD_RUN = 0
 """Run whose tests a third sibling drives, too; chosen: whole searches, so that its maps are like those of any run."""
 AGREED = ("all siblings fail", "no sibling fails")
@@ -187,7 +189,7 @@ def _counts(driven: Driven) -> Iterator[Row]:
         ]
         count = sum(value for (_, name), value in failed.items() if name == simulator)
         yield ("counts", "tests failed", simulator), (np.nan, count, *over_runs(shares))
-    twin, siblings = str(data.config.twin), data.config.siblings
+    twin, siblings = data.config.twin or NO_SIMULATOR, data.config.siblings
     for who, wanted in zip(AGREED, (len(siblings), 0), strict=True):
         agreed = [
             failed[test.test_id, twin]
@@ -197,7 +199,7 @@ def _counts(driven: Driven) -> Iterator[Row]:
         interval = jeffreys_interval(sum(agreed), len(agreed)) if agreed else (np.nan, np.nan)
         yield ("counts", who, "tests"), (np.nan, len(agreed), *UNDEFINED)
         yield ("counts", who, "fail on the twin"), (np.nan, sum(agreed), np.nan, *interval)
-    merged, truth = driven.maps[MapId.merged()].cells, driven.maps[MapId.twin(twin)].cells
+    merged, truth = driven.maps[MapId.merged()].cells, driven.maps[MapId.twin(SimulatorName(twin))].cells
     fails = {cell for cell, value in truth.items() if value.probability > 0}
     alarms = {cell for cell, value in merged.items() if value.probability > 0}
     found = {"failing on the twin": fails, "on the twin": truth, "alarms": alarms, "false alarms": alarms - fails}

@@ -32,6 +32,7 @@ from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_road import road_from_json
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 
 SAY_EVERY = 20
@@ -46,7 +47,7 @@ class Counter(Listener):
         self._done = self._fresh = 0
         self._began = time.monotonic()
 
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """Count a drive, whatever its outcome."""
         self._done += 1
         self._fresh += fresh
@@ -100,7 +101,7 @@ def search(part: Part, folder: Path) -> CampaignData:
 
 def drive(part: Part, tests: Sequence[Test], folder: Path) -> CampaignData:
     """Drive given tests."""
-    simulator = plan.SIMULATORS.get(part.where, part.where)
+    simulator = SimulatorName(plan.SIMULATORS.get(part.where, part.where))
     settings = config_of(part, [simulator]).drive_settings()
     for _ in range(plan.PASSES):
         progress = Callbacks(listen=lambda: nullcontext(Counter(part)))

@@ -11,7 +11,7 @@ from ds_bags.layout import LEVELS
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import make_driver
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Outcome
@@ -49,5 +49,5 @@ def bags(run: RunRecord, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a bag of each level, named after it; tests must not write to it."""
     folder = tmp_path_factory.mktemp("bags")
     for level in LEVELS:
-        write_bag(folder / level, "/twin", "donkey", run, {"driver": "autopilot"}, level)
+        write_bag(folder / level, "/twin", DONKEY, run, {"driver": "autopilot"}, level)
     return folder

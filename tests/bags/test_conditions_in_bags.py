@@ -13,7 +13,7 @@ from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import facts_of, write_bag
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
@@ -36,21 +36,21 @@ def driven(conditions: Conditions) -> RunRecord:
 
 def test_a_bag_keeps_the_conditions_of_its_run(tmp_path: Path) -> None:
     run = driven(CONDITIONS)
-    write_bag(tmp_path / "bag", "/ds1", "donkey", run, {"driver": "constant"}, "compressed")
+    write_bag(tmp_path / "bag", "/ds1", DONKEY, run, {"driver": "constant"}, "compressed")
     with BagReader(tmp_path / "bag") as bag:
         found = read_run(bag)
     assert found.run.conditions == CONDITIONS
-    assert len(list(resimulate("donkey", found.run))) == len(run.observations)
+    assert len(list(resimulate(DONKEY, found.run))) == len(run.observations)
     found.run.scenario = replace(found.run.scenario, conditions=Conditions())
     with pytest.raises(ResimulationError):
-        list(resimulate("donkey", found.run))
+        list(resimulate(DONKEY, found.run))
 
 
 def test_default_conditions_leave_no_trace_in_a_bag() -> None:
-    assert "conditions" not in facts_of("donkey", driven(Conditions()), "telemetry")
+    assert "conditions" not in facts_of(DONKEY, driven(Conditions()), "telemetry")
 
 
 def test_damaged_conditions_get_one_line(tmp_path: Path) -> None:
-    write_bag(tmp_path / "bag", "/ds1", "donkey", driven(CONDITIONS), {"conditions": "fog=1"}, "telemetry")
+    write_bag(tmp_path / "bag", "/ds1", DONKEY, driven(CONDITIONS), {"conditions": "fog=1"}, "telemetry")
     with BagReader(tmp_path / "bag") as bag, pytest.raises(BagError, match="unknown condition 'fog'"):
         read_run(bag)

@@ -25,6 +25,7 @@ from ds_bags.verification import IMAGE, verify_bag
 from ds_base.processes import ChildProcesses
 from ds_orchestrator.graph.session import RosDomain
 from ds_road import Road
+from ds_sim.registry import DONKEY
 from ds_sim.resimulation import resimulate
 from ds_sim.ros.runtime import init_ros
 from ds_sim.session import RunRecord
@@ -73,7 +74,7 @@ def test_a_lost_state_costs_no_image_and_a_lost_image_only_itself(run: RunRecord
 
     states = writer.channel(topic_of(typestore(), "/ds1/state", STATE, depth=50))
     images = writer.channel(topic_of(typestore(), "/ds1/camera/image_raw", IMAGE, depth=50))
-    seen = list(resimulate("donkey", run))
+    seen = list(resimulate(DONKEY, run))
     for frame in seen:
         stamp = round((start + frame.time) * 1e9)
         if frame.step != lost:

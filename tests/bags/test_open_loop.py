@@ -27,7 +27,7 @@ from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
 from ds_orchestrator.graph.session import RosDomain
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 
@@ -90,7 +90,7 @@ def test_no_image_of_a_tub_is_lost_and_a_missing_one_is_reported(tub: Path) -> N
 def test_a_network_answers_a_raw_bag_as_it_answered_in_the_loop(bags: Path, run: RunRecord) -> None:
     """Bit by bit for raw images; the autopilot's own answers are what the bag recorded."""
     driver = make_driver("dave2", make_simulator("donkey").spec)
-    expected = [driver(seen).steering for seen in resimulate("donkey", run)]
+    expected = [driver(seen).steering for seen in resimulate(DONKEY, run)]
     from ds_driver.networks.network_driver import NetworkDriver
 
     network = NetworkDriver("dave2")

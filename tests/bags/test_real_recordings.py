@@ -19,7 +19,7 @@ from ds_recording.located import COLUMNS, Located, write_located
 from ds_recording.real_drive import is_recording, read_recording
 from ds_recording.track import Track
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.session import RunRecord
 
 pytestmark = pytest.mark.graph
@@ -33,7 +33,7 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunRecord]:
     run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 3)
     simulator.close()
     folder = tmp_path_factory.mktemp("real") / "bag"
-    write_bag(folder, "/car", "donkey", run, {"driver": "autopilot"})
+    write_bag(folder, "/car", DONKEY, run, {"driver": "autopilot"})
     return folder, run
 
 

@@ -31,7 +31,7 @@ from ds_bags.reader import STATE, BagReader, read_run
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
 from ds_driver.data.recordings import Reading, open_recording
-from ds_sim.registry import UntrustedSimulatorError
+from ds_sim.registry import DONKEY, UntrustedSimulatorError
 from ds_sim.session import RunRecord
 
 pytestmark = pytest.mark.graph
@@ -192,15 +192,15 @@ def test_a_converted_bag_is_redriven_with_what_it_has_lost(bags: Path, tmp_path:
     """`rosbags-convert` drops custom data; the road is in a message, simulator and seed must be given."""
     convert([bags / "telemetry"], tmp_path / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
     refused(lambda: verify_bag(tmp_path / "converted"), r"does not say its simulator, seed.*give --sim NAME --seed N")
-    refused(lambda: verify_bag(tmp_path / "converted", "donkey"), r"does not say its seed.*give --seed N")
-    found = verify_bag(tmp_path / "converted", "donkey", seed=3)
+    refused(lambda: verify_bag(tmp_path / "converted", DONKEY), r"does not say its seed.*give --seed N")
+    found = verify_bag(tmp_path / "converted", DONKEY, seed=3)
     assert (found.step, found.frames) == (None, 41)
 
 
 def test_a_bag_of_a_drive_in_the_left_lane_comes_out_the_same_with_and_without_custom_data(
     left_run: RunRecord, tmp_path: Path
 ) -> None:
-    write_bag(tmp_path / "left", "/twin", "donkey", left_run, {})
+    write_bag(tmp_path / "left", "/twin", DONKEY, left_run, {})
     convert([tmp_path / "left"], tmp_path / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
-    for found in (verify_bag(tmp_path / "left"), verify_bag(tmp_path / "converted", "donkey", seed=3)):
+    for found in (verify_bag(tmp_path / "left"), verify_bag(tmp_path / "converted", DONKEY, seed=3)):
         assert (found.step, found.frames) == (None, 6)

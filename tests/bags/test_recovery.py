@@ -24,7 +24,7 @@ from ds_bags.reader import BagReader, read_run
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_bags.run_writer import RunWriter, write_bag
 from ds_bags.verification import verify_bag
-from ds_sim.registry import spec_of
+from ds_sim.registry import DONKEY, spec_of
 from ds_sim.session import RunRecord
 
 pytestmark = pytest.mark.graph
@@ -100,7 +100,7 @@ def test_a_killed_campaign_s_bag_is_unfinished_and_can_be_driven_again(run: RunR
     def moment() -> bool:
         return hidden.exists() and hidden.stat().st_size > 2_000_000
 
-    in_child(lambda: write_bag(tmp_path / "bag", "/twin", "donkey", run, {"driver": "autopilot"}, "raw"), moment)
+    in_child(lambda: write_bag(tmp_path / "bag", "/twin", DONKEY, run, {"driver": "autopilot"}, "raw"), moment)
     assert not (tmp_path / "bag").exists()
     with pytest.raises(BagError, match="was never finished"):
         describe(tmp_path / "bag")
@@ -112,7 +112,7 @@ def test_a_killed_campaign_s_bag_is_unfinished_and_can_be_driven_again(run: RunR
         recorded = read_run(bag)
     assert recorded.run.road == run.road and recorded.run.seed == run.seed
     # The same test runs again: its bag replaces the remains.
-    write_bag(tmp_path / "bag", "/twin", "donkey", run, {"driver": "autopilot"})
+    write_bag(tmp_path / "bag", "/twin", DONKEY, run, {"driver": "autopilot"})
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bag", "saved"]
 
 

@@ -26,7 +26,7 @@ from ds_bags.rosbag2_writer import Rosbag2Writer
 from ds_bags.run_writer import write_bag
 from ds_sim.camera.lens import optical_axes
 from ds_sim.messages import MessageBuilder
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, SOFTBODY, make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, VehicleState
@@ -106,7 +106,7 @@ def test_mcap_and_its_ros2_support_read_it_from_the_schemas_inside(bags: Path, l
 
 
 def test_images_are_those_that_the_driver_saw(bags: Path, run: RunRecord) -> None:
-    images = [seen.image for seen in resimulate("donkey", run)]
+    images = [seen.image for seen in resimulate(DONKEY, run)]
     raw = read_all(bags / "raw")["/twin/camera/image_raw"]
     compressed = read_all(bags / "compressed")["/twin/camera/image_raw/compressed"]
     for image, (_, kept), (_, jpeg) in zip(images, raw, compressed, strict=True):
@@ -198,7 +198,7 @@ def test_a_bag_describes_its_run(bags: Path, run: RunRecord) -> None:
 
 def test_the_same_run_gives_the_same_bytes_and_replaces_its_bag(bags: Path, run: RunRecord, tmp_path: Path) -> None:
     for _ in range(2):
-        write_bag(tmp_path / "telemetry", "/twin", "donkey", run, {"driver": "autopilot"})
+        write_bag(tmp_path / "telemetry", "/twin", DONKEY, run, {"driver": "autopilot"})
         assert sorted(p.name for p in tmp_path.iterdir()) == ["telemetry"]
         for name in ("telemetry.mcap", "metadata.yaml"):
             assert (tmp_path / "telemetry" / name).read_bytes() == (bags / "telemetry" / name).read_bytes()
@@ -206,7 +206,7 @@ def test_the_same_run_gives_the_same_bytes_and_replaces_its_bag(bags: Path, run:
 
 def test_images_of_a_run_that_does_not_come_out_the_same_are_refused(run: RunRecord, tmp_path: Path) -> None:
     with pytest.raises(ResimulationError, match="at step 1, "):
-        write_bag(tmp_path / "bag", "/twin", "softbody", run, {}, "raw")
+        write_bag(tmp_path / "bag", "/twin", SOFTBODY, run, {}, "raw")
     assert not (tmp_path / "bag").exists()
 
 

@@ -15,6 +15,7 @@ import pytest
 from ds_bags.layout import LEVELS, BagError, Level
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
+from ds_sim import DONKEY, SOFTBODY
 from ds_sim.resimulation import difference_between
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command
@@ -32,7 +33,7 @@ def test_the_step_and_the_distance_of_a_changed_command_are_reported(run: RunRec
     """A bag with another throttle than was driven: the car is at rest, so the difference shows a little later."""
     commands = list(run.commands)
     commands[20] = Command(commands[20].steering, 0.0)
-    write_bag(tmp_path / "bag", "/twin", "donkey", replace(run, commands=commands), {})
+    write_bag(tmp_path / "bag", "/twin", DONKEY, replace(run, commands=commands), {})
     found = verify_bag(tmp_path / "bag")
     assert found.step is not None and 21 <= found.step <= 23 and "m away" in found.difference
     command = [sys.executable, "-m", "ds_cli.main", "bag", "redrive", str(tmp_path / "bag"), "--json"]
@@ -53,7 +54,7 @@ def test_one_bit_is_a_difference(run: RunRecord) -> None:
 
 
 def test_another_simulator_and_another_bag_are_reported(bags: Path, tmp_path: Path) -> None:
-    found = verify_bag(bags / "raw", "softbody")
+    found = verify_bag(bags / "raw", SOFTBODY)
     assert found.step == 1 and found.simulator == "softbody"
     with pytest.raises(BagError, match="no such bag"):
         verify_bag(tmp_path / "none")

@@ -36,12 +36,12 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_road import Road
 from ds_sim.gates.gate import Gate
-from ds_sim.registry import label_of
+from ds_sim.registry import DONKEY, SimulatorName, label_of
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
-DONKEYS = ["ds_twin_donkey.simulator:DonkeySimulator", "donkey"]
+DONKEYS = [SimulatorName("ds_twin_donkey.simulator:DonkeySimulator"), DONKEY]
 CONFIG = CampaignConfig(
     siblings=DONKEYS,
     twin=None,
@@ -74,7 +74,7 @@ def test_every_test_runs_once_on_every_sibling(tmp_path: Path) -> None:
     assert len(store.tests()) == 8 and campaign.failed_executions == 0
     # The same vehicle under two names: both unions hold the same tests in the same cells.
     maps = maps_of(read_campaign(store))
-    assert maps[MapId.union(DONKEYS[0])].cells == maps[MapId.union(DONKEYS[1])].cells
+    assert maps[MapId.union(SimulatorName(DONKEYS[0]))].cells == maps[MapId.union(SimulatorName(DONKEYS[1]))].cells
 
 
 @pytest.mark.parametrize("stop_after", [1, 5, pytest.param(11, marks=pytest.mark.long)])
@@ -353,13 +353,13 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
     together = threading.Barrier(2)
     workers = [Counting(), Counting()]
     probing = MadeUpEngine()
-    pool = GraphEngine(workers, ["donkey"], lambda: probing)
+    pool = GraphEngine(workers, [DONKEY], lambda: probing)
     road = Road([(125.0, 25.0 * i) for i in range(9)])
     with ThreadPoolExecutor(2) as threads:
-        asked = [DriveRequest(Scenario(road, seed=seed), DriverName("dave2"), "donkey") for seed in range(6)]
+        asked = [DriveRequest(Scenario(road, seed=seed), DriverName("dave2"), DONKEY) for seed in range(6)]
         list(threads.map(pool.drive, asked))
     assert sum(w.runs for w in workers) == 6
-    pool.drive(DriveRequest(Scenario(road, seed=6), AUTOPILOT, "donkey", probed=True))
+    pool.drive(DriveRequest(Scenario(road, seed=6), AUTOPILOT, DONKEY, probed=True))
     assert sum(w.runs for w in workers) == 6 and len(probing.roads) == 1
     pool.stop()
     assert all(w.stopped for w in workers)

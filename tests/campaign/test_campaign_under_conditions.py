@@ -20,7 +20,7 @@ from ds_orchestrator.campaign.folder import ENGINE, CampaignData, open_store, re
 from ds_orchestrator.campaign.selection import roads_of
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates.gate import GateState, gate_of
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, make_simulator
 from ds_studies import whole_campaign as run
 
 TEXT = "line_contrast=0.1,visibility=80,steering_lag=0.05"
@@ -62,7 +62,7 @@ def test_drives_and_gates_are_those_of_the_library(data: CampaignData) -> None:
         assert test.conditions == parse_conditions(TEXT)
         driver = make_driver(AUTOPILOT, simulator.spec)
         alone = drive_road(simulator, driver, test.road, test.seed, test.conditions, probed=True)
-        assert data.gates[test.test_id, "donkey"] == gate_of(alone)
+        assert data.gates[test.test_id, DONKEY] == gate_of(alone)
         if gate_of(alone).state is GateState.VALID:
             assert executions[test.test_id].trajectory_sha256 == trajectory_sha256(alone)
         else:

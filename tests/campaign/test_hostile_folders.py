@@ -26,11 +26,12 @@ from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import open_store, read_campaign, with_kept_engine
 from ds_orchestrator.store.store import Store
+from ds_sim import BULLET, DONKEY, SOFTBODY
 
 __all__ = ["ds"]  # a fixture
 CONFIG = CampaignConfig(
-    siblings=["bullet", "softbody"],
-    twin="donkey",
+    siblings=[BULLET, SOFTBODY],
+    twin=DONKEY,
     driver=AUTOPILOT,
     record="none",
     search=SearchConfig(population=2, iterations=2, runs=1),

@@ -15,12 +15,14 @@ from report_campaigns import make_campaign
 
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
+from ds_sim.registry import BULLET, DONKEY, SOFTBODY
 
 BUDGET = 100
-SIMULATORS = ("bullet", "softbody", "donkey")
+SIMULATORS = (BULLET, SOFTBODY, DONKEY)
 _INSIDE = """
 import sys
 from ds_cli.main import main
+from ds_sim import SimulatorName
 try:
     main()
 finally:

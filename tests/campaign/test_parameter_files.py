@@ -18,7 +18,7 @@ from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
-from ds_sim.registry import label_of, make_simulator
+from ds_sim.registry import DONKEY, SimulatorName, label_of, make_simulator
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Outcome
 from ds_studies.whole_campaign import run_campaign
@@ -28,8 +28,8 @@ CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}
 
 def config_with(file: Path) -> CampaignConfig:
     return CampaignConfig(
-        siblings=["donkey"],
-        twin=f"donkey@{file}",
+        siblings=[DONKEY],
+        twin=SimulatorName(f"donkey@{file}"),
         driver=AUTOPILOT,
         seed=7,
         record="telemetry",

@@ -26,11 +26,12 @@ from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Side
+from ds_sim import DONKEY
 
 Ds = Callable[..., tuple[int, str]]
 __all__ = ["ds"]  # a fixture
 SEARCH = SearchConfig(population=1, iterations=1, runs=1)
-CONFIG = CampaignConfig(siblings=["donkey"], twin=None, driver=AUTOPILOT, record="none", search=SEARCH)
+CONFIG = CampaignConfig(siblings=[DONKEY], twin=None, driver=AUTOPILOT, record="none", search=SEARCH)
 BAG = "bags/donkey-0-0001-on-donkey"
 
 

@@ -21,6 +21,7 @@ from ds_cli import main as cli
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, read_config
 from ds_orchestrator.graph import signals as stopping
 from ds_orchestrator.store.store import Store
+from ds_sim import DONKEY
 
 CONFIG = """
 siblings: [donkey]
@@ -204,7 +205,7 @@ def test_a_full_disk_ends_the_run_and_loses_nothing(
 ) -> None:
     """The disk is full for the store, or for a bag; with more space the campaign ends like an undisturbed one."""
     settings = SearchConfig(population=half, iterations=half, runs=1, min_angle=40, max_angle=90)
-    config = CampaignConfig(siblings=["donkey"], twin=None, driver="autopilot", seed=7, record=record, search=settings)  # type: ignore[arg-type]
+    config = CampaignConfig(siblings=[DONKEY], twin=None, driver="autopilot", seed=7, record=record, search=settings)  # type: ignore[arg-type]
     _, whole = run(tmp_path / "whole", MadeUpEngine(), config)
     small = mount(tmp_path / "small", "-t", "tmpfs", "-o", f"size={size}", "tmpfs")
     with pytest.raises(ValueError, match="disk is full: make room|No space left on device.: check the disk"):

@@ -25,11 +25,12 @@ from ds_orchestrator.engines import membership
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, TlsFiles, connect, read_cluster
 from ds_orchestrator.engines.dask_engine import DaskEngine, running_dask
 from ds_road import generate
+from ds_sim import SimulatorName
 from ds_sim.run_codec import encode_run
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 
-QUICK, SLOW = (f"tests.engines.quick_simulator:{name}" for name in ("QuickSimulator", "SlowSimulator"))
+QUICK, SLOW = (SimulatorName(f"tests.engines.quick_simulator:{name}") for name in ("QuickSimulator", "SlowSimulator"))
 ROADS = [generate(np.random.default_rng(seed), max_angle=150) for seed in range(3)]
 
 
@@ -50,7 +51,7 @@ class Lines(list[str]):
 @contextmanager
 def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW) -> Iterator[DaskEngine]:
     settings = DriveSettings(
-        siblings=(simulator,),
+        siblings=(SimulatorName(simulator),),
         driver=AUTOPILOT,
         command_timeout=20.0,
         cluster=ClusterOptions(scheduler=cluster.address),
@@ -79,7 +80,9 @@ class Drives:
     def __init__(self, engine: DaskEngine, simulator: str, count: int) -> None:
         self._pool = ThreadPoolExecutor(16)
         self._futures: list[Future[RunRecord]] = [
-            self._pool.submit(engine.drive, DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, simulator))
+            self._pool.submit(
+                engine.drive, DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, SimulatorName(simulator))
+            )
             for seed in range(count)
         ]
 

@@ -22,7 +22,7 @@ from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, SimulatorName, make_simulator
 from ds_sim.run_codec import encode_run
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
@@ -71,11 +71,11 @@ def drive_all(process: WorkerProcess, drives: Sequence[DriveRequest]) -> list[Ru
 )
 def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes, driver: str) -> None:
     drives = [
-        DriveRequest(Scenario(SHORT, seed=seed), DriverName.parse(driver), name)
+        DriveRequest(Scenario(SHORT, seed=seed), DriverName.parse(driver), SimulatorName(name))
         for seed in (5, 6)
         for name in ("bullet", "softbody", "donkey")
     ]
-    gate = DriveRequest(Scenario(SHORT, Conditions(visibility=100.0), seed=5), AUTOPILOT, "donkey", probed=True)
+    gate = DriveRequest(Scenario(SHORT, Conditions(visibility=100.0), seed=5), AUTOPILOT, DONKEY, probed=True)
     *runs, gated = drive_all(worker(driver), [*drives, gate])
     for one, run in zip(drives, runs, strict=True):
         simulator = make_simulator(one.simulator)
@@ -92,7 +92,9 @@ def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes,
 
 def test_a_killed_process_loses_nothing(worker: Processes) -> None:
     process = worker()
-    drives = [DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, f"{QUICK}:SlowSimulator") for seed in range(6)]
+    drives = [
+        DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, SimulatorName(f"{QUICK}:SlowSimulator")) for seed in range(6)
+    ]
     undisturbed = [encode_run(run) for run in drive_all(process, drives)]
     with ThreadPoolExecutor(len(drives)) as pool:
         futures = [pool.submit(process.drive, one) for one in drives]
@@ -109,24 +111,28 @@ def test_a_killed_process_loses_nothing(worker: Processes) -> None:
 
 def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
     process = worker()
-    crash = process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:CrashingSimulator"))
+    crash = process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:CrashingSimulator")))
     assert crash.outcome is Outcome.SIM_ERROR and "signal 11" in crash.message and "\n" not in crash.message
-    assert process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:QuickSimulator")).outcome.is_verdict
+    assert process.drive(
+        DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:QuickSimulator"))
+    ).outcome.is_verdict
 
 
 @pytest.mark.parametrize("seed", range(len(NONSENSE)))
 def test_an_answer_that_makes_no_sense_ends_as_an_error(worker: Processes, seed: int) -> None:
-    run = worker().drive(DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, f"{QUICK}:BabblingSimulator"))
+    run = worker().drive(
+        DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, SimulatorName(f"{QUICK}:BabblingSimulator"))
+    )
     assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "its process ended 3 times: killed by signal 9")
 
 
 def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:RaisingSimulator"))
+    run = worker().drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:RaisingSimulator")))
     assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "RuntimeError: no licence")
 
 
 def test_numbers_that_are_not_finite_are_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:DivergingSimulator"))
+    run = worker().drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:DivergingSimulator")))
     assert run.outcome is Outcome.SIM_ERROR and "finite" in run.message and "\n" not in run.message
 
 
@@ -134,8 +140,12 @@ def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
     worker: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_process, "FRAME_TIME", 2.0)
-    slow = [DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, f"{QUICK}:SlowSimulator") for seed in range(3)]
-    runs = drive_all(worker(), [DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:HangingSimulator"), *slow])
+    slow = [
+        DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, SimulatorName(f"{QUICK}:SlowSimulator")) for seed in range(3)
+    ]
+    runs = drive_all(
+        worker(), [DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:HangingSimulator")), *slow]
+    )
     assert runs[0].outcome is Outcome.SIM_ERROR and "more than 2 s" in runs[0].message
     assert all(run.outcome.is_verdict for run in runs[1:])
 
@@ -143,7 +153,7 @@ def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
 def test_a_driver_that_hangs_is_silent(worker: Processes) -> None:
     hanging = f"{QUICK}:HangingDriver"
     run = worker(hanging, timeout=2.0).drive(
-        DriveRequest(Scenario(ROAD, seed=1), DriverName(hanging), f"{QUICK}:QuickSimulator")
+        DriveRequest(Scenario(ROAD, seed=1), DriverName(hanging), SimulatorName(f"{QUICK}:QuickSimulator"))
     )
     assert (run.outcome, run.message) == (Outcome.DRIVER_SILENT, "no command within 2 s")
 
@@ -159,7 +169,7 @@ def test_stop_ends_every_drive_at_once(worker: Processes) -> None:
     found: list[RunRecord] = []
     thread = threading.Thread(
         target=lambda: found.append(
-            process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, f"{QUICK}:HangingSimulator"))
+            process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:HangingSimulator")))
         )
     )
     thread.start()

@@ -30,7 +30,7 @@ from ds_bags.run_writer import write_bag
 from ds_base.bounded_yaml import BoundedYamlError, read_yaml
 from ds_driver.data.recordings import Reading, open_recording
 from ds_road import Road
-from ds_sim.registry import UntrustedSimulatorError, make_simulator
+from ds_sim.registry import DONKEY, UntrustedSimulatorError, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command
@@ -58,12 +58,12 @@ def _run(frames: int) -> RunRecord:
 
 
 def _write_bag(folder: Path, n: int) -> Path:
-    write_bag(folder / "bag", "/twin", "donkey", _run(n), {"driver": "autopilot"}, "telemetry")
+    write_bag(folder / "bag", "/twin", DONKEY, _run(n), {"driver": "autopilot"}, "telemetry")
     return folder / "bag"
 
 
 def _write_image_bag(folder: Path, n: int) -> Path:
-    write_bag(folder / "bag", "/twin", "donkey", _run(n), {"driver": "autopilot"}, "compressed")
+    write_bag(folder / "bag", "/twin", DONKEY, _run(n), {"driver": "autopilot"}, "compressed")
     return folder / "bag"
 
 

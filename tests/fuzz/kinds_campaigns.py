@@ -38,6 +38,7 @@ from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.store.store import Store
 from ds_road import RoadError
 from ds_road.files import read_roads
+from ds_sim import BULLET
 from ds_sim.camera.encodings import jpeg
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
@@ -96,7 +97,7 @@ def _write_store(folder: Path, n: int) -> Path:
                 state=GateState.INFEASIBLE, message="too far", outcome=Outcome.OUT_OF_BOUNDS, visible_contrast=0.7
             )
             store.add_gate(test.test_id, executions[0].simulator, gate)
-    store.add_search("bullet", 0, "deephyperion", n)
+    store.add_search(BULLET, 0, "deephyperion", n)
     store.set_result("maps", n)
     store.close()
     return folder / "campaign.sqlite"

@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 
 from ds_road import Road
+from ds_sim.registry import DONKEY
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
-SPACE = {"donkey": "/ds1"}
+SPACE = {DONKEY: "/ds1"}
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from ds_orchestrator.campaign.config import parse_config
+from ds_sim.registry import SimulatorName
 
 pytestmark = pytest.mark.graph
 
@@ -44,7 +45,7 @@ def test_a_campaign_outlives_its_driver(
     )
 
     def separate(
-        _driver: str, namespaces: dict[str, str], limit: float, *, composed: bool, draw: str
+        _driver: str, namespaces: dict[SimulatorName, str], limit: float, *, composed: bool, draw: str
     ) -> list[ProcessSpec]:
         assert composed and draw == "seen"
         return [*simulator_processes(namespaces, limit), faulty]

@@ -14,6 +14,7 @@ import pytest
 
 from ds_driver.networks.driver_name import DriverName
 from ds_road import Road
+from ds_sim.registry import DONKEY
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
@@ -50,7 +51,7 @@ def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Pat
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
         with running_graph(
-            {"donkey": "/ds1"}, DriverName("ordered_driver:Ordered"), command_timeout=LIMIT, logs=folder / "logs"
+            {DONKEY: "/ds1"}, DriverName("ordered_driver:Ordered"), command_timeout=LIMIT, logs=folder / "logs"
         ) as executor:
             yield executor, folder / "order"
 
@@ -73,10 +74,10 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
     here = drive_road(simulator, make_driver("dave2_short", simulator.spec), STRAIGHT, 1)
     top = simulator.spec.crop_top
     simulator.close()
-    spaces = {"donkey": "/ds1"}
+    spaces = {DONKEY: "/ds1"}
     with running_graph(spaces, DriverName("dave2_short"), command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
-        unseen = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
+        unseen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
         node = Node("viewer", context=executor.context)
         images: list[Any] = []
         node.create_subscription(Image, "/ds1/camera/image_raw", images.append, 1000)
@@ -84,7 +85,7 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
         client = node.create_client(GetSimulatorInfo, "/ds1/get_info")
         viewer = NodeThread(node)
         assert viewer.ask(client, GetSimulatorInfo.Request(), 30.0)
-        seen = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
+        seen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
         deadline = time.monotonic() + 20.0
         while len(images) < len(seen.observations) and time.monotonic() < deadline:
             time.sleep(0.05)

@@ -15,13 +15,13 @@ from ds_orchestrator.campaign.executor import trajectory_sha256 as digest
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
-DONKEY, QUICK = "donkey", "tests.engines.quick_simulator:QuickSimulator"
+QUICK = SimulatorName("tests.engines.quick_simulator:QuickSimulator")
 SPACES = {DONKEY: "/ds1", QUICK: "/ds2"}
 SHORT = Road([(125.0, 40.0), (125.0, 65.0), (128.0, 90.0), (131.0, 115.0), (131.0, 140.0)])
 OF_NODE, OF_GOAL = Conditions(tyre_pull=0.01), Conditions(steering_lag=0.3, tyre_pull=-0.01)

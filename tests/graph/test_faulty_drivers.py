@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 
 from ds_road import Road
+from ds_sim import DONKEY
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 pytestmark = pytest.mark.graph
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
-SPACE = {"donkey": "/ds1"}
+SPACE = {DONKEY: "/ds1"}
 LIMIT = 2.0
 """Command timeout of the simulator, s."""
 BUSY, PATIENT = 60.0, 30.0
@@ -56,7 +57,7 @@ class Bench:
         """Drive the straight road with a command timeout; return the run and its wall-clock time, s."""
         self.executor._timeout = limit
         began = time.monotonic()
-        run = self.executor.execute("donkey", Scenario(STRAIGHT, seed=1))
+        run = self.executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
         return run, time.monotonic() - began
 
     def drive_until_completed(self) -> None:

@@ -15,6 +15,7 @@ import pytest
 from ament_index_python.packages import get_package_prefix
 
 from ds_road import Road
+from ds_sim.registry import DONKEY
 
 pytestmark = pytest.mark.graph
 
@@ -215,7 +216,7 @@ def test_a_node_ends_in_the_midst_of_a_run(
     driver = start("ds_driver/autopilot", domain, "-r", "__ns:=/a/b")
     read_until(process, "is ready")
     read_until(driver, "drives")
-    executor = GraphClient({"donkey": "/a/b"}, domain=domain, command_timeout=20.0)
+    executor = GraphClient({DONKEY: "/a/b"}, domain=domain, command_timeout=20.0)
     try:
         executor.wait_until_ready(30.0)
         import threading

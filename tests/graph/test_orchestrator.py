@@ -17,6 +17,7 @@ from benchmarks.kill import stored
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.folder import open_store
 from ds_road import generate
+from ds_sim import BULLET, DONKEY
 
 pytestmark = pytest.mark.graph
 
@@ -96,7 +97,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
 
     domain, root = RosDomain(), tmp_path_factory.mktemp("root")
     specs = [
-        *closed_loop_processes(AUTOPILOT, {"bullet": "/ds1", "donkey": "/twin"}, 10.0),
+        *closed_loop_processes(AUTOPILOT, {BULLET: "/ds1", DONKEY: "/twin"}, 10.0),
         ProcessSpec(name="orchestrator", module=MODULE, parameters={"root": str(root)}),
     ]
     supervisor = Supervisor(specs, domain=domain.number, logs=tmp_path_factory.mktemp("logs"))

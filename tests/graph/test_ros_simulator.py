@@ -21,7 +21,7 @@ from ds_base.processes import ChildProcesses
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Observation, Outcome
@@ -106,10 +106,10 @@ def described(folder: Path, *, timeout: float = TIMEOUT, **changes: Any) -> str:
 
 
 @pytest.fixture(scope="module")
-def foreign(start: Start, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def foreign(start: Start, tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatorName]:
     """A simulator in lock-step; yields the sibling's name."""
     process = start()
-    yield described(tmp_path_factory.mktemp("description"), timeout=5.0)
+    yield SimulatorName(described(tmp_path_factory.mktemp("description"), timeout=5.0))
     end(process)
 
 
@@ -158,7 +158,7 @@ def driven(name: str, road: Road = BENDS, act: Callable[[], None] | None = None)
         simulator.close()
 
 
-def test_the_autopilot_completes_a_road_and_a_run_repeats_its_bytes(foreign: str) -> None:
+def test_the_autopilot_completes_a_road_and_a_run_repeats_its_bytes(foreign: SimulatorName) -> None:
     simulator = make_simulator(foreign)
     first = drive(simulator, BENDS, make_driver("autopilot", simulator.spec))
     drive(simulator, STRAIGHT, lambda seen: Command(0.4, 1.0), steps=20)
@@ -169,7 +169,7 @@ def test_the_autopilot_completes_a_road_and_a_run_repeats_its_bytes(foreign: str
 
 
 @pytest.mark.parametrize("check", [c if c in SHORT else pytest.param(c, marks=pytest.mark.long) for c in CHECKS])
-def test_it_promises_what_every_simulator_does(foreign: str, check: str) -> None:
+def test_it_promises_what_every_simulator_does(foreign: SimulatorName, check: str) -> None:
     run_check(check, foreign)
 
 
@@ -178,7 +178,7 @@ def test_the_page_shows_the_example_that_runs() -> None:
     assert f"```yaml\n{text}```" in Path("docs/any_ros_simulator.md").read_text()
 
 
-def test_a_vehicle_has_one_driver_at_a_time(foreign: str) -> None:
+def test_a_vehicle_has_one_driver_at_a_time(foreign: SimulatorName) -> None:
     one, other = make_simulator(foreign), make_simulator(foreign)
     one.load(STRAIGHT, seed=1)
     run = drive_road(other, lambda seen: Command(0.0, 0.0), STRAIGHT, 1)
@@ -188,13 +188,13 @@ def test_a_vehicle_has_one_driver_at_a_time(foreign: str) -> None:
     assert "foreign: another run drives this simulator, which has one vehicle: drive one road at a time" in run.message
 
 
-def test_a_command_that_nobody_takes_is_one_line(foreign: str, tmp_path: Path) -> None:
+def test_a_command_that_nobody_takes_is_one_line(foreign: SimulatorName, tmp_path: Path) -> None:
     run = driven(described(tmp_path, command={"topic": "/car/cmd", "type": "twist_stamped"}))
     assert "command of the type geometry_msgs/msg/TwistStamped" in run.message
     assert "geometry_msgs/msg/Twist" in run.message and "\n" not in run.message
 
 
-def test_the_graph_of_the_command_line_drives_it(foreign: str, tmp_path: Path) -> None:
+def test_the_graph_of_the_command_line_drives_it(foreign: SimulatorName, tmp_path: Path) -> None:
     """The graph of the command line has a ROS domain of its own; the simulator is looked for in the user's."""
     from ds_orchestrator.graph.session import running_graph
 

@@ -18,7 +18,7 @@ import pytest
 from ds_base.processes import ChildProcesses
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate
-from ds_sim.registry import spec_of
+from ds_sim.registry import DONKEY, spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
@@ -26,7 +26,7 @@ from ds_sim.simulator import Outcome, Reason
 pytestmark = pytest.mark.graph
 
 ROAD = generate(np.random.default_rng(21), max_angle=120)
-SPACE = {"donkey": "/ds1"}
+SPACE = {DONKEY: "/ds1"}
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +203,7 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     )
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     with running_graph(SPACE, DriverName("late:Late"), command_timeout=6.0, logs=logs) as executor:
-        run = executor.execute("donkey", Scenario(ROAD, seed=1))
+        run = executor.execute(DONKEY, Scenario(ROAD, seed=1))
     assert run.outcome is Outcome.DRIVER_SILENT and run.steps == 5
     assert "no command within 6 s" in run.message and "steering is nan" in run.message
     log = (logs / "closed_loop_ds1.log").read_text()

@@ -17,7 +17,7 @@ from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator,
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.translator import Translator
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.scenario import Scenario
 
 pytestmark = pytest.mark.graph
@@ -46,7 +46,7 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
     here = drive_road(simulator, make_driver(driver, simulator.spec), STRAIGHT, 1)
     first = simulator.load(STRAIGHT, seed=1).image
     simulator.close()
-    with running_graph({"donkey": "/ds1"}, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+    with running_graph({DONKEY: "/ds1"}, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         node = Node("viewer", context=executor.context)
         images: list[Any] = []
         node.create_subscription(Image, "/ds1/sim2real/image_raw", images.append, 1000)
@@ -54,7 +54,7 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
         # The driver has discovered the subscription once it answers a client that was made after it.
         client = node.create_client(GetParameters, "/ds1/driver/get_parameters")
         assert viewer.ask(client, GetParameters.Request(names=["use_sim_time"]), 20.0)
-        there = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
+        there = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
         deadline = time.monotonic() + 10.0
         while len(images) < len(there.commands) and time.monotonic() < deadline:
             time.sleep(0.05)

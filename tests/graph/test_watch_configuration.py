@@ -23,13 +23,13 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ds_orchestrator.campaign.engine import namespaces_of
 from ds_orchestrator.graph.session import RosDomain
 from ds_sim.frames import ROAD_FRAME, base_frame, camera_frame
-from ds_sim.registry import spec_of
+from ds_sim.registry import BULLET, DONKEY, SOFTBODY, spec_of
 from ds_sim.ros.frame_publisher import FramePublisher
 
 CONFIG = Path(__file__).resolve().parents[2] / "src/ds_bringup/config"
 LAYOUT: dict[str, Any] = json.loads((CONFIG / "foxglove_layout.json").read_text())
 RVIZ: dict[str, Any] = yaml.safe_load((CONFIG / "watch.rviz").read_text())["Visualization Manager"]
-NAMESPACES = tuple(namespaces_of(["bullet", "softbody"], "donkey").values())
+NAMESPACES = tuple(namespaces_of([BULLET, SOFTBODY], DONKEY).values())
 DISPLAYS = {
     "rviz_default_plugins/Image": "sensor_msgs/msg/Image",
     "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",

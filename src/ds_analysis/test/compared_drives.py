@@ -12,6 +12,7 @@ import numpy as np
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_driver.networks.driver_name import DriverName
 from ds_road import Road, generate
+from ds_sim import SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
@@ -48,7 +49,7 @@ def pairs(
                 cell=(number % 2, 10),
                 unsearched=number in unsearched,
             ),
-            simulator=simulator,
+            simulator=SimulatorName(simulator),
             reference=outcome(before),
             candidate=outcome(after),
         )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from ds_orchestrator.store.model import NO_DRIVE, DriveArrays, Execution
+from ds_sim import SimulatorName
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 
@@ -19,7 +20,7 @@ def made_execution(
     """An execution whose largest lateral position is `largest`, m."""
     return Execution(
         test_id=test_id,
-        simulator=simulator,
+        simulator=SimulatorName(simulator),
         outcome=outcome,
         message="",
         fitness=2.0 - largest,

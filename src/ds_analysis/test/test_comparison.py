@@ -45,11 +45,12 @@ from ds_base.palette import FAIL, PASS, rgb
 from ds_orchestrator.campaign.config import ConfigError
 from ds_report.comparison_page import grids_of, style_of_difference, write_comparison_page
 from ds_road import generate
+from ds_sim import BULLET, DONKEY
 from ds_sim.scenario import Scenario
 
 
 def compared(drives: list[PairedDrive], **more: Any) -> Comparison:
-    names = list(dict.fromkeys(drive.simulator for drive in drives)) or ["bullet"]
+    names = list(dict.fromkeys(drive.simulator for drive in drives)) or [BULLET]
     given: dict[str, Any] = {"origin": "random", "source": "made up", "simulators": names, **more}
     return compare_networks(drives, reference=OLD, candidate=NEW, **given)
 
@@ -190,7 +191,7 @@ def test_identical_drives_are_said_to_be_identical() -> None:
     same = [
         PairedDrive(
             test=ComparedTest(name="a-0-0000", scenario=drive.test.scenario),
-            simulator="bullet",
+            simulator=BULLET,
             reference=outcome(True, key="same"),
             candidate=outcome(True, key="same"),
         )
@@ -223,7 +224,7 @@ def test_cells_pool_their_own_tests_on_each_simulator() -> None:
 
 
 def test_criteria_name_what_they_miss() -> None:
-    tally = {"bullet": (2, 40), "donkey": (3, 40)}
+    tally = {BULLET: (2, 40), DONKEY: (3, 40)}
     assert Criteria().unmet(tally) == []
     assert Criteria(fail_on="failure").unmet(tally) == ["tests fail: 2 on bullet, 3 on donkey"]
     assert Criteria(fail_on="regression").unmet(tally, newly_failing=0) == []

@@ -16,6 +16,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_road import Road
+from ds_sim import BULLET
 from ds_sim.conditions.model import Conditions
 from ds_sim.oracle import LaneTracker
 from ds_sim.scenario import Scenario
@@ -48,7 +49,7 @@ def failed(
 
 
 def made_test(road: Road, **conditions: float) -> Test:
-    return Test("bullet-0-0000", Scenario(road, Conditions(**conditions), seed=1), Origin("bullet", 0, 0))
+    return Test("bullet-0-0000", Scenario(road, Conditions(**conditions), seed=1), Origin(BULLET, 0, 0))
 
 
 def straight_on(road: Road) -> Array:
@@ -120,7 +121,7 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     # The same road under the same conditions would count once.
     tests = [replace(made_test(RIGHT, visibility=50.0 + k), test_id=f"bullet-0-{k:04d}") for k in range(9)]
     executions = [replace(straight if k == 0 else wide, test_id=test.test_id) for k, test in enumerate(tests)]
-    config = CampaignConfig(siblings=["bullet"], driver=AUTOPILOT)
+    config = CampaignConfig(siblings=[BULLET], driver=AUTOPILOT)
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
     assert [where(group) for group in groups.values()] == ["8 on bullet", "1 on bullet"]

@@ -25,11 +25,13 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_fr
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, feature_of
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_road import Road, generate
+from ds_sim import SimulatorName
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
-SIBLINGS = ["a", "b", "c"]
+ON_A, ON_B, ON_C = SIBLINGS = list(map(SimulatorName, "abc"))
+TWIN = SimulatorName("twin")
 M = MapId.merged()
 """Identity of maps in tests that do not depend on it."""
 ROADS = {road.turns_count: road for road in (generate(np.random.default_rng(s), max_angle=200) for s in range(40))}
@@ -38,7 +40,7 @@ X, Y = sorted(ROADS)[:2]
 
 
 def make_test(test_id: str, sibling: str, turns: int) -> Test:
-    return Test(test_id, Scenario(ROADS[turns], seed=1), Origin(sibling, 0, 0))
+    return Test(test_id, Scenario(ROADS[turns], seed=1), Origin(SimulatorName(sibling), 0, 0))
 
 
 def make_execution(test_id: str, simulator: str, lateral: float, outcome: Outcome | None = None) -> Execution:
@@ -66,24 +68,24 @@ def probabilities(feature_map: FeatureMap) -> dict[Cell, Any]:
 
 
 def test_maps_of_the_hand_worked_campaign() -> None:
-    maps = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS)
+    maps = build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS)
     x, y = CELLS[X], CELLS[Y]
     # a on its own three tests in X: only a0 fails.
-    assert probabilities(maps[MapId.search("a")]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
+    assert probabilities(maps[MapId.search(ON_A)]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
     # b's tests on a: b0 fails in X, none in Y.
-    assert probabilities(maps[MapId.migration("b", "a")]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
+    assert probabilities(maps[MapId.migration(ON_B, ON_A)]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
     # Nine tests of X on a: a0, b0, c0 fail; three of Y: c3.
-    assert probabilities(maps[MapId.union("a")]) == {x: (9, pytest.approx(3 / 9)), y: (3, pytest.approx(1 / 3))}
-    assert probabilities(maps[MapId.union("b")]) == {x: (9, pytest.approx(4 / 9)), y: (3, pytest.approx(1 / 3))}
-    assert probabilities(maps[MapId.union("c")]) == {x: (9, pytest.approx(2 / 9)), y: (3, 0.0)}
+    assert probabilities(maps[MapId.union(ON_A)]) == {x: (9, pytest.approx(3 / 9)), y: (3, pytest.approx(1 / 3))}
+    assert probabilities(maps[MapId.union(ON_B)]) == {x: (9, pytest.approx(4 / 9)), y: (3, pytest.approx(1 / 3))}
+    assert probabilities(maps[MapId.union(ON_C)]) == {x: (9, pytest.approx(2 / 9)), y: (3, 0.0)}
     merged = probabilities(maps[MapId.merged()])
     assert merged == {x: (9, pytest.approx(3 / 9 * 4 / 9 * 2 / 9)), y: (3, 0.0)}
-    assert probabilities(maps[MapId.twin("twin")]) == {x: (9, pytest.approx(2 / 9)), y: (3, 0.0)}
+    assert probabilities(maps[MapId.twin(TWIN)]) == {x: (9, pytest.approx(2 / 9)), y: (3, 0.0)}
     # Quality over the range 0.5 to 2.5: 2.5 -> 1, 2.1 -> 0.8. Cell X on a: (1 + 0.8 + 0.8) / 9, on c: (0.8 + 0.8) / 9.
-    assert maps[MapId.union("a")].cells[x].quality_loss == pytest.approx(2.6 / 9)
-    assert maps[MapId.union("c")].cells[x].quality_loss == pytest.approx(1.6 / 9)
+    assert maps[MapId.union(ON_A)].cells[x].quality_loss == pytest.approx(2.6 / 9)
+    assert maps[MapId.union(ON_C)].cells[x].quality_loss == pytest.approx(1.6 / 9)
     assert maps[MapId.merged()].cells[x].quality_loss == pytest.approx(1.6 / 9)
-    assert maps[MapId.merged()].cells[x].failures is None and maps[MapId.union("a")].cells[x].failures == 3
+    assert maps[MapId.merged()].cells[x].failures is None and maps[MapId.union(ON_A)].cells[x].failures == 3
 
 
 def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
@@ -94,8 +96,8 @@ def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
         for e in EXECUTIONS
     ]
     maps = build_maps(SIBLINGS, None, TESTS, lost)
-    assert CELLS[Y] not in maps[MapId.union("b")].cells and CELLS[Y] not in maps[MapId.merged()].cells
-    assert CELLS[Y] in maps[MapId.union("a")].cells
+    assert CELLS[Y] not in maps[MapId.union(ON_B)].cells and CELLS[Y] not in maps[MapId.merged()].cells
+    assert CELLS[Y] in maps[MapId.union(ON_A)].cells
     assert not any(map_id.kind == "twin" for map_id in maps)
     json.dumps(to_json(maps), allow_nan=False)
 
@@ -103,43 +105,43 @@ def test_errors_enter_no_map_and_an_empty_cell_is_not_zero() -> None:
 def test_excluded_tests_are_counted_apart_and_in_no_probability() -> None:
     """`a0` is excluded on its own sibling `a`, `b1` on `c` and on the twin."""
     valid, out = Gate(state=GateState.VALID), Gate(state=GateState.OUT_OF_ODD)
-    excluded = {("a0", "a"), ("b1", "c"), ("b1", "twin")}
+    excluded = {("a0", ON_A), ("b1", ON_C), ("b1", TWIN)}
     gates = {(e.test_id, e.simulator): valid for e in EXECUTIONS} | dict.fromkeys(excluded, out)
     done = [e for e in EXECUTIONS if (e.test_id, e.simulator) not in excluded]
-    maps = build_maps(SIBLINGS, "twin", TESTS, done, gates=gates)
+    maps = build_maps(SIBLINGS, TWIN, TESTS, done, gates=gates)
     x = CELLS[X]
     found = {map_id.name: feature_map.excluded for map_id, feature_map in maps.items() if feature_map.excluded}
-    search, migration, on_twin = MapId.search("a"), MapId.migration("b", "c"), MapId.migration("b", "twin")
+    search, migration, on_twin = MapId.search(ON_A), MapId.migration(ON_B, ON_C), MapId.migration(ON_B, TWIN)
     assert found == {
         map_id.name: {x: count}
         for map_id, count in {
             search: 1,
             migration: 1,
             on_twin: 1,
-            MapId.union("a"): 1,
-            MapId.union("c"): 1,
-            MapId.twin("twin"): 1,
+            MapId.union(ON_A): 1,
+            MapId.union(ON_C): 1,
+            MapId.twin(TWIN): 1,
             M: 2,
         }.items()
     }
-    assert probabilities(maps[MapId.union("a")])[x] == (8, pytest.approx(2 / 8))
+    assert probabilities(maps[MapId.union(ON_A)])[x] == (8, pytest.approx(2 / 8))
     document = json.loads(json.dumps(to_json(maps), allow_nan=False))
     assert document[M.name]["excluded"] == [{"turns_count": x[0], "curvature": x[1], "tests": 2}]
-    assert "excluded" not in document[MapId.search("b").name]
+    assert "excluded" not in document[MapId.search(ON_B).name]
     frame = maps_frame(maps)
     row = frame[(frame["map"] == M.name) & (frame["turns_count"] == x[0])]
     assert row["excluded"].tolist() == [2] and frame["excluded"].sum() == 8
-    without = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS, gates=dict.fromkeys(gates, valid))
-    assert to_json(without) == to_json(build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS))
+    without = build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS, gates=dict.fromkeys(gates, valid))
+    assert to_json(without) == to_json(build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS))
 
 
 def test_the_measured_contrast_of_lines_is_that_of_the_sibling_that_searched() -> None:
     axes = ("turns_count", "visible_contrast")
     gates = {
-        ("a0", "a"): Gate(state=GateState.VALID, outcome=Outcome.COMPLETED, visible_contrast=0.85),  # 0.05 x 2^4 = 0.8
-        ("a0", "b"): Gate(state=GateState.VALID, outcome=Outcome.COMPLETED, visible_contrast=9.0),
-        ("a1", "a"): Gate(state=GateState.OUT_OF_ODD, outcome=Outcome.COMPLETED, visible_contrast=0.0),
-        ("a2", "a"): Gate(state=GateState.NOT_APPLICABLE),
+        ("a0", ON_A): Gate(state=GateState.VALID, outcome=Outcome.COMPLETED, visible_contrast=0.85),  # 0.05 x 2^4 = 0.8
+        ("a0", ON_B): Gate(state=GateState.VALID, outcome=Outcome.COMPLETED, visible_contrast=9.0),
+        ("a1", ON_A): Gate(state=GateState.OUT_OF_ODD, outcome=Outcome.COMPLETED, visible_contrast=0.0),
+        ("a2", ON_A): Gate(state=GateState.NOT_APPLICABLE),
     }
     cells = cells_of(TESTS, EXECUTIONS, features=axes, gates=gates)
     assert cells == {"a0": (X, 4), "a1": (X, 0)}
@@ -149,7 +151,7 @@ def test_the_measured_contrast_of_lines_is_that_of_the_sibling_that_searched() -
 def test_stuck_and_timeout_are_failures() -> None:
     tests = [make_test("a0", "a", X), make_test("a1", "a", X)]
     done = [make_execution("a0", "a", 0.1, Outcome.STUCK), make_execution("a1", "a", 0.1, Outcome.TIMEOUT)]
-    assert build_maps(["a"], None, tests, done)[MapId.union("a")].cells[CELLS[X]].probability == 1.0
+    assert build_maps([ON_A], None, tests, done)[MapId.union(ON_A)].cells[CELLS[X]].probability == 1.0
 
 
 cells = st.dictionaries(
@@ -210,7 +212,7 @@ def test_both_qualities_of_a_union_with_unequal_counts() -> None:
     """Nine tests of 0.1 and one of 0.9: the paper's mean of the maps' means is 0.5, maxitwo's mean of tests 0.18."""
     many = FeatureMap(id=M, cells={(1, 5): MapCell(tests=9, failures=0, probability=0.0, quality_loss=0.1)})
     one = FeatureMap(
-        id=MapId.union("b"),
+        id=MapId.union(ON_B),
         cells={
             (1, 5): MapCell(tests=1, failures=1, probability=1.0, quality_loss=0.9),
             (2, 5): MapCell(tests=1, failures=1, probability=1.0, quality_loss=0.9),
@@ -225,10 +227,10 @@ def test_both_qualities_of_a_union_with_unequal_counts() -> None:
 
 
 def test_maps_of_different_features_do_not_mix() -> None:
-    other = FeatureMap(id=MapId.union("b"), cells={}, features=DEFAULT_AXES[::-1])
+    other = FeatureMap(id=MapId.union(ON_B), cells={}, features=DEFAULT_AXES[::-1])
     for combine in (union, merge):
         with pytest.raises(ValueError, match="different features"):
-            combine(M, [FeatureMap(id=MapId.union("a"), cells={}), other])
+            combine(M, [FeatureMap(id=MapId.union(ON_A), cells={}), other])
         with pytest.raises(ValueError, match="no maps"):
             combine(M, [])
 
@@ -245,18 +247,18 @@ def test_elites_of_the_hand_worked_campaign() -> None:
 
 def test_migrated_elites_and_the_published_way() -> None:
     x, y = CELLS[X], CELLS[Y]
-    chosen = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True))
-    assert probabilities(chosen[MapId.search("a")]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
+    chosen = build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS, MapPlan(elites_only=True))
+    assert probabilities(chosen[MapId.search(ON_A)]) == {x: (3, pytest.approx(1 / 3)), y: (1, 0.0)}
     # a0 and b0 fail on a, c2 does not; of a3, b3 and c3 only c3 does.
-    assert probabilities(chosen[MapId.union("a")]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
-    assert probabilities(chosen[MapId.union("b")]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
-    assert probabilities(chosen[MapId.twin("twin")]) == {x: (3, pytest.approx(2 / 3)), y: (3, 0.0)}
+    assert probabilities(chosen[MapId.union(ON_A)]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
+    assert probabilities(chosen[MapId.union(ON_B)]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
+    assert probabilities(chosen[MapId.twin(TWIN)]) == {x: (3, pytest.approx(2 / 3)), y: (3, 0.0)}
     assert probabilities(chosen[MapId.merged()])[x] == (3, pytest.approx(2 / 3 * 2 / 3 * 2 / 3))
     maxitwo_compatible = build_maps(
-        SIBLINGS, "twin", TESTS, EXECUTIONS, MapPlan(elites_only=True, maxitwo_compatible=True, quality_loss="maximum")
+        SIBLINGS, TWIN, TESTS, EXECUTIONS, MapPlan(elites_only=True, maxitwo_compatible=True, quality_loss="maximum")
     )
-    assert all(value.tests == 1 for value in maxitwo_compatible[MapId.search("a")].cells.values())
-    assert maxitwo_compatible[MapId.search("a")].cells.keys() <= {
+    assert all(value.tests == 1 for value in maxitwo_compatible[MapId.search(ON_A)].cells.values())
+    assert maxitwo_compatible[MapId.search(ON_A)].cells.keys() <= {
         (r.turns_count_maxitwo, int(100 * r.curvature)) for r in ROADS.values()
     }
 
@@ -337,7 +339,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     unions = {}
     for target in names:
         parts = [feature_map(counted[origin, target]) for origin in "ab"]
-        united = union(MapId.union(target), parts, pooled_quality_loss=True)
+        united = union(MapId.union(SimulatorName(target)), parts, pooled_quality_loss=True)
         for cell, group in pooled(target).items():
             assert united.cells[cell].probability == sum(failed for failed, _ in group) / len(group)
             assert united.cells[cell].quality_loss == pytest.approx(sum(value for _, value in group) / len(group))
@@ -362,10 +364,16 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     assert found.r == pytest.approx(np.corrcoef(score, truth)[0, 1])
     fails = np.array(truth) > 0
     assert found.auc == pytest.approx(average_precision(score, fails)) and found.baseline == fails.mean()
-    searches = {MapId.search(n): feature_map(counted[n, n]) for n in "ab"}
-    own = {MapId.migration(n, "twin"): feature_map(counted[n, "twin"]) for n in "ab"}
-    maps = {**searches, **own, MapId.union("a"): unions["a"], MapId.union("b"): unions["b"], MapId.merged(): merged}
-    others = check_robustness({**maps, MapId.twin("twin"): unions["twin"]}, ["a", "b"], "twin")
+    searches = {MapId.search(SimulatorName(n)): feature_map(counted[n, n]) for n in "ab"}
+    own = {MapId.migration(SimulatorName(n), TWIN): feature_map(counted[n, "twin"]) for n in "ab"}
+    maps = {
+        **searches,
+        **own,
+        MapId.union(ON_A): unions["a"],
+        MapId.union(ON_B): unions["b"],
+        MapId.merged(): merged,
+    }
+    others = check_robustness({**maps, MapId.twin(TWIN): unions["twin"]}, [ON_A, ON_B], TWIN)
     (filled_row,) = [v for v in others if "-2" in v.what and v.map == MapId.merged() and v.value == "probability"]
     low, high = np.min(sorted(a), axis=0), np.max(sorted(a), axis=0)
     grid = [(i, j) for i in range(low[0], high[0] + 1) for j in range(low[1], high[1] + 1)]
@@ -408,11 +416,13 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
     rng = np.random.default_rng(12)
     truth = np.round(rng.random(50) * (rng.random(50) < 0.5), 2)
     good, bad = (np.clip(truth + rng.normal(0, noise, 50), 0, 1) for noise in (0.2, 0.6))
-    a, b, t = MapId.union("a"), MapId.union("b"), MapId.twin("t")
+    a, b, t = MapId.union(ON_A), MapId.union(ON_B), MapId.twin(TWIN)
     values = {a: [*good.tolist(), 1.0], b: bad.tolist(), t: [*truth.tolist(), 0.0]}
     unions = {map_id: replace(row(of_cells), id=map_id) for map_id, of_cells in values.items()}
     maps = {**unions, MapId.merged(): merge(M, [unions[a], unions[b]], probability="product")}
-    over_a, over_b = (g for g in paired_differences(maps, ["a", "b"], "t", resamples=400) if g.value == "probability")
+    over_a, over_b = (
+        g for g in paired_differences(maps, [ON_A, ON_B], TWIN, resamples=400) if g.value == "probability"
+    )
     merged = good * bad
     assert (over_a.over, over_b.over, over_a.cells, over_b.cells) == (a, b, 50, 50)
 
@@ -428,9 +438,9 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
         assert gain.auc == pytest.approx(precisions[0] - precisions[1])
     assert over_a.r is not None and over_b.r is not None and over_a.r < over_b.r
     # One sibling: no differences. A twin without failures: both numbers are undefined.
-    assert paired_differences(maps, ["a"], "t") == []
-    safe = {**maps, MapId.twin("t"): row([0.0] * 50)}
-    assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in paired_differences(safe, ["a", "b"], "t")} == {
+    assert paired_differences(maps, [ON_A], TWIN) == []
+    safe = {**maps, MapId.twin(TWIN): row([0.0] * 50)}
+    assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in paired_differences(safe, [ON_A, ON_B], TWIN)} == {
         (None,) * 4
     }
 
@@ -452,20 +462,23 @@ def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_generated_the_te
     tests = [make_test("a0", "a", X), make_test("b0", "b", X)]
     done = [steered("a0", "a", [0.5, -0.5]), steered("a0", "b", [0.1, 0.1]), steered("b0", "a", [0.2, -0.2])]
     plan = MapPlan(features=("steering_deviation", "mean_lateral_position:10", "turns_count"))
-    maps = build_maps(["a", "b"], None, tests, done, plan)
+    maps = build_maps([ON_A, ON_B], None, tests, done, plan)
     cell = (50, 2, X)  # deviation 0.5; 25 cm in steps of ten
-    assert set(maps[MapId.search("a")].cells) == set(maps[MapId.migration("a", "b")].cells) == {cell}
-    assert set(maps[MapId.union("a")].cells) == set(maps[MapId.union("b")].cells) == {cell}
-    assert not maps[MapId.search("b")].cells and not maps[MapId.migration("b", "a")].cells
-    (sliced,) = slices_of(maps[MapId.union("a")])
+    assert set(maps[MapId.search(ON_A)].cells) == set(maps[MapId.migration(ON_A, ON_B)].cells) == {cell}
+    assert set(maps[MapId.union(ON_A)].cells) == set(maps[MapId.union(ON_B)].cells) == {cell}
+    assert not maps[MapId.search(ON_B)].cells and not maps[MapId.migration(ON_B, ON_A)].cells
+    (sliced,) = slices_of(maps[MapId.union(ON_A)])
     assert sliced.features == tuple(map(feature_of, plan.features[:2])) and set(sliced.cells) == {(50, 2)}
 
 
 def test_counts_add_up_over_origins() -> None:
-    maps = build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS)
+    maps = build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS)
     for sibling in SIBLINGS:
-        parts = [maps[MapId.search(sibling)], *(maps[MapId.migration(o, sibling)] for o in SIBLINGS if o != sibling)]
-        for cell, value in maps[MapId.union(sibling)].cells.items():
+        parts = [
+            maps[MapId.search(SimulatorName(sibling))],
+            *(maps[MapId.migration(SimulatorName(o), SimulatorName(sibling))] for o in SIBLINGS if o != sibling),
+        ]
+        for cell, value in maps[MapId.union(SimulatorName(sibling))].cells.items():
             assert value.tests == sum(p.cells[cell].tests for p in parts if cell in p.cells)
             assert value.failures == sum(p.cells[cell].failures or 0 for p in parts if cell in p.cells)
 
@@ -509,7 +522,7 @@ def test_a_correlation_that_is_not_defined_says_why(ours: list[float], truth: li
 
 
 def test_every_sibling_and_the_merge_are_compared_with_the_twin() -> None:
-    found = evaluate(build_maps(SIBLINGS, "twin", TESTS, EXECUTIONS), SIBLINGS, "twin", resamples=20)
+    found = evaluate(build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS), SIBLINGS, TWIN, resamples=20)
     ids = [*map(MapId.union, SIBLINGS), MapId.merged()]
     assert [(c.map, c.value) for c in found] == [(i, v) for v in ("probability", "quality_loss") for i in ids]
 

@@ -16,6 +16,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Origin, Test
 from ds_road import generate
+from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
@@ -67,7 +68,7 @@ def campaign(tests: int, copies: int) -> CampaignData:
     """Distinct roads, and copies of the first; a fails on all, b on every second, the twin on none."""
     roads = [generate(np.random.default_rng(number)) for number in range(tests)]
     made = [
-        Test(f"a-0-{number:04d}", Scenario(road, seed=number), Origin("a", 0, number))
+        Test(f"a-0-{number:04d}", Scenario(road, seed=number), Origin(SimulatorName("a"), 0, number))
         for number, road in enumerate([*roads, *roads[:1] * copies])
     ]
     executions = [
@@ -75,7 +76,7 @@ def campaign(tests: int, copies: int) -> CampaignData:
         for test in made
         for name, failed in (("a", True), ("b", test.number % 2 == 0), ("donkey", False))
     ]
-    config = CampaignConfig(siblings=["bullet", "softbody"], twin="donkey").model_copy(update={"siblings": ["a", "b"]})
+    config = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=DONKEY).model_copy(update={"siblings": ["a", "b"]})
     return CampaignData(config=config, tests=tuple(made), executions=tuple(executions))
 
 

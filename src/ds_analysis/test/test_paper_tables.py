@@ -16,6 +16,9 @@ from ds_analysis.paper.correlation import Correlation, PairedDifference, Robustn
 from ds_analysis.paper.paper_tables import correlation_tables, paired_difference_table, robustness_table, role_of
 from ds_base.table import Column, Table, TableError, keep_tables, read_tables, shown, write_tables
 from ds_orchestrator.maps.feature_map import MapId
+from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
+
+Y = SimulatorName("y")
 
 TABLE = Table(
     name="t",
@@ -123,15 +126,15 @@ def found(map_id: MapId, value: str, r: float | None) -> Correlation:
 
 
 def test_the_papers_numbers_are_in_the_campaigns_rows() -> None:
-    ids = [MapId.union("softbody"), MapId.union("bullet"), MapId.merged()]
+    ids = [MapId.union(SOFTBODY), MapId.union(BULLET), MapId.merged()]
     rows = [found(i, v, None if i == MapId.merged() else 0.4) for v in ("probability", "quality_loss") for i in ids]
-    rq2, rq3 = correlation_tables(rows, ["softbody", "bullet"], "donkey", ("epoch", "real"))
+    rq2, rq3 = correlation_tables(rows, [SOFTBODY, BULLET], DONKEY, ("epoch", "real"))
     at = {c.name: k for k, c in enumerate(rq2.columns)}
     assert [row[0] for row in rq2.rows] == ["DS1", "DS2", "DSS"]
     assert [row[at["paper: r"]] for row in rq2.rows] == [0.469, 0.521, 0.450]
     assert [row[at["paper: AUC-PRC"]] for row in rq3.rows] == [0.608, 0.715, 0.651]
     assert any("DSS: no r, why" in note for note in rq2.notes) and any("25%" in note for note in rq2.notes)
-    ours, _ = correlation_tables(rows, ["softbody", "bullet"], "donkey", None)
+    ours, _ = correlation_tables(rows, [SOFTBODY, BULLET], DONKEY, None)
     assert len(ours.columns) == len(rq2.columns) - 3
     # A third sibling has no counterpart in the paper.
     assert role_of("x", ["a", "b", "x"]) == "DS3" and role_of("", ["a"]) == "DSS"
@@ -139,16 +142,25 @@ def test_the_papers_numbers_are_in_the_campaigns_rows() -> None:
 
 def test_what_merging_adds_names_the_sibling() -> None:
     gain = PairedDifference(
-        over=MapId.union("y"), value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17
+        over=MapId.union(Y), value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17
     )
-    assert paired_difference_table([gain], ["x", "y"]).texts() == [
+    assert paired_difference_table([gain], [SimulatorName("x"), Y]).texts() == [
         ["RQ3", "DS2 y", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]
     ]
 
 
 def test_robustness_checks_are_one_row_each() -> None:
     table = robustness_table(
-        [RobustnessCheck(what="w", map=MapId.merged(), against=MapId.twin("d"), value="quality_loss", cells=4, r=0.5)],
+        [
+            RobustnessCheck(
+                what="w",
+                map=MapId.merged(),
+                against=MapId.twin(SimulatorName("d")),
+                value="quality_loss",
+                cells=4,
+                r=0.5,
+            )
+        ],
         ["too few cells fail"],
     )
     assert table.rows == [["w", "merged", "twin_d", "quality loss", 4, 0.5, None, None]]

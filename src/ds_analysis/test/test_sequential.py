@@ -11,6 +11,7 @@ from compared_drives import NEW, OLD, pairs
 
 from ds_analysis.comparison.analysis import answer_of, compare_networks, is_sure
 from ds_analysis.comparison.sequential import sequential_evidence
+from ds_sim.registry import SimulatorName
 
 
 def test_bets_multiply_as_their_definition_says() -> None:
@@ -42,7 +43,7 @@ def test_the_truth_is_hardly_ever_missed_by_who_stops_when_it_suits(newly: float
 def test_an_answer_is_sure_when_it_is_worse_somewhere_or_bounded_everywhere() -> None:
     def compared(*counts: tuple[int, int, int, int]) -> tuple[bool, str]:
         drives = [drive for k, one in enumerate(counts) for drive in pairs(f"sim{k}", one)]
-        names = [f"sim{k}" for k in range(len(counts))]
+        names = [SimulatorName(f"sim{k}") for k in range(len(counts))]
         found = compare_networks(
             drives, reference=OLD, candidate=NEW, origin="random", source="roads", simulators=names, sequential=True
         )

@@ -34,7 +34,7 @@ from ds_base.bounded_json import load_json
 from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_fields, road_from_json
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import received_simulator
+from ds_sim.registry import SimulatorName, received_simulator
 from ds_sim.scenario import MAX_SEED, Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outcome, VehicleState
@@ -265,7 +265,7 @@ class RecordedRun:
     """
 
     run: RunRecord
-    simulator: str
+    simulator: SimulatorName
     driver: str
     namespace: str
     stamps: list[int]
@@ -285,7 +285,7 @@ def states_and_commands(bag: BagReader) -> Iterator[tuple[bool, int, Any]]:
 
 
 def read_run(
-    bag: BagReader, *, simulator: str | None = None, seed: int | None = None, trusted: Collection[str] = ()
+    bag: BagReader, *, simulator: SimulatorName | None = None, seed: int | None = None, trusted: Collection[str] = ()
 ) -> RecordedRun:
     """Read the one run that a bag of this project holds.
 
@@ -351,7 +351,7 @@ def _inconsistent(bag: BagReader, reason: str) -> BagError:
     return BagError(f"{bag.path} is not consistent ({reason}): copy it again, or record it again")
 
 
-def _completed(bag: BagReader, simulator: str | None, seed: int | None) -> dict[str, str]:
+def _completed(bag: BagReader, simulator: SimulatorName | None, seed: int | None) -> dict[str, str]:
     """Return the facts of a bag, completed with what the user gives for lost ones."""
     facts = dict(bag.facts)
     if simulator and "simulator" not in facts:

@@ -20,7 +20,7 @@ from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
 from ds_sim.frames import ROAD_FRAME, START
-from ds_sim.registry import spec_of
+from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, SimulatorSpec
@@ -46,10 +46,10 @@ Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 _IMAGE_TOPIC = {"compressed": "camera/image_raw/compressed", "raw": "camera/image_raw"}
 
 
-def facts_of(simulator: str, run: RunRecord, level: Level) -> dict[str, str]:
+def facts_of(simulator: SimulatorName, run: RunRecord, level: Level) -> dict[str, str]:
     """Custom data of a bag that is known before the run has ended."""
     return {
-        "simulator": simulator,
+        "simulator": str(simulator),
         "engine": spec_of(simulator).engine,
         "level": level,
         "road": json.dumps(road_to_json(run.road)),
@@ -74,7 +74,7 @@ def results_of(run: RunRecord) -> dict[str, str]:
 def write_bag(
     folder: Path,
     namespace: str,
-    simulator: str,
+    simulator: SimulatorName,
     run: RunRecord,
     about: Mapping[str, str],
     level: Level = "telemetry",

@@ -16,6 +16,7 @@ import numpy as np
 
 from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, RecordedRun, read_run, stamp_of
+from ds_sim.registry import SimulatorName
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.simulator import Observation
 
@@ -34,7 +35,7 @@ class Verification:
         difference: description of the difference at that step.
     """
 
-    simulator: str
+    simulator: SimulatorName
     frames: int
     images: int
     step: int | None = None
@@ -42,7 +43,7 @@ class Verification:
 
 
 def verify_bag(
-    folder: Path, simulator: str | None = None, *, seed: int | None = None, trusted: Collection[str] = ()
+    folder: Path, simulator: SimulatorName | None = None, *, seed: int | None = None, trusted: Collection[str] = ()
 ) -> Verification:
     """Re-simulate the run of a bag and compare it with the recording.
 

@@ -32,6 +32,7 @@ from ds_cli.options import (
 )
 from ds_cli.output import Interrupted, Result, end, say, warning
 from ds_sim.conditions.model import Conditions, ConditionsError
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import OfScenario, Scenario
 
 if TYPE_CHECKING:
@@ -71,7 +72,7 @@ class DriveOptions(OfScenario):
         engine: what drives, `graph` or `local`.
     """
 
-    sim: str
+    sim: SimulatorName
     driver: DriverName
     scenario: Scenario
     bag: Path | None
@@ -192,11 +193,10 @@ def _recorder(client: GraphClient, request: DriveOptions) -> Iterator[ImageRecor
     from ds_bags.layout import image_spool_path
     from ds_bags.run_writer import facts_of
     from ds_orchestrator.graph.client import GraphError
-    from ds_sim.registry import SimulatorName
     from ds_sim.session import RunRecord
 
     bag, sim = request.bag, request.sim
-    foreign = request.attach or not SimulatorName.parse(sim).runs_no_foreign_code
+    foreign = request.attach or not sim.runs_no_foreign_code
     if bag is None or request.level == "telemetry" or not foreign:
         yield None
         return

@@ -12,8 +12,9 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag, Trust, driver_named
+from ds_cli.options import JsonFlag, Trust, driver_named, simulator_option
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer
+from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
     from ds_base.table import Table
@@ -66,8 +67,8 @@ def evaluation(
 def _offline_tables(
     data: Path,
     driver: DriverName,
-    siblings: list[str] | None,
-    twin: str,
+    siblings: list[SimulatorName] | None,
+    twin: SimulatorName,
     images: int | None,
     trusted: Collection[str],
 ) -> list[Table]:
@@ -133,7 +134,9 @@ def evaluate_command(
     siblings: Annotated[
         str | None, typer.Option(help="Without DIR: simulators, separated by commas; all but the twin if left out.")
     ] = None,
-    twin: Annotated[str | None, typer.Option(help="Without DIR: simulator that acts as the twin; else donkey.")] = None,
+    twin: Annotated[
+        SimulatorName | None, simulator_option("Without DIR: simulator that acts as the twin; else donkey.")
+    ] = None,
     images: Images = None,
     out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
     everything: Everything = False,
@@ -158,8 +161,8 @@ def evaluate_command(
     elif data is None:
         raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
     else:
-        names = None if siblings is None else siblings.split(",")
+        names = None if siblings is None else [SimulatorName(name) for name in siblings.split(",")]
         network = driver_named(driver or "dave2")
-        tables = _offline_tables(data, network, names, twin or "donkey", images, trust or [])
+        tables = _offline_tables(data, network, names, twin or SimulatorName("donkey"), images, trust or [])
         result = tables_result(tables, out, ds_command("test", network), everything=everything)
     answer(result, as_json)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
 import typer
 
 from ds_base.extension import confirm
-from ds_sim.registry import simulators
+from ds_sim.registry import SimulatorName, simulators
 
 if TYPE_CHECKING:
     from ds_driver.networks.driver_name import DriverName
@@ -25,7 +25,7 @@ ALL = "all"
 
 
 def _complete_simulator(incomplete: str) -> list[str]:
-    return [name for name in simulators() if name.startswith(incomplete)]
+    return [str(name) for name in simulators() if name.startswith(incomplete)]
 
 
 def complete_driver(incomplete: str) -> list[str]:
@@ -66,13 +66,19 @@ Lane = Annotated[
         "centre line); that of the road file if left out, or right."
     ),
 ]
+
+
+def simulator_option(text: str) -> Any:
+    """Option for one simulator, explained by a text."""
+    return typer.Option(parser=SimulatorName, metavar="<str>", help=text, autocompletion=_complete_simulator)
+
+
 Simulators = Annotated[str, typer.Option(help="Simulators, separated by commas.")]
 Simulator = Annotated[
-    str,
-    typer.Option(
-        help="Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted), recording@FOLDER, ros@FILE, one of an "
-        "installed package, or module:Class.",
-        autocompletion=_complete_simulator,
+    SimulatorName,
+    simulator_option(
+        "Simulator: bullet, softbody, panda, donkey, donkey@FILE (fitted), recording@FOLDER, ros@FILE, one of an "
+        "installed package, or module:Class."
     ),
 ]
 
@@ -158,7 +164,7 @@ def rows_of(text: str | None) -> tuple[int, int] | None:
     raise typer.BadParameter(f"--rows {text!r}: expected FIRST:LAST, such as 40:120")
 
 
-def simulators_of(text: str, *, default: bool = False) -> list[str]:
+def simulators_of(text: str, *, default: bool = False) -> list[SimulatorName]:
     """Parse simulator names separated by commas, and check that each can be made.
 
     Args:
@@ -171,7 +177,7 @@ def simulators_of(text: str, *, default: bool = False) -> list[str]:
     from ds_cli.output import say
     from ds_sim.registry import UnknownSimulatorError, make_simulator, with_libraries
 
-    names = text.split(",")
+    names = [SimulatorName(name) for name in text.split(",")]
     if default:
         names, left_out = with_libraries(names)
         for line in left_out:
@@ -184,7 +190,7 @@ def simulators_of(text: str, *, default: bool = False) -> list[str]:
     return names
 
 
-def every_or_named(text: str) -> list[str]:
+def every_or_named(text: str) -> list[SimulatorName]:
     """Parse simulator names as `simulators_of` does; `all` stands for every shipped one that can be made here."""
     from ds_sim.registry import STANDARD
 

@@ -55,12 +55,12 @@ class ScreenListener(TimedListener):
         if not self._console.is_terminal:
             say(f"stage: {name}")
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
         """Set the number of executions of each stage on each simulator."""
         super().expect(stages)
         self._progress.update(self._task, total=self.total)
 
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """Count an execution; one that was in the store took no time, so it does not count for the time left."""
         with self._lock:
             super().finished(test, simulator, execution, fresh)
@@ -70,7 +70,7 @@ class ScreenListener(TimedListener):
             self._progress.update(self._task, completed=self.done, failures=self._failures, left=left)
             if not self._console.is_terminal and fresh:
                 outcome = _outcome(execution)
-                line = f"{self.done}/{self.total} {test.test_id} on {SimulatorName.parse(simulator).title}: {outcome}"
+                line = f"{self.done}/{self.total} {test.test_id} on {simulator.in_words}: {outcome}"
                 print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
 
 

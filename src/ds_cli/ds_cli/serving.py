@@ -12,6 +12,7 @@ import typer
 from ds_base.installation import ds_command
 from ds_cli.options import Lane, MaxAngle, Seed, Simulator, complete_value
 from ds_cli.output import Interrupted, say_next
+from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 serve_app = typer.Typer(help="Serve a simulator to clients of another one's protocol.", no_args_is_help=True)
@@ -20,7 +21,7 @@ app.add_typer(serve_app, name="serve")
 
 @serve_app.command("donkey")
 def serve_donkey_command(
-    sim: Simulator = "donkey",
+    sim: Simulator = SimulatorName("donkey"),
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 for any free one.")] = 9091,
     host: Annotated[
         str, typer.Option(help="Address to listen on. Clients are not authenticated: keep to this machine.")

@@ -27,9 +27,11 @@ from ds_cli.options import (
     Workers,
     driver_named,
     every_or_named,
+    simulator_option,
     with_engine_without_ros,
 )
 from ds_cli.output import Result, end, number, say, stopped_in
+from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
     from ds_analysis.common.driven_road import DrivenRoad
@@ -42,7 +44,7 @@ TABLES = "tables.txt"
 """File with every table and sentence."""
 PICTURED = 6
 """Roads that a comparison draws; chosen: a minute's look."""
-TWIN = "donkey"
+TWIN = SimulatorName("donkey")
 """Simulator whose failures the others are to predict, where it is among them and no other is named."""
 
 app = typer.Typer()
@@ -63,9 +65,9 @@ def siblings_compare_command(
     lane: Lane = None,
     sims: Simulators = ALL,
     twin: Annotated[
-        str | None,
-        typer.Option(
-            help="Simulator whose failures the others are to predict; donkey if it is among them, else each in turn."
+        SimulatorName | None,
+        simulator_option(
+            "Simulator whose failures the others are to predict; donkey if it is among them, else each in turn."
         ),
     ] = None,
     out: Annotated[
@@ -147,7 +149,7 @@ def _write(
     out: Path,
     document: dict[str, Any],
     roads: Sequence[Road],
-    runs: dict[str, list[DrivenRoad]],
+    runs: dict[SimulatorName, list[DrivenRoad]],
     table: RoadTable,
     found: SiblingAnalysis,
 ) -> None:

@@ -12,6 +12,7 @@ import typer
 from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag, Simulator
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
+from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
@@ -24,7 +25,7 @@ def train_command(
         Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
     ],
     out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
-    sim: Simulator = "bullet",
+    sim: Simulator = SimulatorName("bullet"),
     preset: Annotated[
         Literal["laptop", "fast", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
     ] = "laptop",

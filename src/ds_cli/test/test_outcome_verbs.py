@@ -18,6 +18,7 @@ from ds_cli.application import run
 from ds_cli.maps import grids
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import Cell, column_axis
+from ds_sim import SimulatorName
 
 
 @pytest.mark.parametrize("width", [40, 80, 100, 133])
@@ -26,7 +27,7 @@ def test_a_grid_as_wide_as_the_terminal_shows_every_cell(width: int) -> None:
         (k, 3): MapCell(tests=1000 + k, failures=100 * k, probability=k / 20, quality_loss=0.0) for k in range(3, 20)
     }
     axes = (column_axis("speed", 1.0), column_axis("curvature", 0.02))
-    made = FeatureMap(id=MapId.union("a"), cells=cells, features=axes, excluded={(7, 3): 12})
+    made = FeatureMap(id=MapId.union(SimulatorName("a")), cells=cells, features=axes, excluded={(7, 3): 12})
     console = Console(width=width, file=io.StringIO())
     for grid in grids(made, "probability", width):
         console.print(grid)

@@ -23,6 +23,7 @@ from ds_driver.sim2real.networks import Generator
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.engines.parcel import parcel_of
 from ds_orchestrator.engines.preflight import check_driver
+from ds_sim import BULLET, DONKEY
 from ds_sim.camera.encodings import jpeg
 
 SHAPE = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
@@ -44,10 +45,10 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_simulator_without_a_generator_is_noticed_before_anything_is_driven(weights: Path) -> None:
     driver = DriverName(str(weights))
-    check_driver(driver, ["bullet"])
+    check_driver(driver, [BULLET])
     with pytest.raises(DriverError, match="no generator for images of donkey"):
-        check_driver(driver, ["bullet", "donkey"])
-    check_driver(driver.seeing("none"), ["bullet", "donkey"])
+        check_driver(driver, [BULLET, DONKEY])
+    check_driver(driver.seeing("none"), [BULLET, DONKEY])
 
 
 def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
@@ -64,7 +65,7 @@ def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
 @pytest.mark.parametrize("driver", ["{0}", "{0}@onnx", "dave2+{1}", "{0}+none", "dave2_short+{1}@onnx"])
 def test_another_machine_gets_the_generators_of_a_driver(weights: Path, tmp_path: Path, driver: str) -> None:
     name = DriverName.parse(driver.format(weights, weights.parent / "sim2real"))
-    parcel = parcel_of(name, ["bullet"])
+    parcel = parcel_of(name, [BULLET])
     parcel.unpack(tmp_path)
     there = parcel.driver_there(name, tmp_path)
     assert there != name and str(weights.parent) not in str(there)

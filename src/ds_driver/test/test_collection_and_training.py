@@ -21,6 +21,7 @@ from ds_driver.networks.images import Crop
 from ds_driver.networks.weights import load_weights
 from ds_driver.training import CHECKPOINT, TrainingError, TrainingPlan, augment, device_of, schedule_of, split, train
 from ds_road import RoadError, road_to_json
+from ds_sim import DONKEY
 from ds_sim.camera.encodings import jpeg
 
 JPEG = jpeg(np.zeros((160, 320, 3), np.uint8))
@@ -30,7 +31,7 @@ PLAN = CollectionPlan(roads=2, seed=5, max_angle=60, every=12)
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("data")
-    collect(PLAN, ["donkey"], folder, SILENT)
+    collect(PLAN, [DONKEY], folder, SILENT)
     return folder
 
 
@@ -49,11 +50,11 @@ def test_a_stopped_collection_resumes_with_the_same_result(data: Path, tmp_path:
     first = sorted((data / "donkey").glob("*.parquet"))[1]
     before = {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")}
     first.unlink()
-    collect(PLAN, ["donkey"], data, told)
+    collect(PLAN, [DONKEY], data, told)
     assert told.lines[0] == "3 drives are there already" and len(told.lines) == 2
     assert {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")} == before
     with pytest.raises(DatasetError, match="another plan"):
-        collect(replace(PLAN, every=1), ["donkey"], data, SILENT)
+        collect(replace(PLAN, every=1), [DONKEY], data, SILENT)
     write_manifest(data, {"seed": 5})
     manifest = json.loads((data / "manifest.json").read_text())
     assert manifest["images"]["donkey"] == sum(manifest["steering"]["donkey"]) > 50
@@ -79,14 +80,14 @@ def test_given_roads_are_driven_under_the_conditions_of_their_tests(tmp_path: Pa
         ((index, distance),) = changes
         assert index in (4, 5, 6) and distance <= 6
     assert [one.name for one in given_roads(file, mutants=1, seed=1)] == [one.name for one in given]
-    collect(PLAN, ["donkey"], tmp_path / "new", SILENT, [given[0], given[2]])
+    collect(PLAN, [DONKEY], tmp_path / "new", SILENT, [given[0], given[2]])
     files = sorted((tmp_path / "new" / "donkey").glob("*-forward.parquet"))
     fog, clear = sorted(files, key=lambda path: "+" not in path.name)
     seen = [decode(pq.read_table(path)["image"][1].as_py()) for path in (fog, clear)]
     assert seen[0].std() < 0.8 * seen[1].std()
     assert pq.read_table(fog)["road_id"].unique().to_pylist() == [road.road_id]
     with pytest.raises(DatasetError, match="another plan"):
-        collect(PLAN, ["donkey"], tmp_path / "new", SILENT, given[:1])
+        collect(PLAN, [DONKEY], tmp_path / "new", SILENT, given[:1])
     for content, problem in (("[]", "holds no road"), (json.dumps([{**test, "conditions": 3}]), "road 0: its cond")):
         file.write_text(content)
         with pytest.raises(DatasetError, match=problem):

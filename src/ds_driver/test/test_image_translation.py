@@ -37,7 +37,7 @@ from ds_driver.sim2real.translator import Translator
 from ds_driver.training import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
-from ds_sim.registry import make_simulator
+from ds_sim.registry import BULLET, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Outcome
@@ -115,7 +115,7 @@ def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
     drives = InterleavedDrives(driver)
     runs: dict[int, RunRecord] = {}
     for key, name in enumerate(WINDOWS):
-        drives.begin(key, DriveRequest(Scenario(road, seed=1), driver, name))
+        drives.begin(key, DriveRequest(Scenario(road, seed=1), driver, SimulatorName(name)))
     while len(drives):
         runs.update(drives.step())
     for key, name in enumerate(WINDOWS):
@@ -229,7 +229,7 @@ def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path
     translate = translation_of(DriverName.parse(driver), "bullet")
     assert translate is not None and translation_of(DriverName("dave2"), "bullet") is None
     for name, how in (("plain", None), ("real", translate)):
-        write_bag(tmp_path / name, "/ds1", "bullet", run, {"driver": driver}, "raw", seen, how)
+        write_bag(tmp_path / name, "/ds1", BULLET, run, {"driver": driver}, "raw", seen, how)
     plain, real = (open_recording(tmp_path / name, Reading()) for name in ("plain", "real"))
     topic = "/ds1/sim2real/image_raw"
     translated = open_recording(tmp_path / "real", Reading(camera=topic))

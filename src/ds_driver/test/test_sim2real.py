@@ -51,7 +51,7 @@ from ds_driver.training import CHECKPOINT, TrainingError
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
 from ds_sim.camera.lens import project
-from ds_sim.registry import make_simulator
+from ds_sim.registry import BULLET, SOFTBODY, make_simulator
 from ds_sim.simulator import Command, Observation
 
 TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
@@ -399,7 +399,7 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
     run = drive_road(simulator, record, generate(np.random.default_rng(5)), 1)
     levels: tuple[Level, ...] = ("raw", "compressed")
     for level in levels:
-        write_bag(tmp_path / level, "/ds1", "bullet", run, {}, level, seen)
+        write_bag(tmp_path / level, "/ds1", BULLET, run, {}, level, seen)
     translator = Translator(tiny_generator(tmp_path / "g.safetensors"))
     for level in ("raw", "compressed"):
         out = tmp_path / f"{level}_real"
@@ -447,16 +447,16 @@ def test_from_photographs_to_a_set_of_generators(tmp_path: Path) -> None:
     told = ProgressLines()
     real = tmp_path / "photographs"
     real.mkdir()
-    for index, image in enumerate(simulated_frames("softbody", settings, tmp_path / "s.npz", told).images):
+    for index, image in enumerate(simulated_frames(SOFTBODY, settings, tmp_path / "s.npz", told).images):
         (real / f"{index:03d}.jpg").write_bytes(jpeg(image))
     out = tmp_path / "out"
-    sources = read_sources("bullet", real, out, settings, told)
+    sources = read_sources(BULLET, real, out, settings, told)
     data, warnings = prepare_domains(sources, real, out)
     assert sources.match.difference < BOUND and not warnings
     frames = sources.frames
     assert 0 < frames.held_out.sum() < len(frames.images) == 80
     train(data, settings, out, told)
-    again = read_sources("bullet", real, out, settings, told)
+    again = read_sources(BULLET, real, out, settings, told)
     assert again.match == sources.match and np.array_equal(again.frames.held_out, frames.held_out)
     (tmp_path / "set").mkdir()
     shutil.copy(out / EPOCHS / "epoch_002.safetensors", tmp_path / "set" / "bullet.safetensors")

@@ -12,6 +12,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_road import generate
+from ds_sim import BULLET, SimulatorName
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
@@ -22,13 +23,13 @@ FOG = Conditions(visibility=50.0)
 def test_a_repeated_scenario_is_left_out_with_its_drives() -> None:
     one, other = (generate(np.random.default_rng(seed)) for seed in (1, 2))
     tests = tuple(
-        Test(f"bullet-0-{k:04d}", Scenario(road, under, seed=k), Origin("bullet", 0, k))
+        Test(f"bullet-0-{k:04d}", Scenario(road, under, seed=k), Origin(BULLET, 0, k))
         for k, (road, under) in enumerate([(one, DEFAULT), (other, DEFAULT), (one, DEFAULT), (one, FOG), (one, FOG)])
     )
     executions = tuple(
         Execution(
             test_id=test.test_id,
-            simulator="bullet",
+            simulator=BULLET,
             outcome=Outcome.COMPLETED,
             message="",
             fitness=1.0,
@@ -48,7 +49,10 @@ def test_a_repeated_scenario_is_left_out_with_its_drives() -> None:
 
 def test_a_test_that_no_search_made_has_no_origin_in_the_store_either(tmp_path: Path) -> None:
     road = generate(np.random.default_rng(1))
-    tests = [Test("any-name", Scenario(road, FOG, seed=7)), Test("a-1-0002", Scenario(road, seed=8), Origin("a", 1, 2))]
+    tests = [
+        Test("any-name", Scenario(road, FOG, seed=7)),
+        Test("a-1-0002", Scenario(road, seed=8), Origin(SimulatorName("a"), 1, 2)),
+    ]
     store = Store(tmp_path / "campaign.sqlite", config="{}")
     for test in tests:
         store.add_test(test)

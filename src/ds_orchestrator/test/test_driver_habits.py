@@ -14,6 +14,7 @@ from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import generate
+from ds_sim import BULLET, SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
@@ -29,13 +30,13 @@ def store_of(folder: Path, tests: int, factor: float, speed: float) -> Store:
     trajectory[:, 3] = speed
     road = generate(np.random.default_rng(1))
     for number in range(tests):
-        test = Test(f"bullet-0-{number:04d}", Scenario(road, seed=1), Origin("bullet", 0, number))
+        test = Test(f"bullet-0-{number:04d}", Scenario(road, seed=1), Origin(BULLET, 0, number))
         store.add_test(test)
         for simulator in ("bullet", "donkey"):
             store.add_execution(
                 Execution(
                     test_id=test.test_id,
-                    simulator=simulator,
+                    simulator=SimulatorName(simulator),
                     outcome=Outcome.COMPLETED,
                     message="",
                     fitness=2.0,

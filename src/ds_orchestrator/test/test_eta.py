@@ -8,9 +8,17 @@ import heapq
 import pytest
 
 from ds_orchestrator.campaign.eta import Eta
+from ds_sim import SimulatorName
 
-TOOK = {"fast": 2.0, "slow": 5.0, "twin": 3.0}
-STAGES = [{"fast": 40, "slow": 40}, {"fast": 40, "slow": 40, "twin": 80}]
+FAST, LONG, SLOW, TWIN = map(SimulatorName, ("fast", "long", "slow", "twin"))
+
+A, QUICK = map(SimulatorName, ("a", "quick"))
+
+TOOK = {FAST: 2.0, SLOW: 5.0, TWIN: 3.0}
+STAGES = [
+    {FAST: 40, SLOW: 40},
+    {FAST: 40, SLOW: 40, TWIN: 80},
+]
 WHOLE = 40 * 5.0 + 80 * 3.0
 
 
@@ -28,12 +36,12 @@ def estimates(known: int = 0) -> list[tuple[float, float]]:
         for name, count in stage.items():
             before = known if number == 0 else 0
             for _ in range(before):
-                left.finished(number, name, now, fresh=False)
+                left.finished(number, SimulatorName(name), now, fresh=False)
             ends += [(now + TOOK[name] * (k + 1), name) for k in range(count - before)]
         heapq.heapify(ends)
         while ends:
             now, name = heapq.heappop(ends)
-            left.finished(number, name, now, fresh=True)
+            left.finished(number, SimulatorName(name), now, fresh=True)
             said.append((now, left.seconds(now) or 0.0))
     return [(now - moment, seconds) for moment, seconds in said]
 
@@ -53,26 +61,26 @@ def test_it_is_right_in_every_stage_and_after_a_resume(known: int) -> None:
 
 def test_it_follows_a_machine_that_becomes_slower_and_says_nothing_at_first() -> None:
     left = Eta()
-    left.expect([{"a": 200}])
+    left.expect([{A: 200}])
     left.begin(0.0)
-    left.finished(0, "a", 0.0, fresh=False)
+    left.finished(0, A, 0.0, fresh=False)
     assert left.seconds(0.0) is None
     now = 0.0
     for took in [1.0] * 50 + [4.0] * 50:
         now += took
-        left.finished(0, "a", now, fresh=True)
+        left.finished(0, A, now, fresh=True)
     assert left.seconds(now) == pytest.approx(99 * 4.0)
 
 
 def test_a_first_long_drive_counts_while_it_is_under_way() -> None:
     """One simulator excludes a test at once; the other's first drive has taken 40 s and is at half of its road."""
     left = Eta()
-    left.expect([{"quick": 5, "long": 5}, {"twin": 10}])
+    left.expect([{QUICK: 5, LONG: 5}, {TWIN: 10}])
     left.begin(0.0)
-    assert left.seconds(8.0, [("long", 8.0, 0.05)]) is None  # the car still accelerates
-    assert left.seconds(40.0, [("long", 40.0, 0.5)]) == pytest.approx(5 * 80.0 - 40.0 + 10 * 80.0)
-    left.finished(0, "quick", 0.0, fresh=True)
+    assert left.seconds(8.0, [(LONG, 8.0, 0.05)]) is None  # the car still accelerates
+    assert left.seconds(40.0, [(LONG, 40.0, 0.5)]) == pytest.approx(5 * 80.0 - 40.0 + 10 * 80.0)
+    left.finished(0, QUICK, 0.0, fresh=True)
     # What is under way without feedback takes at least as long as it did so far.
-    assert (left.seconds(40.0, [("long", 40.0, None)]) or 0.0) >= 4 * 40.0
-    said = left.seconds(40.0, [("long", 40.0, 0.5)])
+    assert (left.seconds(40.0, [(LONG, 40.0, None)]) or 0.0) >= 4 * 40.0
+    said = left.seconds(40.0, [(LONG, 40.0, 0.5)])
     assert said == pytest.approx(5 * 80.0 - 40.0 + 10 * (0.0 + 80.0) / 2)

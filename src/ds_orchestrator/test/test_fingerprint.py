@@ -9,30 +9,33 @@ import pytest
 
 from ds_orchestrator.engines import fingerprint as module
 from ds_orchestrator.engines.fingerprint import PROCESSOR_FEATURES, differences, fingerprint
+from ds_sim import BULLET, DONKEY, PANDA, SimulatorName
 from ds_sim.simulator import SimulatorError
 from ds_sim_panda import simulator
 
 
 def test_the_renderer_counts_where_panda_drives(monkeypatch: pytest.MonkeyPatch) -> None:
-    here = fingerprint("", ("bullet", "panda"))
+    here = fingerprint("", (BULLET, SimulatorName(PANDA)))
     assert here["renderer"].startswith("Mesa ") and differences(here, here) == ""
 
     def missing() -> str:
         raise SimulatorError("libEGL.so.1 is missing")
 
     monkeypatch.setattr(simulator, "renderer_name", missing)
-    assert differences(here, fingerprint("", ("panda",))) == f"renderer absent there, {here['renderer']} here"
-    assert not {"renderer", "panda3d"} & set(fingerprint("onnx", ("bullet", "donkey")))
+    assert differences(here, fingerprint("", (PANDA,))) == f"renderer absent there, {here['renderer']} here"
+    assert not {"renderer", "panda3d"} & set(fingerprint("onnx", (BULLET, SimulatorName(DONKEY))))
 
 
 def test_code_that_is_not_shipped_counts_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "own_car.py"
     file.write_text("from ds_sim_softbody.simulator import SoftbodySimulator\n\nclass Car(SoftbodySimulator): ...\n")
     monkeypatch.syspath_prepend(tmp_path)
-    here = fingerprint("", ("own_car:Car", "bullet"))
+    here = fingerprint("", (SimulatorName("own_car:Car"), SimulatorName(BULLET)))
     file.write_text(file.read_text() + "# changed\n")
-    assert differences(here, fingerprint("", ("own_car:Car", "bullet"))).startswith("code of own_car ")
-    assert fingerprint("", ("nobody:Car",))["simulator nobody:Car"] == "absent"
+    assert differences(here, fingerprint("", (SimulatorName("own_car:Car"), SimulatorName(BULLET)))).startswith(
+        "code of own_car "
+    )
+    assert fingerprint("", (SimulatorName("nobody:Car"),))["simulator nobody:Car"] == "absent"
 
 
 def test_a_difference_in_processor_features_names_only_what_one_side_lacks() -> None:

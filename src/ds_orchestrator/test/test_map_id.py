@@ -10,6 +10,11 @@ from ds_orchestrator.maps import algebra
 from ds_orchestrator.maps.algebra import OPERATORS, merged_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, map_ids, maps_frame
 from ds_orchestrator.search.features import DEFAULT_AXES
+from ds_sim import BULLET, DONKEY, SimulatorName
+
+T_NAME = SimulatorName("t")
+
+T = T_NAME
 
 TRICKY = "path_to_x:Sim"
 
@@ -17,12 +22,16 @@ TRICKY = "path_to_x:Sim"
 @pytest.mark.parametrize(
     ("map_id", "name", "title"),
     [
-        (MapId.search("bullet"), "search_bullet", "Search on bullet"),
-        (MapId.migration(TRICKY, "twin_to"), f"migration_{TRICKY}_to_twin_to", f"Migration: {TRICKY} to twin_to"),
-        (MapId.union(TRICKY), f"union_{TRICKY}", f"All tests on {TRICKY}"),
+        (MapId.search(BULLET), "search_bullet", "Search on bullet"),
+        (
+            MapId.migration(SimulatorName(TRICKY), SimulatorName("twin_to")),
+            f"migration_{TRICKY}_to_twin_to",
+            f"Migration: {TRICKY} to twin_to",
+        ),
+        (MapId.union(SimulatorName(TRICKY)), f"union_{TRICKY}", f"All tests on {TRICKY}"),
         (MapId.merged(), "merged", "Siblings merged"),
         (MapId.merged("weighted_mean"), "merged_weighted_mean", "Siblings merged weighted_mean"),
-        (MapId.twin("donkey"), "twin_donkey", "Twin donkey"),
+        (MapId.twin(DONKEY), "twin_donkey", "Twin donkey"),
     ],
 )
 def test_names_and_titles(map_id: MapId, name: str, title: str) -> None:
@@ -30,7 +39,7 @@ def test_names_and_titles(map_id: MapId, name: str, title: str) -> None:
 
 
 def test_every_map_of_a_campaign_has_an_identity_of_its_own() -> None:
-    ids = map_ids(["a", "b"], "t", ["mean"])
+    ids = map_ids([SimulatorName("a"), SimulatorName("b")], T, ["mean"])
     assert [map_id.name for map_id in ids] == [
         "search_a",
         "search_b",
@@ -65,11 +74,11 @@ def test_maps_as_a_frame() -> None:
     full = MapCell(tests=4, failures=1, probability=0.25, quality_loss=0.5, interval=(0.1, 0.6))
     bare = MapCell(tests=2, failures=None, probability=0.0, quality_loss=0.0)
     maps = {
-        MapId.migration(TRICKY, "t"): FeatureMap(
-            id=MapId.migration(TRICKY, "t"), cells={(3, 12): full, (2, 9): bare}, excluded={(3, 12): 2}
+        MapId.migration(SimulatorName(TRICKY), T): FeatureMap(
+            id=MapId.migration(SimulatorName(TRICKY), T), cells={(3, 12): full, (2, 9): bare}, excluded={(3, 12): 2}
         ),
         MapId.merged(): FeatureMap(id=MapId.merged(), cells={(2, 9): bare}),
-        MapId.twin("t"): FeatureMap(id=MapId.twin("t"), cells={}),
+        MapId.twin(T): FeatureMap(id=MapId.twin(T_NAME), cells={}),
     }
     frame = maps_frame(maps)
     assert list(frame.columns) == [

@@ -27,7 +27,7 @@ from ds_report.pages import data_address
 from ds_sim.camera.encodings import jpeg
 from ds_sim.camera.spec import IMAGE_HEIGHT
 from ds_sim.parts import Scene
-from ds_sim.registry import make_simulator, received_simulator
+from ds_sim.registry import SimulatorName, make_simulator, received_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
@@ -49,7 +49,7 @@ SPACINGS = (10, 20, 40)
 """Frames between two pictures of a replay, the first with which all failed drives fit; chosen: 0.5 s, in which the car
 moves by its own length, to 2 s, which still shows every bend."""
 
-DriveKey = tuple[str, str]
+DriveKey = tuple[str, SimulatorName]
 """A test's id and a simulator."""
 
 
@@ -190,7 +190,7 @@ class CameraPicture:
         note: place of the vehicle, or why there is no picture.
     """
 
-    simulator: str
+    simulator: SimulatorName
     physics: str = ""
     picture: str = ""
     note: str
@@ -220,7 +220,7 @@ def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test 
 
 
 def camera_pictures(
-    names: Sequence[str], scenario: Scenario, trusted: Collection[str] = (), driver: DriverName = AUTOPILOT
+    names: Sequence[SimulatorName], scenario: Scenario, trusted: Collection[str] = (), driver: DriverName = AUTOPILOT
 ) -> list[CameraPicture]:
     """Render the same place of one road on every simulator, driven by the autopilot; below it what a driver sees."""
     return [_camera_picture(name, scenario, trusted, driver) for name in names]
@@ -234,13 +234,15 @@ def translates(driver: DriverName) -> bool:
         return False
 
 
-def _paired(image: NDArray[np.uint8], driver: DriverName, simulator: str) -> NDArray[np.uint8]:
+def _paired(image: NDArray[np.uint8], driver: DriverName, simulator: SimulatorName) -> NDArray[np.uint8]:
     """Put the image that the driver sees below the camera's, if it sees another one."""
     translate = translation_of(driver, simulator) if translates(driver) else None
     return image if translate is None else np.vstack((image, translate(image)))
 
 
-def _camera_picture(name: str, scenario: Scenario, trusted: Collection[str], driver: DriverName) -> CameraPicture:
+def _camera_picture(
+    name: SimulatorName, scenario: Scenario, trusted: Collection[str], driver: DriverName
+) -> CameraPicture:
     try:
         simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         try:
@@ -277,13 +279,13 @@ def _side(lateral_position: float) -> str:
 
 
 def drive_pictures(
-    names: Sequence[str],
+    names: Sequence[SimulatorName],
     tests: Sequence[Test],
     executions: Sequence[Execution],
     trusted: Collection[str] = (),
     driver: DriverName = AUTOPILOT,
     *,
-    frames: Mapping[tuple[str, str], Sequence[int]],
+    frames: Mapping[tuple[str, SimulatorName], Sequence[int]],
     one_by_one: bool = False,
 ) -> dict[str, list[PicturedDrive | None]]:
     """Render drives, with what the driver sees.
@@ -302,7 +304,7 @@ def drive_pictures(
     """
     cv2.setNumThreads(1)
 
-    def on(name: str) -> dict[str, PicturedDrive]:
+    def on(name: SimulatorName) -> dict[str, PicturedDrive]:
         drives = {e.test_id: e for e in executions if e.simulator == name and (e.test_id, name) in frames}
         if not drives:
             return {}
@@ -329,7 +331,12 @@ def drive_pictures(
 
 
 def render_drive(
-    simulator: Simulator, name: str, test: Test, execution: Execution, steps: Sequence[int], driver: DriverName
+    simulator: Simulator,
+    name: SimulatorName,
+    test: Test,
+    execution: Execution,
+    steps: Sequence[int],
+    driver: DriverName,
 ) -> PicturedDrive:
     """Render frames of one drive, with what the driver sees.
 

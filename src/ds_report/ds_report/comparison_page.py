@@ -14,7 +14,7 @@ from ds_base.palette import FAIL, PASS, ink_on, rgb
 from ds_base.table import p_in_words
 from ds_report.pages import data_address, write_page
 from ds_road import draw
-from ds_sim.registry import SimulatorName, path_moved
+from ds_sim.registry import path_moved
 
 PICTURED = 12
 """Drives with a picture; chosen: the page stays below a megabyte."""
@@ -144,6 +144,6 @@ def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str
     if not file:
         return ""
     here = Path()
-    simulator = str(SimulatorName.parse(drive.simulator).moved(here, folder))
+    simulator = drive.simulator.moved(here, folder)
     driver = comparison.candidate.driver.moved(here, folder)
     return command_of(replace(drive, simulator=simulator), driver, path_moved(file, here, folder))

@@ -40,6 +40,7 @@ from ds_orchestrator.store.model import Test
 from ds_report.heatmap import Value
 from ds_sim.conditions.model import DEFAULT, FIELDS
 from ds_sim.conditions.words import in_words
+from ds_sim.registry import NO_SIMULATOR
 
 Kind = Literal["road", "conditions"]
 FEW_FAMILIES = 16
@@ -364,7 +365,7 @@ def _failures(data: CampaignData) -> str:
 
 def _predicted(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> str:
     """State in how many of the merged map's failing cells the twin fails."""
-    twin, merged = maps[MapId.twin(config.twin or "")].cells, maps[MapId.merged()].cells
+    twin, merged = maps[MapId.twin(config.twin or NO_SIMULATOR)].cells, maps[MapId.merged()].cells
     both = [cell for cell in merged if cell in twin]
     alarms = [cell for cell in both if merged[cell].probability > 0]
     right = sum(twin[cell].probability > 0 for cell in alarms)

@@ -27,6 +27,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import worst_first
 from ds_report.findings import NOTHING_DRIVEN, road_outcomes, where_it_fails
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,11 +72,11 @@ def first_screen(data: CampaignData, folder: str = ".", where: str = "") -> Firs
     )
 
 
-Failures = Mapping[tuple[str, str], bool]
+Failures = Mapping[tuple[str, SimulatorName], bool]
 """Test and simulator -> whether the driver failed; only verdicts."""
 
 
-def _keys(test: Test, names: Sequence[str]) -> list[tuple[str, str]]:
+def _keys(test: Test, names: Sequence[SimulatorName]) -> list[tuple[str, SimulatorName]]:
     return [(test.test_id, name) for name in names]
 
 
@@ -90,9 +91,9 @@ def _believe(data: CampaignData, failed: Failures) -> str:
     if not split:
         return _of_agreement(siblings, twin, tests, judged, failed)
     disagree = f"{_named(siblings)} disagree on {len(split)} of {count(len(tests), 'test')}"
-    if not judged:
+    if not judged or not twin:
         return f"{disagree}; only drives on a twin or on your car can say which to believe."
-    right = np.array([[failed[t.test_id, name] == failed[t.test_id, str(twin)] for t in judged] for name in siblings])
+    right = np.array([[failed[t.test_id, name] == failed[t.test_id, twin] for t in judged] for name in siblings])
     p = p_of_leads(np.where(right, 1.0, -1.0), families_of([test.road for test in judged]))
     believed = [name for name, chance in zip(siblings, p, strict=True) if chance <= ALPHA]
     shares = listed([f"with {name} in {of.sum()}" for name, of in zip(siblings, right, strict=True)])
@@ -106,12 +107,16 @@ def _believe(data: CampaignData, failed: Failures) -> str:
 
 
 def _of_agreement(
-    siblings: Sequence[str], twin: str | None, tests: Sequence[Test], judged: Sequence[Test], failed: Failures
+    siblings: Sequence[SimulatorName],
+    twin: SimulatorName | None,
+    tests: Sequence[Test],
+    judged: Sequence[Test],
+    failed: Failures,
 ) -> str:
     """Say what the outcomes of siblings that never disagree, or of one alone, are worth."""
     alone, who = len(siblings) == 1, siblings[0] if len(siblings) == 1 else "they"
     start = "" if alone else f"{_named(siblings)} agree on {_all_of(len(tests))}: "
-    outcomes = [(failed[test.test_id, siblings[0]], failed[test.test_id, str(twin)]) for test in judged]
+    outcomes = [(failed[test.test_id, siblings[0]], failed[test.test_id, twin]) for test in judged if twin]
     if not outcomes:
         lost = sum(failed[test.test_id, siblings[0]] for test in tests)
         did = f"{who} failed {lost or 'none'} of {count(len(tests), 'test')}"
@@ -143,7 +148,7 @@ def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
     )
 
 
-def _named(siblings: Sequence[str]) -> str:
+def _named(siblings: Sequence[SimulatorName]) -> str:
     return f"The siblings {listed(siblings)}"
 
 

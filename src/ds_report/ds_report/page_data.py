@@ -24,7 +24,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_report.findings import radius
 from ds_report.plotly_figures import DASHES
 from ds_sim.conditions.text import format_conditions
-from ds_sim.registry import colours_of
+from ds_sim.registry import SimulatorName, colours_of
 from ds_sim.simulator import FRAME_RATE
 
 UNITS = 100.0
@@ -232,7 +232,7 @@ def _run(execution: Execution | None) -> list[Any] | None:
     ]
 
 
-def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, str], Execution]) -> str:
+def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, SimulatorName], Execution]) -> str:
     """Pack the lines of all tests of a cell, one test after the other.
 
     For each test: x and y of the road's centre line and of its right edge (m), then for every drive x, y, lateral

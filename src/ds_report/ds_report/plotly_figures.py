@@ -13,6 +13,7 @@ from ds_analysis.paper.correlation import Correlation
 from ds_analysis.paper.paper_tables import Network, role_of
 from ds_base.palette import BETWEEN, FAIL, PASS, SERIES
 from ds_base.table import Table
+from ds_sim.registry import SimulatorName
 
 INK, SOFT, LINE = "#1e2329", "#58606b", "#d9dde3"
 CAMPAIGN, PAPER = SERIES[0], SERIES[3]
@@ -111,7 +112,7 @@ def _line_layout(title: str, **more: Any) -> go.Layout:
 
 
 def correlation_chart(
-    correlations: Sequence[Correlation], siblings: Sequence[str], network: Network | None
+    correlations: Sequence[Correlation], siblings: Sequence[SimulatorName], network: Network | None
 ) -> dict[str, Any] | None:
     """Chart the campaign's correlations with intervals, and the paper's: r left, AUC-PRC right; None without any.
 
@@ -163,13 +164,13 @@ def correlation_chart(
     return document
 
 
-def _label(correlation: Correlation, siblings: Sequence[str]) -> str:
+def _label(correlation: Correlation, siblings: Sequence[SimulatorName]) -> str:
     simulator = correlation.map.simulator
     question = "RQ2" if correlation.value == "probability" else "RQ3"
     return f"{question} {role_of(simulator, siblings)} {simulator or 'merged'}"
 
 
-def _of_paper(correlation: Correlation, siblings: Sequence[str], network: Network | None) -> Any:
+def _of_paper(correlation: Correlation, siblings: Sequence[SimulatorName], network: Network | None) -> Any:
     table = paper_numbers.RQ2 if correlation.value == "probability" else paper_numbers.RQ3
     return table.get(network or ("", "sim"), {}).get(role_of(correlation.map.simulator, siblings))
 

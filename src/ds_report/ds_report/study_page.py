@@ -22,6 +22,7 @@ from ds_orchestrator.maps.feature_map import slices_of
 from ds_report.heatmap import bounds_of, draw_map
 from ds_report.pages import data_address, write_page
 from ds_report.verdict_picture import draw_verdicts
+from ds_sim.registry import SimulatorName
 
 PAGE = "report.html"
 
@@ -70,7 +71,7 @@ def _about_car(car: CarPrediction | None) -> list[str]:
     return [car.help.sentence, *([] if car.certificate is None else [car.certificate.sentence])]
 
 
-def _where(table: OutcomeTable, name: str) -> str:
+def _where(table: OutcomeTable, name: SimulatorName) -> str:
     """Say on how many tests a simulator fails, and where, if a feature divides them better than chance."""
     known = table.select(table.known(name))
     failed = known.failed(name)

@@ -65,16 +65,16 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
     )
 
 
-def _words(answer: TrackAnswer, key: tuple[DriverName, str], index: int) -> str:
+def _words(answer: TrackAnswer, key: tuple[DriverName, SimulatorName], index: int) -> str:
     one = answer.drives[key][index]
     return "no verdict" if one is None else one.outcome.words
 
 
-def _short(simulator: str) -> str:
-    return "the twin" if SimulatorName.parse(simulator).base == "donkey" else "the recording"
+def _short(simulator: SimulatorName) -> str:
+    return "the twin" if simulator.base == "donkey" else "the recording"
 
 
-def _failures(answer: TrackAnswer, simulator: str) -> list[NDArray[np.float64]]:
+def _failures(answer: TrackAnswer, simulator: SimulatorName) -> list[NDArray[np.float64]]:
     """Where the driver's failures end, x and y, road metres."""
     drives = answer.drives[answer.driver, simulator]
     return [one.trajectory[-1, :2] for one in drives if one is not None and one.outcome.is_failure]

@@ -35,6 +35,7 @@ from ds_report.watch import server as watch_server
 from ds_report.watch.campaign_reader import CampaignReader
 from ds_report.watch.page_state import page_state
 from ds_report.watch.server import ServerError, serve
+from ds_sim import BULLET, SimulatorName
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import Gate, GateState
@@ -45,7 +46,7 @@ from ds_sim.simulator import Outcome
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-CONFIG = CampaignConfig(siblings=["bullet", EVIL], twin="nowhere:Twin", seed=77)
+CONFIG = CampaignConfig(siblings=[BULLET, EVIL], twin=SimulatorName("nowhere:Twin"), seed=77)
 
 
 class Server:
@@ -101,7 +102,7 @@ def bytes_of(folder: Path) -> dict[str, bytes]:
 
 
 def later_test(number: int) -> Test:
-    return Test(f"bullet-0-{number:04d}", Scenario(road(number), seed=3), Origin("bullet", 0, number))
+    return Test(f"bullet-0-{number:04d}", Scenario(road(number), seed=3), Origin(BULLET, 0, number))
 
 
 def test_a_campaign_is_read_while_it_is_written_and_stays_as_it_is(tmp_path: Path) -> None:
@@ -200,7 +201,10 @@ def test_campaigns_that_have_not_begun_or_have_gates_are_shown(tmp_path: Path) -
 
     features = ["turns_count", "curvature", "direction_coverage:10"]
     config = CampaignConfig(
-        siblings=["nowhere:A", "nowhere:B"], twin=None, conditions=parse_conditions("visibility=60"), features=features
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")],
+        twin=None,
+        conditions=parse_conditions("visibility=60"),
+        features=features,
     )
     store = Store(tmp_path / "gated/campaign.sqlite", config=config.identity())
     for test, driven in make_tests(config, 3):
@@ -237,11 +241,11 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -
     test, slow = later_test(9), SlowEngine()
     store.add_test(test)
     with LiveFile(tmp_path, Listener()) as live:
-        live.expect([{"bullet": 10}])
+        live.expect([{BULLET: 10}])
         live.stage("search")
-        live.finished(store.tests()[0], "bullet", None, fresh=True)
-        observed = ObservedEngine(GraphEngine([slow], ["bullet"], SlowEngine), live)
-        asked = DriveRequest(test.scenario, DriverName("dave2"), "bullet")
+        live.finished(store.tests()[0], BULLET, None, fresh=True)
+        observed = ObservedEngine(GraphEngine([slow], [BULLET], SlowEngine), live)
+        asked = DriveRequest(test.scenario, DriverName("dave2"), BULLET)
         thread = threading.Thread(target=observed.drive, args=(asked,))
         thread.daemon = True
         thread.start()

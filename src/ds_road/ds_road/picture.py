@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +23,14 @@ _MARGIN, _TRAJECTORY_MARGIN = 10.0, 30.0
 _CAPTION, _ROW, _STRIP = 76, 20, 30
 
 Array = NDArray[np.float64]
+Name = TypeVar("Name", bound=str)
 
 
 def draw(
     road: Road,
     *,
-    trajectories: Mapping[str, Array] | None = None,
-    colours: Mapping[str, str] | None = None,
+    trajectories: Mapping[Name, Array] | None = None,
+    colours: Mapping[Name, str] | None = None,
     size: int = 640,
     caption: bool = True,
 ) -> NDArray[np.uint8]:
@@ -123,7 +124,7 @@ def _path(name: str, path: Array) -> Array:
     return positions[:, :2]
 
 
-def _extent(road: Road, paths: Mapping[str, Array]) -> tuple[Array, Array]:
+def _extent(road: Road, paths: Mapping[Name, Array]) -> tuple[Array, Array]:
     """Corners of the whole road, and of the trajectories where they stay near it, with a margin, m."""
     surface = np.vstack((road.left_edge, road.right_edge, np.array(road.control_points)))
     low, high = surface.min(axis=0) - _TRAJECTORY_MARGIN, surface.max(axis=0) + _TRAJECTORY_MARGIN

@@ -14,7 +14,12 @@ from .gates.visible_contrast import ContrastProbe, VisibleContrast
 from .oracle import LaneTracker, Oracle, OracleLimits
 from .parts import Scene, Vehicle
 from .registry import (
+    BULLET,
+    DONKEY,
+    PANDA,
     SIMULATORS,
+    SOFTBODY,
+    SimulatorName,
     UnknownSimulatorError,
     UntrustedSimulatorError,
     make_simulator,
@@ -41,6 +46,10 @@ from .simulator import (
 from .video import write_video
 
 __all__ = [
+    "BULLET",
+    "DONKEY",
+    "PANDA",
+    "SOFTBODY",
     "Actuation",
     "AutopilotGains",
     "COMMAND_CONDITIONS",
@@ -78,6 +87,7 @@ __all__ = [
     "Session",
     "Simulator",
     "SimulatorError",
+    "SimulatorName",
     "SimulatorSpec",
     "UnknownSimulatorError",
     "UntrustedSimulatorError",

@@ -80,7 +80,7 @@ class HybridSimulator(RoadSimulator):
     @classmethod
     def named(cls, name: SimulatorName) -> HybridSimulator:
         """Make the hybrid that `hybrid_name` names."""
-        return cls(dict(name.parts))
+        return cls(name.parts)
 
     def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
         """Build the world from scratch; see `Simulator.load`."""
@@ -109,7 +109,7 @@ def hybrid_name(names: Mapping[str, str]) -> SimulatorName:
     for name in names.values():
         if "," in name:
             raise HybridError(f"simulator {name}: a name with a comma cannot give parts: rename the file")
-    return SimulatorName(HYBRID, parts=tuple((part, names[part]) for part in PARTS))
+    return SimulatorName(f"{HYBRID}@{','.join(f'{part}={names[part]}' for part in PARTS)}")
 
 
 def exchangeable(name: str) -> RoadSimulator:

@@ -7,7 +7,6 @@ import hashlib
 import os
 from collections.abc import Collection, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib import import_module
 from itertools import cycle
@@ -21,6 +20,9 @@ from ds_base.palette import SERIES
 from ds_base.words import did_you_mean, listed
 
 if TYPE_CHECKING:
+    from pydantic import GetCoreSchemaHandler
+    from pydantic_core import CoreSchema
+
     from ds_road import Road
     from ds_sim.simulator import Simulator, SimulatorSpec  # NumPy would delay every help text
 
@@ -33,61 +35,72 @@ SIMULATORS = {
     "ros": "ds_sim_ros.simulator:RosSimulator",
 }
 """Shipped simulators: name -> `module:Class`. Installed packages add others, see `simulators`."""
-STANDARD = ("bullet", "softbody", "panda", "donkey")
-"""Simulators that drive any road without a file; `all` stands for them."""
 HYBRID = "ds_sim.hybrid:HybridSimulator"
 """Base of the names of hybrids, which end with their parts, `@camera=bullet,look=softbody,...`."""
 MAX_LABEL_LENGTH = 100
 """Chosen: a bag's name contains two labels and some digits, and a file name has at most 255 bytes."""
 
 
-@dataclass(frozen=True)
-class SimulatorName:
-    """A simulator's name, `BASE` or `BASE@FILE`, parsed.
+class SimulatorName(str):
+    """A simulator's name, `BASE` or `BASE@FILE`: made where text comes in, and carried as a value from there on.
 
-    Attributes:
-        base: one of `simulators`, or `module:Class`.
-        file: parameter file; "" where the name has none.
-        parts: of a hybrid, each part and the name of the simulator that gives it.
+    It is its text, so that files, tables and pages have it as that, and it knows its parts. Whether there is such a
+    simulator is seen when that is made.
 
     Examples:
         >>> from ds_sim.registry import HYBRID, SimulatorName
-        >>> SimulatorName.parse("donkey@my_car.yaml")
-        SimulatorName(base='donkey', file='my_car.yaml', parts=())
-        >>> SimulatorName.parse(HYBRID + "@camera=donkey,look=bullet,vehicle=bullet,delays=bullet").title
+        >>> name = SimulatorName("donkey@my_car.yaml")
+        >>> name, name.base, name.file
+        ('donkey@my_car.yaml', 'donkey', 'my_car.yaml')
+        >>> SimulatorName(HYBRID + "@camera=donkey,look=bullet,vehicle=bullet,delays=bullet").in_words
         'bullet with the camera of donkey'
     """
 
-    base: str
-    file: str = ""
-    parts: tuple[tuple[str, str], ...] = ()
+    __slots__ = ()
 
     @classmethod
-    def parse(cls, text: str) -> SimulatorName:
-        """Parse a name; whether there is such a simulator is seen when it is made."""
-        base, _, ending = text.partition("@")
-        if base == HYBRID and ending:
-            return cls(base, parts=tuple(part.partition("=")[::2] for part in ending.split(",")))
-        return cls(base, ending) if ending else cls(text)
+    def __get_pydantic_core_schema__(cls, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Read it from text, each name into one object, and write it as text."""
+        from pydantic_core.core_schema import no_info_after_validator_function, to_string_ser_schema
 
-    def __str__(self) -> str:
-        ending = self.file or ",".join(f"{part}={name}" for part, name in self.parts)
-        return f"{self.base}@{ending}" if ending else self.base
+        one_object = lru_cache(maxsize=1024)(cls)
+        return no_info_after_validator_function(
+            one_object, handler(str), serialization=to_string_ser_schema(when_used="always")
+        )
 
     @property
-    def title(self) -> str:
+    def base(self) -> str:
+        """One of `simulators`, or `module:Class`."""
+        base, _, ending = self.partition("@")
+        return base if ending else str(self)
+
+    @property
+    def file(self) -> str:
+        """Parameter file; "" where the name has none."""
+        return "" if self.base == HYBRID else self.partition("@")[2]
+
+    @property
+    def parts(self) -> dict[str, SimulatorName]:
+        """Of a hybrid, each part and the simulator that gives it."""
+        ending = self.partition("@")[2] if self.base == HYBRID else ""
+        pairs = (part.partition("=") for part in ending.split(",") if ending)
+        return {part: SimulatorName(name) for part, _, name in pairs}
+
+    @property
+    def in_words(self) -> str:
         """The name for a person; of a hybrid its parts: `bullet with the camera of donkey`."""
         if not self.parts:
-            return str(self)
-        names = [name for _, name in self.parts]
+            return self
+        names = list(self.parts.values())
         most = max(names, key=names.count)
-        others = [f"the {part} of {name}" for part, name in self.parts if name != most]
+        others = [f"the {part} of {name}" for part, name in self.parts.items() if name != most]
         return f"{most} with {listed(others)}" if others else most
 
     def moved(self, start: Path, end: Path) -> SimulatorName:
         """The name whose paths, relative to one folder, are made relative to another."""
-        parts = tuple((part, str(SimulatorName.parse(name).moved(start, end))) for part, name in self.parts)
-        return replace(self, file=path_moved(self.file, start, end) if self.file else "", parts=parts)
+        parts = ",".join(f"{part}={name.moved(start, end)}" for part, name in self.parts.items())
+        ending = path_moved(self.file, start, end) if self.file else parts
+        return SimulatorName(f"{self.base}@{ending}") if ending else self
 
     @property
     def exists(self) -> bool:
@@ -115,9 +128,15 @@ class SimulatorName:
         return not self.is_external and not (self.file and simulator_class(self.base).needs_file)
 
 
-def simulators() -> list[str]:
+BULLET, SOFTBODY, PANDA, DONKEY = STANDARD = tuple(map(SimulatorName, ("bullet", "softbody", "panda", "donkey")))
+"""Simulators that drive any road without a file; `all` stands for them."""
+NO_SIMULATOR = SimulatorName("")
+"""In place of a name where none applies."""
+
+
+def simulators() -> list[SimulatorName]:
     """Names of all registered simulators: the shipped ones, then those of installed packages."""
-    return [*SIMULATORS, *(name for name in installed("simulators") if name not in SIMULATORS)]
+    return [SimulatorName(name) for name in {**SIMULATORS, **installed("simulators")}]
 
 
 def path_moved(path: str, start: Path, end: Path) -> str:
@@ -132,18 +151,19 @@ def path_moved(path: str, start: Path, end: Path) -> str:
     return path if os.path.isabs(path) else os.path.relpath(start / path, end)
 
 
-def colours_of(names: Sequence[str]) -> dict[str, str]:
+def colours_of(names: Sequence[SimulatorName]) -> dict[SimulatorName, str]:
     """Colour of each of several simulators: a shipped one's is always the same, the others take free ones in order.
 
     Examples:
-        >>> from ds_sim.registry import colours_of
-        >>> colours_of(["bullet", "mine:Sim"])["bullet"] == colours_of(["donkey", "bullet"])["bullet"]
+        >>> from ds_sim.registry import SimulatorName, colours_of
+        >>> bullet, donkey, other = map(SimulatorName, ("bullet", "donkey", "mine:Sim"))
+        >>> colours_of([bullet, other])[bullet] == colours_of([donkey, bullet])[bullet]
         True
     """
     own = dict(zip(SIMULATORS, SERIES, strict=False))
-    colours: dict[str, str] = {}
+    colours: dict[SimulatorName, str] = {}
     for name in names:
-        colour = own.get(SimulatorName.parse(name).base)
+        colour = own.get(name.base)
         if colour is not None and colour not in colours.values():
             colours[name] = colour
     free = cycle([colour for colour in SERIES if colour not in colours.values()] or SERIES)
@@ -178,7 +198,7 @@ class UntrustedSimulatorError(InputError):
     """A received file names a simulator whose code is not shipped, and nobody confirmed it."""
 
 
-def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> str:
+def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> SimulatorName:
     """Check a simulator name that was read from a received file, before anything is imported.
 
     A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML,
@@ -208,9 +228,9 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
         raise UntrustedSimulatorError(
             f"simulator is a {type(name).__name__}, expected one of {', '.join(simulators())}"
         )
-    parsed = SimulatorName.parse(name)
+    parsed = SimulatorName(name)
     if parsed.runs_no_foreign_code or name in confirmed:
-        return name
+        return parsed
     shown = repr(name) if len(name) <= MAX_LABEL_LENGTH else f"{name[:MAX_LABEL_LENGTH]!r}..."
     if not parsed.exists:
         raise UntrustedSimulatorError(f"unknown simulator {shown}: expected one of {', '.join(simulators())}")
@@ -261,7 +281,7 @@ def unknown_simulator(name: str) -> str:
     return f"{names}; {folder} of this checkout has it: type make {name}" if folder else names
 
 
-def with_libraries(names: Sequence[str]) -> tuple[list[str], list[str]]:
+def with_libraries(names: Sequence[SimulatorName]) -> tuple[list[SimulatorName], list[str]]:
     """Sort registered simulators by whether the libraries that they need are installed.
 
     Returns:
@@ -279,7 +299,7 @@ def _cannot_be_loaded(name: str, error: Exception | str) -> str:
     return f"simulator {name!r} cannot be loaded ({error}){advice}"
 
 
-def make_simulator(name: SimulatorName | str) -> Simulator:
+def make_simulator(name: str) -> Simulator:
     """Make a simulator by name.
 
     Args:
@@ -295,7 +315,7 @@ def make_simulator(name: SimulatorName | str) -> Simulator:
         >>> simulator.spec.name, simulator.spec.camera.width
         ('softbody', 320)
     """
-    parsed = SimulatorName.parse(name) if isinstance(name, str) else name
+    parsed = SimulatorName(name)
     kind = simulator_class(parsed.base)
     if kind.needs_file and not parsed.file:
         raise UnknownSimulatorError(f"simulator {parsed.base!r} needs a file or folder: {parsed.base}@PATH")

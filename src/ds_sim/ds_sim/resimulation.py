@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 from ds_base.errors import RunError
 from ds_sim.conditions.model import NotApplicableError
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Observation, SimulatorError
 
@@ -22,7 +22,7 @@ class ResimulationError(RunError):
         difference: description of the difference.
     """
 
-    def __init__(self, simulator: str, step: int, difference: str) -> None:
+    def __init__(self, simulator: SimulatorName, step: int, difference: str) -> None:
         super().__init__(
             f"{simulator} leaves the recorded run at step {step}, {difference}: it was recorded with another version, "
             "or on another simulator"
@@ -31,7 +31,7 @@ class ResimulationError(RunError):
         self.difference = difference
 
 
-def resimulate(simulator_name: str, run: RunRecord) -> Iterator[Observation]:
+def resimulate(simulator_name: SimulatorName, run: RunRecord) -> Iterator[Observation]:
     """Re-simulate a recorded run in this process and yield every observation with its image.
 
     Args:

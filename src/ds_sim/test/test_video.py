@@ -12,7 +12,7 @@ import pytest
 
 from ds_base.palette import SERIES, rgb
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import DONKEY, SOFTBODY, make_simulator
 from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
@@ -35,7 +35,7 @@ def run() -> RunRecord:
 
 
 def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRecord) -> None:
-    write_video(tmp_path / "run.mp4", "donkey", ROAD, resimulate("donkey", run), run.commands)
+    write_video(tmp_path / "run.mp4", "donkey", ROAD, resimulate(DONKEY, run), run.commands)
     assert [p.name for p in tmp_path.iterdir()] == ["run.mp4"]
     video = cv2.VideoCapture(str(tmp_path / "run.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 20.0
@@ -44,7 +44,7 @@ def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRec
         frames.append(got[1][..., ::-1].astype(float))
     assert len(frames) == 41 + 20 and frames[0].shape == (480, 1260, 3)
     # The camera's last image, as the simulator gave it.
-    image = [o.image for o in resimulate("donkey", run)][-1]
+    image = [o.image for o in resimulate(DONKEY, run)][-1]
     shown = cv2.resize(frames[40][:, :960], (320, 160), interpolation=cv2.INTER_AREA)
     assert np.abs(shown - image).mean() < 6.0
     # The trail on the map, grows.
@@ -56,9 +56,9 @@ def test_a_run_that_was_recorded_elsewhere_is_noticed(run: RunRecord) -> None:
     moved = replace(run.observations[7], vehicle=replace(run.observations[7].vehicle, x=0.0))
     changed = replace(run, observations=[*run.observations[:7], moved, *run.observations[8:]])
     with pytest.raises(ResimulationError, match=r"at step 7, 1\d\d m away"):
-        list(resimulate("donkey", changed))
+        list(resimulate(DONKEY, changed))
     with pytest.raises(ResimulationError, match="leaves the recorded run at step"):
-        list(resimulate("softbody", run))
+        list(resimulate(SOFTBODY, run))
 
 
 def test_a_bad_place_for_a_video_is_named(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from ds_base.installation import missing_module
-from ds_sim.registry import UnknownSimulatorError, make_simulator, with_libraries
+from ds_sim.registry import BULLET, SOFTBODY, UnknownSimulatorError, make_simulator, with_libraries
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim_bullet.parameters import GRAVITY, BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
@@ -188,5 +188,5 @@ def test_without_pybullet_the_error_says_what_to_install(monkeypatch: pytest.Mon
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(UnknownSimulatorError, match=r"^simulator 'bullet' cannot be loaded \(this needs pybullet"):
         make_simulator("bullet")
-    there, left_out = with_libraries(["bullet", "softbody"])
+    there, left_out = with_libraries([BULLET, SOFTBODY])
     assert there == ["softbody"] and left_out == [f"bullet is left out: {missing_module('pybullet')}"]

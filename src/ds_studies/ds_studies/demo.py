@@ -28,7 +28,7 @@ from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.words import in_words
-from ds_sim.registry import make_simulator, with_libraries
+from ds_sim.registry import SimulatorName, make_simulator, with_libraries
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
@@ -37,8 +37,8 @@ from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity
 from ds_studies.sensitivity.ranges import ranges_of
 
 DRIVER = DriverName("dave2")
-TWIN = "donkey"
-SIBLINGS = ("bullet", "softbody", "panda")
+TWIN = SimulatorName("donkey")
+SIBLINGS = tuple(map(SimulatorName, ("bullet", "softbody", "panda")))
 """The fastest first: the demo takes two of those whose libraries are there, or one."""
 ROAD_SEED, MAX_ANGLE = 3, 200
 """Of the one road; chosen: that of the README's picture."""
@@ -155,7 +155,7 @@ def searched_in_words(ranges: Ranges) -> str:
     return ", ".join(in_words(name, low, high) for name, (low, high) in ranges.items())
 
 
-def campaign_config(ranges: Ranges, siblings: Sequence[str]) -> CampaignConfig:
+def campaign_config(ranges: Ranges, siblings: Sequence[SimulatorName]) -> CampaignConfig:
     """Campaign of the demo, which searches on the siblings."""
     conditions = {name: {"low": low, "high": high} for name, (low, high) in ranges.items()}
     search = {**SEARCH, "conditions": conditions}

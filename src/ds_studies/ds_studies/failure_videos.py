@@ -14,7 +14,7 @@ from ds_base.progress import logger_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import translation_of
-from ds_sim.registry import label_of, make_simulator
+from ds_sim.registry import SimulatorName, label_of, make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.video import write_video
@@ -36,7 +36,7 @@ class FailedDrive(OfScenario):
     """
 
     test: str
-    simulator: str
+    simulator: SimulatorName
     scenario: Scenario
 
 

@@ -13,13 +13,14 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, Unfinished, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_road import Road
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 
 def drive_same_roads(
     settings: DriveSettings, roads: Sequence[Road], seed: int, folder: Path | None, callbacks: Callbacks
-) -> dict[str, list[DrivenRoad]]:
+) -> dict[SimulatorName, list[DrivenRoad]]:
     """Drive roads on every simulator; errors are as in `ds_orchestrator.engines.drive_tests.drive_tests`.
 
     Args:
@@ -44,7 +45,7 @@ def drive_same_roads(
         }
 
 
-def driven_road(found: DriveResults, test: Test, simulator: str) -> DrivenRoad | None:
+def driven_road(found: DriveResults, test: Test, simulator: SimulatorName) -> DrivenRoad | None:
     """What became of a test on a simulator; None if it was not driven, or excluded."""
     key = test.test_id, simulator
     if key in found.executions:

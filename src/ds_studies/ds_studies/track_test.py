@@ -43,6 +43,7 @@ from ds_recording.track import Track
 from ds_report.recording_page import write_recording_page
 from ds_report.track_page import write_track_page
 from ds_road import Road, write_roads
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 from ds_twin_donkey.fit_state import Kept
 from ds_twin_donkey.located import fit_located
@@ -173,7 +174,8 @@ def run_track_test(
     roads = _roads(drive, test.roads)
     write_roads(roads, test.out / ROADS)
     LOG.info("step 4 of 4: %d roads are driven", len(roads))
-    names = f"recording@{folder}", f"donkey@{folder / CAR}" if twin["fitted"] else "donkey"
+    twin_name = f"donkey@{folder / CAR}" if twin["fitted"] else "donkey"
+    names = SimulatorName(f"recording@{folder}"), SimulatorName(twin_name)
     answer = _driven(test, settings, names, roads, drive, callbacks)
     answer = replace(answer, limits=_limits(read_located(folder), twin["cautions"], drive, roads, test.roads))
     write_json(test.out / ANSWER, answer.document() | {"crop_top": test.crop})
@@ -256,7 +258,7 @@ def _roads(drive: RecordedDrive, most: int) -> list[Road]:
 def _driven(
     test: TrackTest,
     settings: DriveSettings,
-    names: tuple[str, str],
+    names: tuple[SimulatorName, SimulatorName],
     roads: list[Road],
     drive: RecordedDrive,
     callbacks: Callbacks | None,
@@ -297,7 +299,7 @@ def _driven(
     )
 
 
-def _why(found: DriveResults, key: tuple[str, str]) -> str:
+def _why(found: DriveResults, key: tuple[str, SimulatorName]) -> str:
     """Why a test has no verdict on a simulator."""
     gate = found.gates.get(key)
     text = str(found.errors.get(key, Unfinished())) if gate is None else gate.message

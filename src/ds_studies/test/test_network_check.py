@@ -18,6 +18,7 @@ from onnx import TensorProto, helper, numpy_helper
 from ds_base.progress import SILENT
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
+from ds_sim import DONKEY, SOFTBODY
 from ds_studies.network_check import recording
 from ds_studies.network_check.agreement import agreement
 from ds_studies.network_check.description import describe, forms_of
@@ -39,7 +40,7 @@ def recorded(roads: int) -> list[Recording]:
         patch.setattr(recording, "LONGEST", 160)
         patch.setattr(recording, "EVERY", 4)
         patch.setattr(recording, "map_in_processes", one_by_one)
-        return record(["softbody", "donkey"], 1, SILENT)
+        return record([SOFTBODY, DONKEY], 1, SILENT)
 
 
 @pytest.fixture(scope="module")
@@ -288,9 +289,9 @@ class Counting(Pilot):
 def test_a_network_with_memory_is_shown_whole_pieces_of_drives(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in (("ROADS", 1), ("LONGEST", 60), ("WHOLE", slice(20, 50)), ("map_in_processes", one_by_one)):
         monkeypatch.setattr(recording, name, value)
-    found = record(["softbody"], 1, SILENT, whole=True)
+    found = record([SOFTBODY], 1, SILENT, whole=True)
     steering, _, _ = ask_open_loop(Counting(), found)
-    assert len(steering["softbody"]) == 2 * 30 and [one.step for one in found[0].frames[28:32]] == [48, 49, 20, 21]
+    assert len(steering[SOFTBODY]) == 2 * 30 and [one.step for one in found[0].frames[28:32]] == [48, 49, 20, 21]
 
 
 def donkey_pilot(folder: Path, weights: NDArray[np.float64], bias: float, names: tuple[str, str]) -> Path:
@@ -347,7 +348,7 @@ def test_an_offset_that_another_lane_takes_away_is_a_lane(
     patches = {"ROADS": 1, "LONGEST": 160, "EVERY": 4, "map_in_processes": one_by_one}
     for name, value in patches.items():
         monkeypatch.setattr(recording, name, value)
-    left = record(["softbody", "donkey"], 1, SILENT, lane="left")
+    left = record([SOFTBODY, DONKEY], 1, SILENT, lane="left")
     assert [one.steering.tolist() for one in left] != [one.steering.tolist() for one in drives]
     wanted = [np.concatenate([one.steering for one in part]) for part in (drives, left)]
     path = made(of=[*drives, *left], steering=np.concatenate([wanted[0] - 0.25, wanted[1] + there]))

@@ -23,6 +23,7 @@ from ds_orchestrator.engines import drive_tests, fingerprint
 from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_orchestrator.engines.start import ENGINES
 from ds_road import Road, generate
+from ds_sim import BULLET, DONKEY, SimulatorName
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 from ds_studies.same_roads import drive_same_roads
@@ -31,7 +32,7 @@ ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(4))
 OUTCOMES = dict(
     zip(ROADS, (Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS, Outcome.SIM_ERROR, Outcome.COMPLETED), strict=True)
 )
-SETTINGS = DriveSettings(siblings=("bullet", "donkey"), driver=AUTOPILOT, retries=0)
+SETTINGS = DriveSettings(siblings=(BULLET, SimulatorName(DONKEY)), driver=AUTOPILOT, retries=0)
 
 
 class MadeUpEngine:
@@ -126,7 +127,7 @@ def test_without_a_folder_nothing_is_kept(
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         engine = use(MadeUpEngine())
-        assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Callbacks())["donkey"]) == 1
+        assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Callbacks())[DONKEY]) == 1
         assert len(engine.driven) == 2
     assert not list(tmp_path.iterdir())
 
@@ -145,6 +146,6 @@ def test_roads_stay_in_line_where_a_simulator_cannot_realise_one(
 ) -> None:
     use(RefusingEngine())
     found = drive_same_roads(SETTINGS, ROADS[:2], 7, tmp_path / "drives", Callbacks())
-    assert [run.road for run in found["donkey"]] == list(ROADS[:2])
-    assert [run.outcome for run in found["donkey"]] == [Outcome.SIM_ERROR, Outcome.OUT_OF_BOUNDS]
-    assert [run.outcome for run in found["bullet"]] == [Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS]
+    assert [run.road for run in found[DONKEY]] == list(ROADS[:2])
+    assert [run.outcome for run in found[DONKEY]] == [Outcome.SIM_ERROR, Outcome.OUT_OF_BOUNDS]
+    assert [run.outcome for run in found[BULLET]] == [Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS]

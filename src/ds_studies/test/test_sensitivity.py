@@ -25,7 +25,7 @@ from ds_orchestrator.engines.start import ENGINES
 from ds_report.sensitivity_picture import draw_sensitivity
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
-from ds_sim.registry import make_simulator
+from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName, make_simulator
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 from ds_studies.sensitivity import analysis, measurement
@@ -39,6 +39,8 @@ from ds_studies.sensitivity.measurement import (
     first_failure,
     measure,
 )
+
+X = SimulatorName("x")
 
 LAG = next(factor for factor in all_factors() if factor.name == "steering_lag")
 
@@ -92,13 +94,13 @@ def made_up(driver: list[float], gate: float = math.inf) -> measurement.Fails:
 
 
 def test_the_median_road_decides_and_the_roads_span_the_interval() -> None:
-    found = threshold_of("bullet", LAG, measure(LAG, 5, made_up([0.31, 0.74, 0.49, 2.0, 0.55])))
+    found = threshold_of(BULLET, LAG, measure(LAG, 5, made_up([0.31, 0.74, 0.49, 2.0, 0.55])))
     assert (found.verdict, found.fails, found.interval) == ("fails", 9, (5, None))
     document = found.document()
     assert (document["first_fails"], document["completes"], document["interval"]) == (0.5625, 0.5, [0.3125, None])
     assert found.text == "0.562 (0.312 to never)" and found.withstood == 0.5625
     noisy = np.random.default_rng(5).normal(0.5, 0.1, (2000, 5))
-    medians = [threshold_of("x", LAG, measure(LAG, 5, made_up(list(row)))) for row in noisy[:200]]
+    medians = [threshold_of(X, LAG, measure(LAG, 5, made_up(list(row)))) for row in noisy[:200]]
     covered = [one.interval[0] <= 8.5 <= (one.interval[1] or 99) for one in medians if one.interval[0]]
     assert abs(np.mean(covered) - coverage(5)) < 0.06 and coverage(5) == 0.9375
 
@@ -107,8 +109,8 @@ def test_fewer_levels_find_the_next_of_their_own() -> None:
     for levels in RESOLUTIONS:
         step = LEVELS // levels
         for fails_from in np.linspace(0.01, 0.99, 40):
-            found = threshold_of("x", LAG, measure(LAG, 1, made_up([fails_from]), levels=levels))
-            exact = threshold_of("x", LAG, measure(LAG, 1, made_up([fails_from])))
+            found = threshold_of(X, LAG, measure(LAG, 1, made_up([fails_from]), levels=levels))
+            exact = threshold_of(X, LAG, measure(LAG, 1, made_up([fails_from])))
             assert found.fails and exact.fails and found.fails % step == 0
             assert 0 <= found.fails - exact.fails < step
             completed, first = found.document()["completes"], found.document()["first_fails"]
@@ -125,7 +127,7 @@ def test_no_road_is_driven_that_cannot_change_the_verdict(roads: int) -> None:
             driven.add(road)
             return who == TESTED and failing[road] and conditions.steering_lag >= 0.5
 
-        found = threshold_of("x", LAG, measure(LAG, roads, fails))
+        found = threshold_of(X, LAG, measure(LAG, roads, fails))
         assert found.verdict == ("fails" if 2 * sum(failing) >= roads else "completes")
         if found.verdict == "fails":
             assert len(driven) == roads
@@ -134,20 +136,20 @@ def test_no_road_is_driven_that_cannot_change_the_verdict(roads: int) -> None:
 
 
 def test_never_always_and_infeasible_are_told_apart() -> None:
-    never = threshold_of("bullet", LAG, measure(LAG, 3, made_up([9.0] * 3)))
+    never = threshold_of(BULLET, LAG, measure(LAG, 3, made_up([9.0] * 3)))
     assert (never.verdict, never.text, never.withstood, never.fails) == ("completes", "no failure", 1.0, None)
-    always = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.001] * 3)))
+    always = threshold_of(BULLET, LAG, measure(LAG, 3, made_up([0.001] * 3)))
     assert (always.verdict, always.fails, always.document()["completes"]) == ("fails", 1, 0.0)
     # The driver fails from 0.9 s on, where the autopilot fails, too: so it does from 0.5 s on.
-    bound = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.9] * 3, gate=0.5)))
+    bound = threshold_of(BULLET, LAG, measure(LAG, 3, made_up([0.9] * 3, gate=0.5)))
     assert (bound.verdict, bound.text, bound.fails) == ("infeasible", "infeasible from 0.938", None)
     assert bound.document()["excluded_from"] == 0.9375 and bound.document()["first_fails"] is None
-    below = threshold_of("bullet", LAG, measure(LAG, 3, made_up([0.3] * 3, gate=0.5)))
+    below = threshold_of(BULLET, LAG, measure(LAG, 3, made_up([0.3] * 3, gate=0.5)))
     assert (below.verdict, below.fails, below.excluded) == ("fails", 5, None)
     # One road fails, one cannot be judged where it would, one passes: the median is not known to pass.
     mixed = [RoadResult(completes=3, fails=4), RoadResult(completes=5, excluded=6), RoadResult(completes=LEVELS)]
-    assert threshold_of("bullet", LAG, mixed).text == "infeasible from 0.375"
-    assert threshold_of("bullet", LAG, (), "sim_error: diverged").verdict == "error"
+    assert threshold_of(BULLET, LAG, mixed).text == "infeasible from 0.375"
+    assert threshold_of(BULLET, LAG, (), "sim_error: diverged").verdict == "error"
 
 
 def test_gates_judge_failures_alone() -> None:
@@ -161,10 +163,10 @@ def test_gates_judge_failures_alone() -> None:
 
         return fails
 
-    judged = threshold_of("bullet", contrast, measure(contrast, 1, drivers(tested=0.5, visible=0.2)))
+    judged = threshold_of(BULLET, contrast, measure(contrast, 1, drivers(tested=0.5, visible=0.2)))
     assert (judged.verdict, judged.text) == ("fails", "0.438")
     assert [value for who, value in driven if who == GATE] == [0.4375] and driven[0] == (TESTED, 0.0)
-    blind = threshold_of("bullet", contrast, measure(contrast, 3, drivers(tested=0.2, visible=0.5)))
+    blind = threshold_of(BULLET, contrast, measure(contrast, 3, drivers(tested=0.2, visible=0.5)))
     assert (blind.verdict, blind.text, blind.fails) == ("lines invisible", "lines invisible from 0.188", None)
     driven.clear()
     assert measure(contrast, 2, drivers(tested=-1.0, visible=2.0))[0].withstands_all
@@ -245,7 +247,11 @@ def test_an_analysis_goes_on_where_it_stopped(
         engine = MadeUpEngine()
         engines.append(engine)
         found = analysis.analyse_sensitivity(
-            DriveSettings(siblings=("bullet", "softbody", "panda"), driver=DriverName.parse(driver), retries=0),
+            DriveSettings(
+                siblings=(BULLET, SimulatorName(SOFTBODY), SimulatorName(PANDA)),
+                driver=DriverName.parse(driver),
+                retries=0,
+            ),
             factors,
             roads=3,
             seed=1,
@@ -273,7 +279,7 @@ def test_an_analysis_goes_on_where_it_stopped(
 def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
     engines.append(MadeUpEngine(fails_by_default=True))
     found = analysis.analyse_sensitivity(
-        DriveSettings(siblings=("bullet",), driver=DriverName("dave2")), [LAG], roads=1, seed=1
+        DriveSettings(siblings=(BULLET,), driver=DriverName("dave2")), [LAG], roads=1, seed=1
     )
     assert found.thresholds[0, "bullet"].text == "fails by default"
     assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
@@ -285,7 +291,7 @@ def test_thresholds_of_translated_images_say_what_they_are_not(
 ) -> None:
     engines.append(MadeUpEngine())
     found = analysis.analyse_sensitivity(
-        DriveSettings(siblings=("bullet",), driver=DriverName.parse(driver)), [LAG], roads=1, seed=1
+        DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver)), [LAG], roads=1, seed=1
     )
     assert found.document()["translated_images"] == translated
     assert any("sees translated images" in note for note in found.table().notes) == translated
@@ -304,7 +310,7 @@ def test_a_picture_changes_nothing_for_the_autopilot() -> None:
 
 def test_results_name_values_that_json_can_hold() -> None:
     factor = Factor(name="visibility", start=math.inf, end=20.0)
-    document = threshold_of("bullet", factor, [RoadResult(completes=0, fails=1)]).document()
+    document = threshold_of(BULLET, factor, [RoadResult(completes=0, fails=1)]).document()
     assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0
 
 
@@ -314,7 +320,7 @@ def test_several_networks_come_in_one_sorted_table(engines: list[MadeUpEngine]) 
     found = []
     for driver in ("dave2", "chauffeur"):
         engines.append(MadeUpEngine())
-        settings = DriveSettings(siblings=("bullet",), driver=DriverName.parse(driver))
+        settings = DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver))
         found.append(analysis.analyse_sensitivity(settings, [lines, lag], roads=1, seed=1))
     table = networks_table(found)
     assert list(table.rows[1]) == ["chauffeur", 1, (5 / 16 + 1) / 2, lag.title, 1.0, 5 / 16]

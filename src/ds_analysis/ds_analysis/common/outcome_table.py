@@ -24,6 +24,7 @@ from ds_road import Road
 from ds_road.geometry import direction_coverage
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.scales import share_of
+from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
     from ds_orchestrator.campaign.folder import CampaignData
@@ -88,8 +89,8 @@ class OutcomeTable:
     """
 
     test_ids: tuple[str, ...]
-    siblings: tuple[str, ...]
-    twin: str | None
+    siblings: tuple[SimulatorName, ...]
+    twin: SimulatorName | None
     axes: tuple[Feature, ...]
     cells: tuple[Cell | None, ...]
     states: NDArray[np.int8]
@@ -107,7 +108,7 @@ class OutcomeTable:
         return len(self.test_ids)
 
     @property
-    def simulators(self) -> tuple[str, ...]:
+    def simulators(self) -> tuple[SimulatorName, ...]:
         """Siblings, then the twin if there is one."""
         return (*self.siblings, *([self.twin] if self.twin else []))
 
@@ -123,19 +124,19 @@ class OutcomeTable:
             return ""
         return f"Computed from a sample of whole families; {self.left_out:,} tests of this large campaign are left out."
 
-    def column(self, simulator: str) -> int:
+    def column(self, simulator: SimulatorName) -> int:
         """Index of a simulator's column."""
         return self.simulators.index(simulator)
 
-    def known(self, simulator: str) -> Bools:
+    def known(self, simulator: SimulatorName) -> Bools:
         """(tests,) whether a test ended in a verdict on a simulator; excluded tests and errors never do."""
         return np.isin(self.states[:, self.column(simulator)], (State.COMPLETED, State.FAILED))
 
-    def failed(self, simulator: str) -> Bools:
+    def failed(self, simulator: SimulatorName) -> Bools:
         """(tests,) whether a test failed on a simulator."""
         return np.asarray(self.states[:, self.column(simulator)] == State.FAILED)
 
-    def largest_lateral(self, simulator: str) -> Array:
+    def largest_lateral(self, simulator: SimulatorName) -> Array:
         """(tests,) largest absolute lateral position on a simulator, m."""
         return self.lateral[:, self.column(simulator)]
 
@@ -168,7 +169,7 @@ class OutcomeTable:
             return self.with_twin(None)
         return replace(self, siblings=self.simulators, twin=None)
 
-    def with_twin(self, name: str | None) -> Self:
+    def with_twin(self, name: SimulatorName | None) -> Self:
         """Let another simulator play the twin, and all others the siblings; None leaves the twin out.
 
         Raises:
@@ -210,8 +211,8 @@ class RoadTable(OutcomeTable):
         states: NDArray[np.int8],
         lateral: Array,
         *,
-        siblings: Sequence[str],
-        twin: str | None = None,
+        siblings: Sequence[SimulatorName],
+        twin: SimulatorName | None = None,
         test_ids: Sequence[str] | None = None,
         conditions: Sequence[Conditions] | None = None,
         axes: Sequence[Feature] = DEFAULT_AXES,
@@ -265,7 +266,7 @@ class RoadTable(OutcomeTable):
 
 
 def table_of_runs(
-    runs: Mapping[str, Sequence[DrivenRoad]], *, conditions: Sequence[Conditions] | None = None
+    runs: Mapping[SimulatorName, Sequence[DrivenRoad]], *, conditions: Sequence[Conditions] | None = None
 ) -> RoadTable:
     """Collect runs; all simulators are siblings.
 
@@ -356,7 +357,7 @@ def is_study(folder: Path) -> bool:
     return (folder / STUDY).exists()
 
 
-def table_of_comparison(folder: Path, *, twin: str | None = None) -> RoadTable:
+def table_of_comparison(folder: Path, *, twin: SimulatorName | None = None) -> RoadTable:
     """Read what `ds siblings compare --out` wrote, without profiles.
 
     Args:

@@ -17,6 +17,7 @@ from ds_analysis.comparison.sequential import TOLERANCE
 from ds_base.table import p_in_words
 from ds_base.words import count
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
+from ds_sim.registry import SimulatorName
 
 Verdict = Literal["worse", "better", "not significant"]
 Origin = Literal["random", "both", "reference", "suite"]
@@ -39,7 +40,7 @@ class SimulatorComparison:
         margin_change: median change of the smallest lateral distance, m; negative is worse. None if no test has one.
     """
 
-    simulator: str
+    simulator: SimulatorName
     counts: PairedCounts
     p_adjusted: float
     unsearched: PairedCounts
@@ -64,7 +65,7 @@ class CellComparison:
         p_adjusted: by Benjamini and Hochberg over all filled cells of all simulators.
     """
 
-    simulator: str
+    simulator: SimulatorName
     cell: Cell
     counts: PairedCounts
     p_adjusted: float
@@ -93,12 +94,12 @@ class Comparison:
     origin: Origin
     source: str
     features: tuple[Feature, ...]
-    twin: str | None
+    twin: SimulatorName | None
     drives: Sequence[PairedDrive]
     simulators: Sequence[SimulatorComparison]
     cells: Sequence[CellComparison]
     excluded: int = 0
-    left_out: Sequence[tuple[str, str, str]] = ()
+    left_out: Sequence[tuple[str, SimulatorName, str]] = ()
 
     @cached_property
     def newly_failing(self) -> list[PairedDrive]:
@@ -126,7 +127,7 @@ class Comparison:
         """Number of different tests."""
         return len({drive.test.name for drive in self.drives})
 
-    def tally(self) -> dict[str, tuple[int, int]]:
+    def tally(self) -> dict[SimulatorName, tuple[int, int]]:
         """Simulator -> failures of the candidate, and its drives."""
         return {one.simulator: (one.counts.candidate_failures, one.counts.tests) for one in self.simulators}
 
@@ -138,11 +139,11 @@ def compare_networks(
     candidate: Network,
     origin: Origin,
     source: str,
-    simulators: Sequence[str],
+    simulators: Sequence[SimulatorName],
     features: Sequence[Feature] = DEFAULT_AXES,
-    twin: str | None = None,
+    twin: SimulatorName | None = None,
     excluded: int = 0,
-    left_out: Sequence[tuple[str, str, str]] = (),
+    left_out: Sequence[tuple[str, SimulatorName, str]] = (),
     sequential: bool = False,
 ) -> Comparison:
     """Compare two networks by their drives on the same tests.
@@ -180,7 +181,7 @@ def compare_networks(
 
 
 def _simulators(
-    of: Mapping[str, Sequence[PairedDrive]], *, is_fair: bool, sequential: bool
+    of: Mapping[SimulatorName, Sequence[PairedDrive]], *, is_fair: bool, sequential: bool
 ) -> list[SimulatorComparison]:
     every = {name: PairedCounts.of(drives, sequential=sequential) for name, drives in of.items()}
     unsearched = {name: PairedCounts.of(d for d in drives if d.test.unsearched) for name, drives in of.items()}
@@ -218,8 +219,8 @@ def _median_change(drives: Sequence[PairedDrive]) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def _cells(of: Mapping[str, Sequence[PairedDrive]]) -> list[CellComparison]:
-    groups: dict[tuple[str, Cell], list[PairedDrive]] = {}
+def _cells(of: Mapping[SimulatorName, Sequence[PairedDrive]]) -> list[CellComparison]:
+    groups: dict[tuple[SimulatorName, Cell], list[PairedDrive]] = {}
     for name, drives in of.items():
         for drive in drives:
             if drive.test.cell is not None:

@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from ds_analysis.comparison.analysis import Comparison
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import CampaignData
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 FailOn = Literal["failure", "regression", "worse"]
@@ -73,7 +74,7 @@ class Criteria:
 
     def unmet(
         self,
-        tally: Mapping[str, tuple[int, int]],
+        tally: Mapping[SimulatorName, tuple[int, int]],
         *,
         newly_failing: int | None = None,
         worse: Sequence[str] = (),
@@ -134,7 +135,7 @@ class Case:
     """
 
     test: str
-    simulator: str
+    simulator: SimulatorName
     state: State
     seconds: float = 0.0
     message: str = ""

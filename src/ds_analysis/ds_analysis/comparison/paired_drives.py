@@ -20,6 +20,7 @@ from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.maps.algebra import DRAWS
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
@@ -118,7 +119,7 @@ class PairedDrive:
     """
 
     test: ComparedTest
-    simulator: str
+    simulator: SimulatorName
     reference: DriveOutcome
     candidate: DriveOutcome
 

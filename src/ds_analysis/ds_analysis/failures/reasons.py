@@ -19,6 +19,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.words import in_words
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import FRAME_TIME, Outcome
 
 MOST_FAILURES = 2_000
@@ -50,7 +51,7 @@ class Reason(NamedTuple):
     """
 
     test_id: str
-    simulator: str
+    simulator: SimulatorName
     kind: str
     details: str
 

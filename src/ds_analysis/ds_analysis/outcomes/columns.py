@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.common.statistics import Bools
 from ds_base.bounded_yaml import BoundedYamlError, read_yaml
+from ds_sim.registry import SimulatorName
 
 GUIDE = "docs/outcomes.md"
 WORDS = {
@@ -119,7 +120,7 @@ class Columns(_Strict):
 
     test: str | list[str] = "test_id"
     simulator: str | list[str] = "simulator"
-    simulators: dict[str, Verdict] | None = None
+    simulators: dict[SimulatorName, Verdict] | None = None
     failed: Failed | None = None
     margin: Margin | None = None
     repeat: str | None = None
@@ -127,7 +128,7 @@ class Columns(_Strict):
     features: list[str] | None = None
     where: list[Rule] = []
     map: Annotated[dict[str, Annotated[float, Field(gt=0.0)]], Field(min_length=2, max_length=3)] | None = None
-    twin: str | None = None
+    twin: SimulatorName | None = None
     car: str | None = None
     car_drawn: bool = False
 

@@ -17,9 +17,10 @@ from ds_analysis.common.outcome_table import (
     table_of_comparison,
 )
 from ds_orchestrator.campaign.folder import open_store, read_campaign
+from ds_sim.registry import SimulatorName
 
 
-def read_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> OutcomeTable:
+def read_table(folder: Path, *, twin: SimulatorName | None = None, most: int | None = None) -> OutcomeTable:
     """Read a folder of `ds campaign run`, finished or running, of `ds siblings compare --out`, or `ds outcomes import`.
 
     Args:
@@ -40,7 +41,7 @@ def read_table(folder: Path, *, twin: str | None = None, most: int | None = None
     return table.with_twin(twin) if twin else table
 
 
-def read_road_table(folder: Path, *, twin: str | None = None, most: int | None = None) -> RoadTable:
+def read_road_table(folder: Path, *, twin: SimulatorName | None = None, most: int | None = None) -> RoadTable:
     """Read a folder of `ds campaign run` or `ds siblings compare --out`; see `read_table`."""
     if (folder / "campaign.sqlite").exists():
         with closing(open_store(folder)) as store:

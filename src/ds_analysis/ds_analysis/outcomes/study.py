@@ -37,6 +37,7 @@ from ds_base.bounded_json import load_json
 from ds_base.bounded_tables import plain_cell, read_csv, read_parquet
 from ds_orchestrator.search.features import column_axis
 from ds_sim.conditions.model import FIELDS
+from ds_sim.registry import SimulatorName
 
 KEY = b"digital siblings study 1"
 """Key of the metadata of that file."""
@@ -68,13 +69,13 @@ class Study:
     rows: pd.DataFrame
     features: tuple[str, ...]
     axes: dict[str, float]
-    twin: str | None = None
+    twin: SimulatorName | None = None
     car: str | None = None
     car_drawn: bool = False
     conditions: tuple[str, ...] = ()
 
     @property
-    def simulators(self) -> list[str]:
+    def simulators(self) -> list[SimulatorName]:
         """Names, the twin last, without the car."""
         names = [name for name in dict.fromkeys(self.rows["simulator"]) if name != self.car]
         return sorted(names, key=lambda name: name == self.twin)

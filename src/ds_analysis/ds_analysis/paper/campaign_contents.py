@@ -13,6 +13,7 @@ from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_sim.conditions.text import format_conditions
 from ds_sim.gates.gate import GateState
+from ds_sim.registry import SimulatorName
 
 
 def maps_of(data: CampaignData, *, features: Sequence[str] | None = None) -> dict[MapId, FeatureMap]:
@@ -38,7 +39,7 @@ IN_WORDS = {
 """States of excluded tests, in words."""
 
 
-def exclusion_counts(data: CampaignData) -> dict[str, dict[str, int]]:
+def exclusion_counts(data: CampaignData) -> dict[SimulatorName, dict[str, int]]:
     """Count excluded tests by simulator and state; simulators without any are left out."""
     gates = Counter((simulator, gate.state) for (_, simulator), gate in data.excluded.items())
     counts = {name: {state.value: gates[name, state] for state in IN_WORDS} for name in data.config.simulators}

@@ -32,6 +32,7 @@ from ds_analysis.common.statistics import (
 )
 from ds_orchestrator.maps.algebra import OPERATORS, merge
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
+from ds_sim.registry import SimulatorName
 
 QUESTIONS: tuple[Literal["probability", "quality_loss"], ...] = ("probability", "quality_loss")
 """RQ2 and RQ3: values of the siblings' maps that are compared with the twin's failure probability."""
@@ -141,7 +142,7 @@ def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resample
 
 
 def evaluate(
-    maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = 0
+    maps: Mapping[MapId, FeatureMap], siblings: Sequence[SimulatorName], twin: SimulatorName, *, resamples: int = 0
 ) -> list[Correlation]:
     """Compare each sibling's union map and the merged map with the twin, by failure probability and by quality loss.
 
@@ -158,7 +159,11 @@ def evaluate(
 
 
 def paired_differences(
-    maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str, *, resamples: int = RESAMPLES
+    maps: Mapping[MapId, FeatureMap],
+    siblings: Sequence[SimulatorName],
+    twin: SimulatorName,
+    *,
+    resamples: int = RESAMPLES,
 ) -> list[PairedDifference]:
     """Compare the merged map with each sibling's, by both values; empty with a single sibling."""
     merged, truth = maps[MapId.merged()], maps[MapId.twin(twin)]
@@ -215,7 +220,9 @@ class RobustnessCheck:
     auc: float | None = None
 
 
-def check_robustness(maps: Mapping[MapId, FeatureMap], siblings: Sequence[str], twin: str) -> list[RobustnessCheck]:
+def check_robustness(
+    maps: Mapping[MapId, FeatureMap], siblings: Sequence[SimulatorName], twin: SimulatorName
+) -> list[RobustnessCheck]:
     """Compute RQ2 and RQ3 in other ways, the authors' package first (its compute_mapelites_correlation)."""
     unions = [maps[MapId.union(sibling)] for sibling in siblings]
     compared, truth = [*unions, maps[MapId.merged()]], maps[MapId.twin(twin)]

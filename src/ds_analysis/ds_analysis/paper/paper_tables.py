@@ -11,6 +11,7 @@ from ds_analysis.common.statistics import Array, caution_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, RobustnessCheck
 from ds_analysis.paper.steering_error_stats import BINS, MERGED, RANGE, ErrorComparison, ErrorRobustnessCheck, densities
 from ds_base.table import Column, Table, Value, styled
+from ds_sim.registry import SimulatorName
 
 Kind = Literal["sim", "real"]
 
@@ -114,7 +115,7 @@ def _caution_notes(reasons: Sequence[str]) -> list[str]:
 
 
 def correlation_tables(
-    correlations: Sequence[Correlation], siblings: Sequence[str], twin: str, network: Network | None
+    correlations: Sequence[Correlation], siblings: Sequence[SimulatorName], twin: SimulatorName, network: Network | None
 ) -> list[Table]:
     """Tabulate RQ2 and RQ3 (paper 4.4.2, 4.4.3).
 
@@ -155,7 +156,7 @@ def correlation_tables(
     return tables
 
 
-def paired_difference_table(paired_differences: Sequence[PairedDifference], siblings: Sequence[str]) -> Table:
+def paired_difference_table(paired_differences: Sequence[PairedDifference], siblings: Sequence[SimulatorName]) -> Table:
     """Tabulate the differences between the merged map and each sibling's: the paper's claim, with an interval."""
     columns = [
         *styled("text", "question", "DSS minus"),

@@ -16,6 +16,7 @@ from statsmodels.stats.inter_rater import cohens_kappa
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.common.statistics import Array, r_or_nan
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 APART = 0.5
@@ -95,7 +96,7 @@ def gaps(one: Array, other: Array) -> Array:
     return np.abs(one[:both] - other[:both])
 
 
-def _pair(outcomes: RoadTable, first: str, second: str) -> PairComparison:
+def _pair(outcomes: RoadTable, first: SimulatorName, second: SimulatorName) -> PairComparison:
     judged = np.flatnonzero(outcomes.known(first) & outcomes.known(second)).tolist()
     failed, other_failed = outcomes.failed(first)[judged], outcomes.failed(second)[judged]
     table = np.zeros((2, 2), int)
@@ -129,7 +130,9 @@ def _pair(outcomes: RoadTable, first: str, second: str) -> PairComparison:
     )
 
 
-def _kappa(first: str, second: str, table: NDArray[np.int_]) -> tuple[float | None, tuple[float, float] | None, str]:
+def _kappa(
+    first: SimulatorName, second: SimulatorName, table: NDArray[np.int_]
+) -> tuple[float | None, tuple[float, float] | None, str]:
     """Compute Cohen's kappa of a table of verdicts (rows: first, columns: second) and its interval, or the reason."""
     if table.sum() == 0:
         return None, None, "no road was driven to a verdict on both"

@@ -14,6 +14,7 @@ from scipy.special import softmax
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.prediction.experts import Expert, Learnt, SiblingOutcomes, experts_of
+from ds_sim.registry import SimulatorName
 
 FEWEST_TESTS = 10
 """Tests with a verdict on some sibling that a prediction needs; chosen: fewer do not standardise a feature."""
@@ -187,7 +188,7 @@ def _flat(experts: Sequence[Expert]) -> Array:
     return np.where(using, (1.0 - WITHOUT_SIBLINGS) / using.sum(), WITHOUT_SIBLINGS / (~using).sum())
 
 
-def outcomes_of(table: OutcomeTable, name: str) -> list[Drive]:
+def outcomes_of(table: OutcomeTable, name: SimulatorName) -> list[Drive]:
     """Return all verdicts of a simulator, as if they were a car's drives."""
     failed = table.failed(name)
     return [Drive(int(row), bool(failed[row])) for row in np.flatnonzero(table.known(name))]

@@ -30,6 +30,7 @@ from ds_analysis.prediction.mixture import Prediction
 from ds_base.intervals import jeffreys_interval
 from ds_base.table import Column, Table
 from ds_orchestrator.maps.algebra import OPERATORS
+from ds_sim.registry import SimulatorName
 
 
 def features_alone(table: OutcomeTable) -> Array:
@@ -130,7 +131,7 @@ class PredictorComparison:
         reliability: of the prediction: bin's edges, tests, mean probability, share that failed and its interval.
     """
 
-    twin: str
+    twin: SimulatorName
     tests: int
     families: int
     failures: int
@@ -164,7 +165,7 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
         )
     kept = table.select(rows)
     truth = kept.failed(table.twin).astype(np.float64)
-    driven = {name: kept.failed(name).astype(np.float64) for name in kept.siblings}
+    driven: dict[str, Array] = {name: kept.failed(name).astype(np.float64) for name in kept.siblings}
     model = prediction.probabilities(rows)
     predicted = {**driven, **merged(list(driven.values())), FEATURES: features_alone(table)[rows], MODEL: model}
     weights = scores.family_weights(kept.families, RESAMPLES, _SEED)

@@ -13,6 +13,7 @@ from ds_base.table import Column, Table, Value, styled
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import sees_translated
 from ds_sim.conditions.text import format_3sf
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 
 
@@ -57,7 +58,7 @@ class Threshold:
         message: one line about an error; else "".
     """
 
-    simulator: str
+    simulator: SimulatorName
     factor: Factor
     verdict: Verdict
     roads: Sequence[RoadResult] = ()
@@ -132,7 +133,7 @@ class Threshold:
         return None if level is None else _finite(self.factor.value(level))
 
 
-def threshold_of(simulator: str, factor: Factor, roads: Sequence[RoadResult], error: str = "") -> Threshold:
+def threshold_of(simulator: SimulatorName, factor: Factor, roads: Sequence[RoadResult], error: str = "") -> Threshold:
     """Judge the results of the roads of one factor on one simulator."""
     threshold = Threshold(simulator=simulator, factor=factor, verdict="completes", roads=roads, message=error)
     if error:
@@ -177,10 +178,10 @@ class Sensitivity:
     """
 
     driver: DriverName
-    simulators: Sequence[str]
+    simulators: Sequence[SimulatorName]
     factors: Sequence[Factor]
     needed: int
-    roads: Mapping[str, Sequence[Scenario]]
+    roads: Mapping[SimulatorName, Sequence[Scenario]]
     thresholds: Mapping[tuple[int, str], Threshold]
 
     @property

@@ -20,6 +20,7 @@ from ds_analysis.common.cross_validation import (
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import FEWEST_OF_EACH_KIND, Array, Bools, Interval, interval_over_families
 from ds_base.words import listed
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,7 @@ class Baseline:
         caution: why there are no scores, or "".
     """
 
-    simulator: str
+    simulator: SimulatorName
     roads: int
     failures: int
     entropy: float
@@ -72,7 +73,7 @@ class Baseline:
         return max(self.chosen, key=lambda name: self.chosen[name], default="")
 
 
-def caution_of_failures(table: OutcomeTable, simulator: str) -> str:
+def caution_of_failures(table: OutcomeTable, simulator: SimulatorName) -> str:
     """Explain why failures are too few for a prediction; "" if they are not.
 
     See `FEWEST_OF_EACH_KIND`; each part of the cross-validation needs a family of each kind.
@@ -93,7 +94,7 @@ def caution_of_failures(table: OutcomeTable, simulator: str) -> str:
     return ""
 
 
-def baseline_of(table: OutcomeTable, simulator: str, *, repeats: int = REPEATS) -> Baseline:
+def baseline_of(table: OutcomeTable, simulator: SimulatorName, *, repeats: int = REPEATS) -> Baseline:
     """Predict the failures on one simulator from road features and conditions alone."""
     failed = table.failed(simulator)
     share = float(failed.mean()) if len(failed) else 0.0
@@ -152,7 +153,7 @@ class AddedInformation:
     """
 
     about: str
-    sibling: str
+    sibling: SimulatorName
     beyond: tuple[str, ...]
     left: float | None = None
     bits: float | None = None
@@ -177,7 +178,7 @@ class AddedInformation:
 
 
 def information_about(
-    table: OutcomeTable, about: str, siblings: Sequence[str], *, repeats: int = REPEATS
+    table: OutcomeTable, about: SimulatorName, siblings: Sequence[SimulatorName], *, repeats: int = REPEATS
 ) -> list[AddedInformation]:
     """Compute what each sibling adds about one simulator's failures, one after the other.
 

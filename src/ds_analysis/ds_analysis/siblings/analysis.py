@@ -15,6 +15,7 @@ from ds_analysis.siblings.failure_patterns import KINDS, Departures, Nesting, de
 from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
 from ds_base.table import Column, Table, styled
 from ds_base.words import listed
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +79,7 @@ class SiblingAnalysis:
         return said
 
 
-def analyse(table: RoadTable, about: Sequence[str], *, repeats: int = REPEATS) -> SiblingAnalysis:
+def analyse(table: RoadTable, about: Sequence[SimulatorName], *, repeats: int = REPEATS) -> SiblingAnalysis:
     """Analyse outcomes on the same roads.
 
     Args:

@@ -17,6 +17,7 @@ from ds_analysis.common.outcome_table import OutcomeTable, RoadTable
 from ds_analysis.common.statistics import Array, Bools, Indices, Interval, are_alone, interval_over_families
 from ds_road import Road
 from ds_road.geometry import lane_curvature
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,7 +124,7 @@ class Departures:
             restored from a table, the way out is not recorded.
     """
 
-    simulator: str
+    simulator: SimulatorName
     failures: int
     counts: Mapping[Departure, int]
 

@@ -29,6 +29,7 @@ from ds_analysis.common.statistics import (
 )
 from ds_analysis.siblings.added_information import caution_of_failures
 from ds_road.geometry import lane_curvature
+from ds_sim.registry import SimulatorName
 
 FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
 """Roads that a correlation over roads needs; chosen: as many as the rule for failures needs in all."""
@@ -94,7 +95,7 @@ def residual_correlations(table: RoadTable, *, repeats: int = REPEATS) -> list[R
     return correlations
 
 
-def _road_residuals(table: RoadTable, simulator: str, repeats: int) -> Array:
+def _road_residuals(table: RoadTable, simulator: SimulatorName, repeats: int) -> Array:
     """Largest lateral positions minus what the best single feature predicts, (roads,), m; mean over the repeats."""
     failed, lateral, features = table.failed(simulator), table.largest_lateral(simulator), table.features
     residuals = np.empty((repeats, len(lateral)))

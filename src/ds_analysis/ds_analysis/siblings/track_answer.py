@@ -11,6 +11,7 @@ from ds_base.words import count
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 """Driver that sees no image, and shows what the roads themselves demand."""
@@ -32,15 +33,15 @@ class TrackAnswer:
     """
 
     driver: DriverName
-    recording: str
-    twin: str
+    recording: SimulatorName
+    twin: SimulatorName
     roads: Sequence[Road]
-    drives: Mapping[tuple[DriverName, str], Sequence[Execution | None]]
-    undecided: Mapping[tuple[DriverName, str], Sequence[str]] = field(default_factory=dict)
+    drives: Mapping[tuple[DriverName, SimulatorName], Sequence[Execution | None]]
+    undecided: Mapping[tuple[DriverName, SimulatorName], Sequence[str]] = field(default_factory=dict)
     recorded: Sequence[bool]
     limits: Sequence[str] = ()
 
-    def failures(self, driver: DriverName, simulator: str) -> tuple[int, int]:
+    def failures(self, driver: DriverName, simulator: SimulatorName) -> tuple[int, int]:
         """Roads on which a driver fails, and roads with a verdict."""
         known = [one for one in self.drives[driver, simulator] if one is not None]
         return sum(one.outcome.is_failure for one in known), len(known)
@@ -71,7 +72,7 @@ class TrackAnswer:
             f"{autopilot * (self.driver != AUTOPILOT)}; on the twin {on_twin})."
         )
 
-    def _share(self, driver: DriverName, simulator: str) -> str:
+    def _share(self, driver: DriverName, simulator: SimulatorName) -> str:
         failures, judged = self.failures(driver, simulator)
         return f"{failures} of {judged}"
 

@@ -22,9 +22,10 @@ from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_road import generate
+from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
 from ds_sim.conditions.model import DEFAULT, Conditions
 
-CONFIG = CampaignConfig(siblings=["bullet", "softbody"], twin="donkey", driver=DriverName("dave2"))
+CONFIG = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=DONKEY, driver=DriverName("dave2"))
 
 
 def test_frames_are_the_stored_trajectories(tmp_path: Path) -> None:
@@ -50,7 +51,9 @@ def test_an_export_has_a_column_for_each_condition_that_was_changed(tmp_path: Pa
     roads = [generate(np.random.default_rng(seed)) for seed in range(4)]
     conditions = [DEFAULT, Conditions(visibility=60.0), Conditions(friction=0.5, speed_limit=8.0), DEFAULT]
     states = np.array([[1, 2]] * 4, np.int8)
-    table = RoadTable.of(roads, states, np.ones((4, 2)), siblings=["a", "b"], conditions=conditions)
+    table = RoadTable.of(
+        roads, states, np.ones((4, 2)), siblings=[SimulatorName("a"), SimulatorName("b")], conditions=conditions
+    )
     study = study_of(table)
     write_study(tmp_path, study)
     of_a = pandas.read_parquet(tmp_path / "outcomes.parquet").query("simulator == 'a'")

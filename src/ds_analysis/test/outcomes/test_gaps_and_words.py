@@ -17,6 +17,7 @@ from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import Study, import_outcomes, read_frame, read_study, write_rows, write_study
 from ds_base.left_out import LeftOut
 from ds_orchestrator.maps.feature_map import MapId
+from ds_sim import SimulatorName
 
 WEATHERS = ["rain", "clear", "fog", None]
 SPEEDS = np.random.default_rng(4).uniform(5.0, 20.0, 24).round(2)
@@ -177,7 +178,7 @@ def test_maps_count_tests_not_their_repeats(tmp_path: Path) -> None:
     ]
     frame = pd.DataFrame(rows, columns=["test_id", "simulator", "repeat", "failed", "speed", "curve"])
     study, _ = read(tmp_path, frame, Columns(features=["speed", "curve"], map={"speed": 5.0, "curve": 1.0}))
-    cells = maps_of_study(study)[MapId.union("x")].cells
+    cells = maps_of_study(study)[MapId.union(SimulatorName("x"))].cells
     assert {cell: (one.tests, one.failures) for cell, one in cells.items()} == {(0, 0): (3, 1), (1, 0): (1, 1)}
     assert cells[0, 0].probability == cells[0, 0].quality_loss == pytest.approx(1 / 3)
 

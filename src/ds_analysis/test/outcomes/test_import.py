@@ -22,6 +22,9 @@ from ds_analysis.real.proposal import propose
 from ds_analysis.real.records import read_drives
 from ds_base.left_out import LeftOut
 from ds_report.study_page import write_study_page
+from ds_sim import SimulatorName
+
+CAR = SimulatorName("car")
 
 RNG = np.random.default_rng(9)
 SPEED, CURVE = RNG.uniform(5, 20, 40), RNG.uniform(0, 0.2, 40)
@@ -72,7 +75,7 @@ def test_a_long_table_becomes_the_outcomes_that_it_states(tmp_path: Path) -> Non
         width = study.axes["speed"]
         assert table.cells[row] is not None and table.cells[row][0] == SPEED[route] // width  # type: ignore[index]
     prediction = predict(table).probabilities()
-    truth = table.failed("car")
+    truth = table.failed(CAR)
     assert ((prediction - truth) ** 2).mean() < ((truth.mean() - truth) ** 2).mean() / 2
 
 
@@ -153,7 +156,7 @@ def test_a_car_s_rows_are_its_drives(tmp_path: Path) -> None:
 def test_export_and_import_are_inverse(tmp_path: Path, suffix: str) -> None:
     study = imported(tmp_path, long_table(), LONG)
     write_rows(tmp_path / f"out{suffix}", study)
-    again = import_outcomes([tmp_path / f"out{suffix}"], Columns(twin="car"))
+    again = import_outcomes([tmp_path / f"out{suffix}"], Columns(twin=CAR))
     pd.testing.assert_frame_equal(again.rows, study.rows)
     assert (again.features, again.twin, again.simulators) == (study.features, study.twin, study.simulators)
     one, other = study.table(), again.table()

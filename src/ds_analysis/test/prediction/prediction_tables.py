@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ds_analysis.common.outcome_table import RoadTable, State
 from ds_road import Road, generate
+from ds_sim import SimulatorName
 
 Array = NDArray[np.float64]
 ROAD: Road = generate(np.random.default_rng(3), max_angle=200)
@@ -48,8 +49,8 @@ def table_of_margins(margins: Array, features: Array, *, family: int = 5, names:
         states,
         2.0 * np.exp(margins),
         test_ids=tuple(f"{names}-0-{k:04d}" for k in range(tests)),
-        siblings=tuple("abcdefg"[: simulators - 1]),
-        twin="twin",
+        siblings=tuple(map(SimulatorName, "abcdefg"[: simulators - 1])),
+        twin=SimulatorName("twin"),
         cells=tuple((int(a), int(b)) for a, b in bins),
     )
     columns = tuple(f"feature_{k}" for k in range(features.shape[1]))

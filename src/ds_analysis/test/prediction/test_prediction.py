@@ -22,13 +22,14 @@ from ds_analysis.prediction.experts import RateExpert, SiblingOutcomes, experts_
 from ds_analysis.prediction.mixture import Drive, Prediction, outcomes_of, predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables, features_alone
 from ds_analysis.prediction.verdicts import judge
+from ds_sim import SimulatorName
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.integer]
 
 
 def drives_of(table: OutcomeTable, rows: Indices) -> list[Drive]:
-    failed = table.failed("twin")
+    failed = table.failed(SimulatorName("twin"))
     return [Drive(int(row), bool(failed[row]), drawn=True) for row in rows]
 
 
@@ -203,7 +204,10 @@ def test_one_sibling_and_tests_that_some_siblings_drove_are_predicted() -> None:
     states = several.states.copy()
     states[:30, 0] = states[20:40, 1] = State.MISSING
     found = predict(replace(several, states=states))
-    assert np.isfinite(found.probabilities()).all() and len(outcomes_of(replace(several, states=states), "a")) == 30
+    assert (
+        np.isfinite(found.probabilities()).all()
+        and len(outcomes_of(replace(several, states=states), SimulatorName("a"))) == 30
+    )
     states[:, 1] = State.MISSING
     with pytest.raises(OutcomeTableError, match="no test has a verdict on b"):
         predict(replace(several, states=states))

@@ -17,6 +17,7 @@ from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.search.algorithms import DeepHyperion, SearchSettings
 from ds_orchestrator.store.model import Origin, Test
 from ds_road import MutationError, Road, generate, mutate
+from ds_sim import BULLET, DONKEY, PANDA
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import not_applicable
 from ds_sim.scenario import Scenario
@@ -83,7 +84,7 @@ def test_a_campaign_becomes_a_table(tmp_path: Path) -> None:
         assert (table.states[row, column] == State.FAILED) == one.outcome.is_failure
         assert table.lateral[row, column] == min(one.max_lateral_position, 2.0)
     # An error that a later attempt fixed leaves the verdict.
-    assert table.known("bullet").all()
+    assert table.known(BULLET).all()
     assert table.cells == tuple(data.cells[test_id] for test_id in table.test_ids)
 
 
@@ -91,8 +92,8 @@ def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
     """The same campaign without the executions of three tests: two excluded, one that only ever ended in errors."""
     data = data_of(tmp_path)
     excluded = {
-        ("bullet-0-0000", "bullet"): not_applicable("made up"),
-        ("bullet-0-0002", "donkey"): not_applicable("x"),
+        ("bullet-0-0000", BULLET): not_applicable("made up"),
+        ("bullet-0-0002", DONKEY): not_applicable("x"),
     }
     gone = {*excluded, ("bullet-0-0001", "bullet")}
     table = table_of_campaign(
@@ -105,9 +106,9 @@ def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
         )
     )
     assert [State(s) for s in table.states[:3, 0]][:2] == [State.EXCLUDED, State.ERROR]
-    assert not table.known("bullet")[:2].any() and not table.failed("bullet")[:2].any()
+    assert not table.known(BULLET)[:2].any() and not table.failed(BULLET)[:2].any()
     assert table.on_siblings.tolist() == [False, False] + [True] * 14
-    assert not table.known("donkey")[2] and (table.lateral[:2, 0] == 0).all()
+    assert not table.known(DONKEY)[2] and (table.lateral[:2, 0] == 0).all()
 
 
 def test_searched_conditions_are_features_on_their_scale(tmp_path: Path) -> None:
@@ -129,11 +130,11 @@ def test_searched_conditions_are_features_on_their_scale(tmp_path: Path) -> None
 
 def test_another_simulator_can_play_the_twin(tmp_path: Path) -> None:
     table = table_of_campaign(data_of(tmp_path))
-    turned = table.with_twin("bullet")
+    turned = table.with_twin(BULLET)
     assert turned.siblings == ("softbody", "donkey") and turned.twin == "bullet"
-    assert (turned.failed("bullet") == table.failed("bullet")).all()
+    assert (turned.failed(BULLET) == table.failed(BULLET)).all()
     with pytest.raises(OutcomeTableError, match="no simulator 'panda', expected one of bullet, softbody, donkey"):
-        table.with_twin("panda")
+        table.with_twin(PANDA)
     with pytest.raises(OutcomeTableError, match="no test has a verdict yet"):
         table_of_campaign(CampaignData(config=CONFIG))
 

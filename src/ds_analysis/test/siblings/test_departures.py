@@ -12,8 +12,10 @@ from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_analysis.siblings.failure_patterns import KINDS, Departure, departure, departures_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SOFTBODY, SimulatorName, make_simulator
 from ds_sim.simulator import Command, Observation, Outcome
+
+B = SimulatorName("b")
 
 RIGHT_BEND = Road([(60, 20), (60, 45), (60, 70), (70, 92), (92, 102), (117, 102), (142, 102), (167, 102)])
 """25 m straight on to the north, then right to the east with a radius of about 25 m, then straight on."""
@@ -54,7 +56,7 @@ def test_a_drive_that_is_steered_out_of_its_lane_leaves_it_there(
     runs = [leave(RIGHT_BEND, steering, after), leave(RIGHT_BEND.mirrored(), -steering, after)]
     assert [run.outcome for run in runs] == [Outcome.OUT_OF_BOUNDS] * 2
     for run, expected in zip(runs, (kind, MIRRORED[kind]), strict=True):
-        (found,) = departures_of(table_of_runs({"softbody": [run]}))
+        (found,) = departures_of(table_of_runs({SOFTBODY: [run]}))
         assert found.failures == 1 and [name for name in KINDS if found.counts[name]] == [expected]
 
 
@@ -63,7 +65,7 @@ def test_failures_in_the_lane_stay_in_it_and_the_table_counts_each_failure_once(
     assert departure(RIGHT_BEND, np.empty(0), 2.0) == "not recorded"
     out, kept = leave(RIGHT_BEND, 0.8, IN_BEND), leave(RIGHT_BEND, 0.0, IN_BEND)
     assert kept.outcome is Outcome.COMPLETED
-    found = analyse(table_of_runs({"a": [out, kept], "b": [kept, kept]}), ["b"], repeats=1)
+    found = analyse(table_of_runs({SimulatorName("a"): [out, kept], B: [kept, kept]}), [B], repeats=1)
     table = analysis_tables(found)[0]
     assert table.name == "sibling_departures" and [row[0] for row in table.rows] == ["a", "b"]
     assert [sum(row[2:]) for row in table.rows] == [row[1] for row in table.rows] == [1, 0]  # type: ignore[arg-type]

@@ -28,10 +28,12 @@ from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
 from ds_sim.oracle import LaneTracker
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SOFTBODY, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+
+A_NAME, TWIN = map(SimulatorName, ("a", "twin"))
 
 Array = NDArray[np.float64]
 ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(60))
@@ -56,7 +58,7 @@ def made_up(
         roads[: len(together)],
         states_of(together >= 2.0),
         together,
-        siblings=tuple(lateral),
+        siblings=tuple(map(SimulatorName, lateral)),
         drives=drives,
         conditions=conditions,
     )
@@ -72,7 +74,7 @@ def noise(seed: int) -> Array:
 
 def test_a_feature_that_decides_is_found_on_other_roads_and_leaves_nothing_to_add() -> None:
     """Outcomes are functions of one feature, each simulator with a threshold of its own."""
-    found = analyse(made_up({"a": 2 * RIGHT / (0.9 * HARD), "twin": 2 * RIGHT / HARD}), ["twin"], repeats=1)
+    found = analyse(made_up({"a": 2 * RIGHT / (0.9 * HARD), "twin": 2 * RIGHT / HARD}), [TWIN], repeats=1)
     for one in found.baselines:
         assert one.best is not None and one.all is not None and not one.caution
         assert one.best.auc > 0.98 and one.chosen == {"lane_curvature_max_right": 1.0}
@@ -86,10 +88,10 @@ def test_a_sibling_that_equals_the_twin_adds_what_the_features_leave() -> None:
     """Outcomes that no feature predicts: one bit of entropy, all of it in the sibling. A second one adds nothing."""
     lateral = np.where(noise(1) > 0, 2.5, 0.5)
     outcomes = made_up({"same": lateral, "again": lateral, "twin": lateral})
-    base = baseline_of(outcomes, "twin", repeats=1)
+    base = baseline_of(outcomes, TWIN, repeats=1)
     assert base.entropy == pytest.approx(1.0, abs=0.03)
     assert base.all is not None and base.all.bits == pytest.approx(1.0, abs=0.15) and base.all.auc < 0.75
-    first, second = information_about(outcomes, "twin", ["same", "again"], repeats=1)
+    first, second = information_about(outcomes, TWIN, [SimulatorName("same"), SimulatorName("again")], repeats=1)
     assert first.bits is not None and first.left is not None and first.interval is not None
     assert first.bits == pytest.approx(first.left, abs=0.25) and first.verdict == "adds information"
     assert first.interval[0] > 0.5
@@ -102,7 +104,9 @@ def test_a_sibling_of_noise_is_not_said_to_add_anything() -> None:
     """Three of them, beside a twin that fails by a feature and by chance."""
     twin = 2 * RIGHT / HARD + 0.15 * noise(2)
     verdicts = [
-        information_about(made_up({"noise": 2 + noise(seed), "twin": twin}), "twin", ["noise"], repeats=1)[0].verdict
+        information_about(made_up({"noise": 2 + noise(seed), "twin": twin}), TWIN, [SimulatorName("noise")], repeats=1)[
+            0
+        ].verdict
         for seed in range(10, 13)
     ]
     assert set(verdicts) == {"nothing shown"}
@@ -116,11 +120,11 @@ def test_a_condition_that_decides_is_a_feature() -> None:
     conditions = [Conditions(line_contrast=one) for one in contrasts.tolist()]
     outcomes = made_up({"a": lateral, "twin": 1.1 * lateral}, conditions=conditions)
     assert outcomes.feature_names == (*ROAD_FEATURES, "line_contrast")
-    blind, seeing = baseline_of(plain, "twin", repeats=1), baseline_of(outcomes, "twin", repeats=1)
+    blind, seeing = baseline_of(plain, TWIN, repeats=1), baseline_of(outcomes, SimulatorName("twin"), repeats=1)
     assert blind.best is not None and seeing.best is not None
     assert blind.best.auc < 0.7 and seeing.best.auc > 0.98 and seeing.chosen == {"line_contrast": 1.0}
-    assert information_about(plain, "twin", ["a"], repeats=1)[0].verdict == "adds information"
-    assert information_about(outcomes, "twin", ["a"], repeats=1)[0].verdict == "nothing shown"
+    assert information_about(plain, TWIN, [A_NAME], repeats=1)[0].verdict == "adds information"
+    assert information_about(outcomes, TWIN, [A_NAME], repeats=1)[0].verdict == "nothing shown"
     assert draw_failures(outcomes, "line_contrast").shape == (460, 1140, 3)
 
 
@@ -138,19 +142,19 @@ def test_roads_are_predicted_from_other_families_than_their_own() -> None:
     outcomes = made_up({"a": lateral[:, 0], "twin": lateral[:, 1]}, roads=roads)
     assert sorted(np.bincount(outcomes.families)) == [8] * 12
     leaking = predict_failures(outcomes.features, fails, repeats=1).probability[0]
-    honest = baseline_of(outcomes, "twin", repeats=1)
+    honest = baseline_of(outcomes, TWIN, repeats=1)
     assert honest.all is not None and honest.all.auc_interval is not None
     assert roc_auc_score(fails, leaking) > 0.85 and honest.all.auc < 0.7
     # A dozen coins: the interval is that of 12 families, far wider than that of 96 roads.
     low, high = honest.all.auc_interval
     assert high - low > 0.3
     few = replace(outcomes, states=states_of(np.column_stack([np.arange(96) // 8 < 4] * 2)))
-    assert "roads of 4 families of mutants fail on twin, of 8 do not" in baseline_of(few, "twin").caution
+    assert "roads of 4 families of mutants fail on twin, of 8 do not" in baseline_of(few, TWIN).caution
 
 
 def test_too_few_failures_are_too_few_to_say() -> None:
     lateral = np.where(np.arange(60) < 9, 2.5, 0.5)
-    found = analyse(made_up({"a": lateral[::-1], "twin": lateral}), ["twin"])
+    found = analyse(made_up({"a": lateral[::-1], "twin": lateral}), [TWIN])
     assert all(one.best is None and one.all is None and not one.chosen for one in found.baselines)
     assert "9 of 60 roads fail on twin, expected 10 that fail and 10 that do not" in found.baselines[1].caution
     (added,) = found.information
@@ -160,7 +164,7 @@ def test_too_few_failures_are_too_few_to_say() -> None:
     for table in analysis_tables(found):
         assert table.texts() and table.latex() and table.csv()
     json.dumps(found.document(), allow_nan=False)
-    nothing = analyse(made_up({"a": lateral[:0], "twin": lateral[:0]}), ["a", "twin"])
+    nothing = analyse(made_up({"a": lateral[:0], "twin": lateral[:0]}), [A_NAME, TWIN])
     assert nothing.residuals[0].plain is None and "0 roads, expected 20" in nothing.residuals[0].caution
 
 
@@ -222,7 +226,7 @@ def test_per_place_what_curvature_explains_is_taken_out() -> None:
 
 def test_the_same_outcomes_give_the_same_numbers() -> None:
     outcomes = made_up({"a": 2 * RIGHT / HARD + 0.2 * noise(1), "twin": 2 * RIGHT / HARD + 0.2 * noise(2)})
-    first, second = (information_about(outcomes, "twin", ["a"], repeats=1) for _ in range(2))
+    first, second = (information_about(outcomes, TWIN, [A_NAME], repeats=1) for _ in range(2))
     assert first == second and first[0].bits is not None
 
 
@@ -302,9 +306,11 @@ def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> No
         "a": [record(road, outcome) for road, outcome in zip(ROADS, (drive, fail, drive), strict=False)],
         "b": [record(road, outcome, offset=-9.0) for road, outcome in zip(ROADS, (error, fail, drive), strict=False)],
     }
-    found = table_of_runs({name: [DrivenRoad.of_run(run) for run in of] for name, of in runs.items()}).judged()
+    found = table_of_runs(
+        {SimulatorName(name): [DrivenRoad.of_run(run) for run in of] for name, of in runs.items()}
+    ).judged()
     assert found.roads == ROADS[1:3]
-    assert [found.failed(name).tolist() for name in "ab"] == [[True, False], [True, False]]
+    assert [found.failed(SimulatorName(name)).tolist() for name in "ab"] == [[True, False], [True, False]]
     assert found.lateral.tolist() == [[0.25, 2.0], [0.25, 2.0]]
     np.testing.assert_array_equal(found.profiles["b"][0], np.full(59, -2.0))
     assert found.features.shape == (2, len(ROAD_FEATURES))
@@ -312,7 +318,9 @@ def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> No
 
 def test_the_first_sentence_names_who_adds_something() -> None:
     def adds(sibling: str, low: float) -> AddedInformation:
-        return AddedInformation(about="car", sibling=sibling, beyond=(), caution="", bits=0.1, interval=(low, 0.2))
+        return AddedInformation(
+            about="car", sibling=SimulatorName(sibling), beyond=(), caution="", bits=0.1, interval=(low, 0.2)
+        )
 
     def said(*information: AddedInformation) -> list[str]:
         return SiblingAnalysis(departures=[], nesting=[], baselines=[], residuals=[], information=information).answer
@@ -322,7 +330,7 @@ def test_the_first_sentence_names_who_adds_something() -> None:
     assert both == [f"{start}; nothing is shown that b and c would add about car."]
     assert said(adds("a", 0.05)) == [f"{start}."]
     assert said(adds("a", -0.05)) == ["nothing is shown that a would add about car."]
-    few = AddedInformation(about="car", sibling="a", beyond=(), caution="too few")
+    few = AddedInformation(about="car", sibling=A_NAME, beyond=(), caution="too few")
     assert said(few) == ["Whether a sibling adds anything about car is open: too few."]
 
 
@@ -367,7 +375,7 @@ def test_a_stored_drive_is_compared_as_its_run_to_the_bit() -> None:
     simulator = make_simulator("softbody")
     run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROADS[0], 1)
     simulator.close()
-    one, other = DrivenRoad.of_run(run), DrivenRoad.of_execution(ROADS[0], execution_of("t", "softbody", run))
+    one, other = DrivenRoad.of_run(run), DrivenRoad.of_execution(ROADS[0], execution_of("t", SOFTBODY, run))
     assert (one.road, one.outcome, one.max_lateral_position) == (other.road, other.outcome, other.max_lateral_position)
     assert len(one.profile) > 200 and one.profile.tobytes() == other.profile.tobytes()
     assert one.path.tobytes() == other.path.tobytes()

@@ -10,9 +10,12 @@ from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import table_of_runs
 from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
 from ds_road import Road
+from ds_sim import SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+
+A_NAME, B = map(SimulatorName, "ab")
 
 ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
 
@@ -48,7 +51,7 @@ def test_kappa_is_that_of_the_textbook_table() -> None:
     fail, drive = Outcome.OUT_OF_BOUNDS, Outcome.COMPLETED
     verdicts = [(fail, fail)] * 20 + [(fail, drive)] * 5 + [(drive, fail)] * 10 + [(drive, drive)] * 15
     verdicts += [(Outcome.DRIVER_SILENT, fail), (drive, Outcome.SIM_ERROR)]
-    found = compare(table_of_runs({"a": [run(v[0]) for v in verdicts], "b": [run(v[1]) for v in verdicts]}))[0]
+    found = compare(table_of_runs({A_NAME: [run(v[0]) for v in verdicts], B: [run(v[1]) for v in verdicts]}))[0]
     assert (found.both_fail, found.only_first_fails, found.only_second_fails, found.both_complete) == (20, 5, 10, 15)
     assert found.roads == 50 and found.kappa == pytest.approx(0.4)
     # Asymptotic standard error by Fleiss, Cohen and Everitt for this table: 0.127.
@@ -61,9 +64,11 @@ def test_kappa_is_that_of_the_textbook_table() -> None:
 
 def test_where_there_is_no_kappa_it_says_why() -> None:
     runs = [run(), run(Outcome.STUCK)]
-    assert compare(table_of_runs({"a": [run(), run()], "b": runs}))[0].reason.startswith("a completes every road")
-    assert compare(table_of_runs({"a": runs, "b": [run(Outcome.STUCK)] * 2}))[0].reason.startswith("b fails every road")
-    nothing = compare(table_of_runs({"a": [run(Outcome.SIM_ERROR)], "b": [run()]}))[0]
+    assert compare(table_of_runs({A_NAME: [run(), run()], B: runs}))[0].reason.startswith("a completes every road")
+    assert compare(table_of_runs({A_NAME: runs, B: [run(Outcome.STUCK)] * 2}))[0].reason.startswith(
+        "b fails every road"
+    )
+    nothing = compare(table_of_runs({A_NAME: [run(Outcome.SIM_ERROR)], B: [run()]}))[0]
     assert nothing.roads == 0 and nothing.kappa is None and nothing.median_apart is None
     assert nothing.reason == "no road was driven to a verdict on both"
 
@@ -72,7 +77,7 @@ def test_lateral_positions_are_compared_at_the_same_places() -> None:
     """One drifts to 1 m, the other to -1 m over 50 m: 0.04 m apart per metre, 2 m at the end."""
     one, other = run(lateral=(0.0, 1.0)), run(lateral=(0.0, -1.0))
     assert gaps(one.profile, other.profile) == pytest.approx(0.04 * np.arange(0.5, 50.0, 0.5))
-    found = compare(table_of_runs({"a": [one], "b": [other]}))[0]
+    found = compare(table_of_runs({A_NAME: [one], B: [other]}))[0]
     assert found.median_apart == pytest.approx(1.0)
     assert found.most_apart == pytest.approx(1.98)
     assert found.share_apart == pytest.approx(0.75, abs=0.01)
@@ -80,4 +85,4 @@ def test_lateral_positions_are_compared_at_the_same_places() -> None:
     # A shorter run is compared as far as it went; a car far off the road counts as at the lane's edge.
     assert len(gaps(one.profile, run(length=20.0).profile)) == 39
     assert gaps(run(lateral=(9.0, 9.0)).profile, run().profile).max() == 2.0
-    assert most_different(table_of_runs({"a": [run(), one, one], "b": [run(), run(), other]}), 2) == [2, 1]
+    assert most_different(table_of_runs({A_NAME: [run(), one, one], B: [run(), run(), other]}), 2) == [2, 1]

@@ -13,9 +13,10 @@ from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.search.features import Drive
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
+from ds_sim import DONKEY, SimulatorName
 from ds_sim.simulator import Outcome
 
-SEEN, TWIN = "recording@x", "donkey"
+SEEN, TWIN = SimulatorName("recording@x"), DONKEY
 ROADS = [Road([(125, 0), (125, 25), (125, 50), (140 + k, 75)]) for k in range(3)]
 
 
@@ -27,7 +28,7 @@ def drives(outcomes: str) -> list[Execution | None]:
         if (letter := one) == "u"
         else Execution(
             test_id="t",
-            simulator=SEEN,
+            simulator=SimulatorName(SEEN),
             outcome=kinds[letter],
             message="",
             fitness=0.0,

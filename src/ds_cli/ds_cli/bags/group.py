@@ -22,8 +22,10 @@ from ds_cli.options import (
     Trust,
     driver_named,
     rows_of,
+    simulator_option,
 )
 from ds_cli.output import Interrupted, Result, answer, end, say
+from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 bag_app = typer.Typer(help="Inspect, re-simulate and repair rosbag2 recordings.", no_args_is_help=True)
@@ -33,7 +35,9 @@ Truth = Literal["recorded", "autopilot"]
 BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
 
 
-def _write_video(folder: Path, simulator: str, video: Path, seed: int | None, trusted: Collection[str]) -> None:
+def _write_video(
+    folder: Path, simulator: SimulatorName, video: Path, seed: int | None, trusted: Collection[str]
+) -> None:
     """Render a bag's run; its images come from the re-simulation, as most bags hold none."""
     from ds_bags.reader import BagReader, read_run
     from ds_driver.networks.network_driver import translation_of
@@ -106,7 +110,7 @@ def recover_command(
 @bag_app.command("redrive")
 def redrive_command(
     folder: BagFolder,
-    sim: Annotated[str | None, typer.Option(help="Simulator in place of the recorded one.")] = None,
+    sim: Annotated[SimulatorName | None, simulator_option("Simulator in place of the recorded one.")] = None,
     video: Annotated[Path | None, typer.Option(help="Video of the run to write, .mp4.")] = None,
     trust: Trust = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the run, if the bag has lost it.")] = None,

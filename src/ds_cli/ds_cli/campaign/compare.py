@@ -37,6 +37,7 @@ from ds_cli.options import (
     with_engine_without_ros,
 )
 from ds_cli.output import end, of_networks, stopped_in
+from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison, Origin
@@ -51,7 +52,7 @@ ROADS, SEED = 40, 40
 SIMULATORS = "bullet,softbody,donkey"
 """Simulators of two networks: those of a campaign by default."""
 
-TWIN = "donkey"
+TWIN = SimulatorName("donkey")
 """Simulator that acts as the twin of two networks' random roads, if it is among others."""
 
 app = typer.Typer()
@@ -171,7 +172,7 @@ class TwoNetworks:
 
     reference: DriverName
     candidate: DriverName
-    simulators: Sequence[str]
+    simulators: Sequence[SimulatorName]
     roads: int
     seed: int
     stop_early: bool
@@ -214,7 +215,7 @@ def _origin(data: CampaignData, searched: Origin) -> Origin:
     return "random" if data.config.search.method == "random" else searched
 
 
-def network_named(driver: DriverName, simulators: Sequence[str]) -> Network:
+def network_named(driver: DriverName, simulators: Sequence[SimulatorName]) -> Network:
     """A network with its digest, checked before anything starts."""
     from ds_analysis.comparison.paired_drives import Network
     from ds_driver.networks.driver_name import AUTOPILOT

@@ -14,8 +14,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import Folder, JsonFlag, Trust
+from ds_cli.options import Folder, JsonFlag, Trust, simulator_option
 from ds_cli.output import Result, answer, printed_to, say, say_next, warning
+from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 campaign_app = typer.Typer()
@@ -89,7 +90,7 @@ def campaign_roads_command(
     folder: Folder,
     failed: Annotated[bool, typer.Option("--failed", help="Only roads on which the driver failed.")] = False,
     simulator: Annotated[
-        str | None, typer.Option(help="Only roads driven on this simulator; --failed then means failed there.")
+        SimulatorName | None, simulator_option("Only roads driven on this simulator; --failed then means failed there.")
     ] = None,
     cell: Annotated[
         str | None, typer.Option(help="Only roads of this cell of the feature map, as on its axes, such as 3,0.17.")

@@ -10,8 +10,9 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag
+from ds_cli.options import JsonFlag, simulator_option
 from ds_cli.output import Result, answer, say
+from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
@@ -23,8 +24,8 @@ TestsFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder of a campaign, `ds siblings compare` or `ds outcomes import`.")
 ]
 TwinName = Annotated[
-    str | None,
-    typer.Option(help="Simulator that plays the twin, all others the siblings; the campaign's own if left out."),
+    SimulatorName | None,
+    simulator_option("Simulator that plays the twin, all others the siblings; the campaign's own if left out."),
 ]
 MOST_SHOWN = 10
 """Rows of the table that is always shown."""

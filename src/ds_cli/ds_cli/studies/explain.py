@@ -14,8 +14,18 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import Cluster, EngineName, Folder, JsonFlag, Trust, Workers, with_engine_without_ros
+from ds_cli.options import (
+    Cluster,
+    EngineName,
+    Folder,
+    JsonFlag,
+    Trust,
+    Workers,
+    simulator_option,
+    with_engine_without_ros,
+)
 from ds_cli.output import Result, end, stopped_in
+from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 
@@ -26,8 +36,8 @@ def explain_command(
     test: Annotated[
         str | None, typer.Option(help="Test that fails; one of each of the largest groups of failures if left out.")
     ] = None,
-    sim: Annotated[str | None, typer.Option(help="With --test: simulator on which it fails.")] = None,
-    against: Annotated[str | None, typer.Option(help="With --test: simulator on which it completes.")] = None,
+    sim: Annotated[SimulatorName | None, simulator_option("With --test: simulator on which it fails.")] = None,
+    against: Annotated[SimulatorName | None, simulator_option("With --test: simulator on which it completes.")] = None,
     groups: Annotated[
         int, typer.Option(min=0, max=20, help="Largest groups of failures to explain; 0 only lists all groups.")
     ] = 3,

@@ -10,6 +10,7 @@ from typing import Any
 from ds_driver.networks.driver_name import DriverName
 from ds_road.files import road_from_json, road_to_json
 from ds_sim.conditions.text import from_json
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
@@ -28,7 +29,7 @@ class DriveRequest(OfScenario):
 
     scenario: Scenario
     driver: DriverName
-    simulator: str
+    simulator: SimulatorName
     probed: bool = False
 
     def ended(self, outcome: Outcome, message: str, reason: Reason = Reason.NONE) -> RunRecord:

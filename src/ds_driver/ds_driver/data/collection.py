@@ -24,7 +24,7 @@ from ds_road import Road, RoadError, generate, mutate, read_raw_roads, road_from
 from ds_sim.camera.encodings import jpeg
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
-from ds_sim.registry import simulator_of_process, spec_of
+from ds_sim.registry import SimulatorName, simulator_of_process, spec_of
 from ds_sim.simulator import Command, Outcome, Simulator
 
 DIRECTIONS = ("forward", "reverse")
@@ -126,7 +126,7 @@ def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
 
 class _Job(NamedTuple):
     path: Path
-    simulator: str
+    simulator: SimulatorName
     given: GivenRoad
     direction: str
     number: int
@@ -139,7 +139,7 @@ class _Job(NamedTuple):
 
 def collect(
     plan: CollectionPlan,
-    simulators: list[str],
+    simulators: list[SimulatorName],
     folder: Path,
     progress: Progress,
     given: Sequence[GivenRoad] | None = None,

@@ -14,6 +14,7 @@ from typing import Any, cast
 from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
+from ds_sim.registry import SimulatorName
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
 from ds_sim.ros.simulator_node import SimulatorNode
@@ -37,7 +38,7 @@ def main() -> None:
     simulators: list[SimulatorNode] = []
 
     def make_simulator() -> Node:
-        simulators.append(SimulatorNode("bullet"))
+        simulators.append(SimulatorNode(SimulatorName("bullet")))
         return simulators[0]
 
     sys.exit(run_node(make_simulator, lambda: _make_driver(kind, simulators[0])))

@@ -20,7 +20,7 @@ from ds_driver.sim2real.pictures import evenly, read_photographs, split
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.sim2real.simulated_frames import SimulatedFrames, check_roads_are_new, simulated_frames
 from ds_driver.sim2real.trainer import SHOWN, Domains
-from ds_sim.registry import spec_of
+from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.simulator import SimulatorSpec
 
 FRAMES = "simulated.npz"
@@ -31,7 +31,7 @@ CARD = "sim2real.json"
 class Sources:
     """What both domains are made of: whole images, where they show the lane, simulated and real, and the crops."""
 
-    simulator: str
+    simulator: SimulatorName
     settings: Sim2RealSettings
     frames: SimulatedFrames
     photographs: NDArray[np.uint8]
@@ -41,7 +41,7 @@ class Sources:
 
 
 def read_sources(
-    simulator: str,
+    simulator: SimulatorName,
     source: Path,
     out: Path,
     settings: Sim2RealSettings,

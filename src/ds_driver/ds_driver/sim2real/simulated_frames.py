@@ -23,7 +23,7 @@ from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.sim2real.generator import Sim2RealError
 from ds_driver.sim2real.settings import HELD_OUT, Sim2RealSettings
 from ds_road import Road
-from ds_sim.registry import simulator_of_process
+from ds_sim.registry import SimulatorName, simulator_of_process
 from ds_sim.simulator import Outcome
 
 
@@ -62,7 +62,9 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
             )
 
 
-def simulated_frames(simulator: str, settings: Sim2RealSettings, file: Path, progress: Progress) -> SimulatedFrames:
+def simulated_frames(
+    simulator: SimulatorName, settings: Sim2RealSettings, file: Path, progress: Progress
+) -> SimulatedFrames:
     """Drive the roads, or read the `.npz` file of an earlier call with the same settings.
 
     Raises:

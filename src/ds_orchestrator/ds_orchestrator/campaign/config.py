@@ -199,8 +199,11 @@ class CampaignConfig(_Strict):
         record: content of a run's bag, `telemetry`, `compressed` or `raw`; `none` records no bag.
     """
 
-    siblings: Annotated[list[str], Field(min_length=1, max_length=MOST_NAMES)] = ["bullet", "softbody"]
-    twin: str | None = "donkey"
+    siblings: Annotated[list[SimulatorName], Field(min_length=1, max_length=MOST_NAMES)] = [
+        SimulatorName("bullet"),
+        SimulatorName("softbody"),
+    ]
+    twin: SimulatorName | None = SimulatorName("donkey")
     driver: DriverText = DriverName("dave2")
     sim2real: bool = False
     search: SearchConfig = SearchConfig()
@@ -220,11 +223,13 @@ class CampaignConfig(_Strict):
 
     @field_validator("siblings", "twin")
     @classmethod
-    def _known_simulators(cls, value: list[str] | str | None) -> list[str] | str | None:
+    def _known_simulators(
+        cls, value: list[SimulatorName] | SimulatorName | None
+    ) -> list[SimulatorName] | SimulatorName | None:
         if value in (None, "none"):
             return None
         for name in value if isinstance(value, list) else [value]:
-            if name is not None and not SimulatorName.parse(name).exists:
+            if not name.exists:
                 raise ValueError(unknown_simulator(name))
         return value
 
@@ -283,7 +288,7 @@ class CampaignConfig(_Strict):
         return self
 
     @property
-    def simulators(self) -> list[str]:
+    def simulators(self) -> list[SimulatorName]:
         """Siblings, then the twin if there is one."""
         return [*self.siblings, *([self.twin] if self.twin else [])]
 
@@ -397,7 +402,7 @@ def rebase_paths(raw: Any, start: Path, end: Path) -> Any:
     """Make the paths in a configuration, which are relative to one folder, relative to another."""
 
     def simulator(name: Any) -> Any:
-        return str(SimulatorName.parse(name).moved(start, end)) if isinstance(name, str) else name
+        return str(SimulatorName(name).moved(start, end)) if isinstance(name, str) else name
 
     if not isinstance(raw, dict):
         return raw

@@ -14,6 +14,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
 
 EngineName = Literal["auto", "graph", "local", "dask"]
@@ -43,8 +44,8 @@ class DriveSettings:
         attach: use running nodes in this ROS domain instead of starting any.
     """
 
-    siblings: tuple[str, ...]
-    twin: str | None = None
+    siblings: tuple[SimulatorName, ...]
+    twin: SimulatorName | None = None
     driver: DriverName
     conditions: Conditions = DEFAULT
     gates: Gates = "conditions"
@@ -61,12 +62,12 @@ class DriveSettings:
         object.__setattr__(self, "engine", engine_here(self.engine, attach=self.attach))
 
     @property
-    def simulators(self) -> tuple[str, ...]:
+    def simulators(self) -> tuple[SimulatorName, ...]:
         """Siblings, then the twin if there is one."""
         return (*self.siblings, *([self.twin] if self.twin else []))
 
     @property
-    def namespaces(self) -> dict[str, str]:
+    def namespaces(self) -> dict[SimulatorName, str]:
         """Simulator -> ROS namespace; see `namespaces_of`."""
         return namespaces_of(self.siblings, self.twin)
 
@@ -93,7 +94,7 @@ def engine_here(engine: EngineName, *, attach: bool = False) -> EngineName:
     return "graph" if attach or not missing_of_ros() else "local"
 
 
-def namespaces_of(siblings: Sequence[str], twin: str | None) -> dict[str, str]:
+def namespaces_of(siblings: Sequence[SimulatorName], twin: SimulatorName | None) -> dict[SimulatorName, str]:
     """Map simulator name -> ROS namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
     spaces = {name: f"/ds{index}" for index, name in enumerate(siblings, start=1)}
     return {**spaces, twin: "/twin"} if twin else spaces

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 
 REMEMBERED = 30
 """Executions on each simulator whose durations count; chosen: enough to average roads, few enough to follow a machine
@@ -28,12 +29,12 @@ class Eta:
     """
 
     def __init__(self) -> None:
-        self._expected: Sequence[Mapping[str, int]] = []
+        self._expected: Sequence[Mapping[SimulatorName, int]] = []
         self._done: dict[tuple[int, str], int] = {}
-        self._last: dict[str, float] = {}
-        self._took: dict[str, deque[float]] = {}
+        self._last: dict[SimulatorName, float] = {}
+        self._took: dict[SimulatorName, deque[float]] = {}
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
         """Set how many executions each stage has on each simulator, finished ones included."""
         self._expected = stages
 
@@ -41,7 +42,7 @@ class Eta:
         """Begin a stage."""
         self._last = dict.fromkeys((name for stage in self._expected for name in stage), now)
 
-    def finished(self, stage: int, simulator: str, now: float, *, fresh: bool) -> None:
+    def finished(self, stage: int, simulator: SimulatorName, now: float, *, fresh: bool) -> None:
         """Count a finished execution; one of an earlier session (not fresh) took no time."""
         self._done[stage, simulator] = self._done.get((stage, simulator), 0) + 1
         if fresh:
@@ -51,12 +52,12 @@ class Eta:
         if stage < len(self._expected) and not self._rest(stage):
             self.begin(now)
 
-    def _rest(self, stage: int) -> dict[str, int]:
+    def _rest(self, stage: int) -> dict[SimulatorName, int]:
         """Executions of a stage that are left, by simulator."""
         rest = {name: count - self._done.get((stage, name), 0) for name, count in self._expected[stage].items()}
         return {name: count for name, count in rest.items() if count > 0}
 
-    def seconds(self, now: float, drives: Sequence[tuple[str, float, float | None]] = ()) -> float | None:
+    def seconds(self, now: float, drives: Sequence[tuple[SimulatorName, float, float | None]] = ()) -> float | None:
         """Estimate the seconds left; None until an execution has finished in this session, or is well under way.
 
         Args:
@@ -101,20 +102,20 @@ class TimedListener(Listener):
         with self._lock:
             self._eta.begin(time.monotonic())
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
         """See `Listener.expect`."""
         with self._lock:
             self._eta.expect(stages)
             self.total = sum(sum(stage.values()) for stage in stages)
 
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
         with self._lock:
             self.done += 1
             # A test is driven on its own sibling by the search, elsewhere by the stage after that.
             self._eta.finished(int(test.sibling != simulator), simulator, time.monotonic(), fresh=fresh)
 
-    def seconds_left(self, drives: Sequence[tuple[str, float, float | None]] = ()) -> float | None:
+    def seconds_left(self, drives: Sequence[tuple[SimulatorName, float, float | None]] = ()) -> float | None:
         """Estimate the time left, s; see `Eta.seconds`."""
         with self._lock:
             return self._eta.seconds(time.monotonic(), drives)

@@ -23,7 +23,7 @@ from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.gates.gate import Gate, exclusion_of, gate_of, not_applicable
-from ds_sim.registry import label_of, spec_of
+from ds_sim.registry import SimulatorName, label_of, spec_of
 from ds_sim.session import RunRecord
 
 PATIENCE = 5
@@ -68,10 +68,10 @@ class Listener:
     def stage(self, name: str) -> None:
         """Handle the start of a stage."""
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
         """Handle the expected executions: per stage, simulator -> their number, finished ones included."""
 
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """Handle the end of an execution.
 
         Args:
@@ -118,9 +118,9 @@ class Executor:
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._changed = threading.Condition()
-        self._queues: dict[str, deque[Callable[[], object]]] = {}
+        self._queues: dict[SimulatorName, deque[Callable[[], object]]] = {}
         self._unfinished = 0
-        self._unlucky: dict[str, int] = dict.fromkeys(settings.simulators, 0)
+        self._unlucky: dict[SimulatorName, int] = dict.fromkeys(settings.simulators, 0)
         self.given_up = store.given_up()
         self.failed_executions = 0
 
@@ -128,7 +128,7 @@ class Executor:
         """Start no further test."""
         self._stop.set()
 
-    def execute_all(self, work: Mapping[str, Sequence[Test]]) -> None:
+    def execute_all(self, work: Mapping[SimulatorName, Sequence[Test]]) -> None:
         """Execute tests.
 
         Args:
@@ -140,7 +140,7 @@ class Executor:
         """
         self.in_parallel({name: [partial(self.execute, test, name) for test in tests] for name, tests in work.items()})
 
-    def in_parallel(self, work: Mapping[str, Sequence[Callable[[], object]]]) -> None:
+    def in_parallel(self, work: Mapping[SimulatorName, Sequence[Callable[[], object]]]) -> None:
         """Run work on one thread per drive at a time; the first error stops all threads, even during a run.
 
         Calls that `follow` while it runs are taken when no other is left.
@@ -169,7 +169,7 @@ class Executor:
                     self._changed.notify_all()
                 raise
 
-    def follow(self, simulator: str, test: Test) -> None:
+    def follow(self, simulator: SimulatorName, test: Test) -> None:
         """Let a test be executed on a simulator when a thread of `in_parallel`, which calls this, has nothing to do."""
         with self._changed:
             self._queues[simulator].append(partial(self.execute, test, simulator))
@@ -195,7 +195,7 @@ class Executor:
         if self._stop.is_set():
             raise Stopped
 
-    def execute(self, test: Test, simulator: str) -> Execution | Gate | None:
+    def execute(self, test: Test, simulator: SimulatorName) -> Execution | Gate | None:
         """Return a test's execution on one simulator from the store, or drive it, repeating errors `retries` times.
 
         A test by which no network can be judged there is not driven: its gate is returned.
@@ -216,7 +216,7 @@ class Executor:
         self._listener.finished(test, simulator, found, fresh=True)
         return found
 
-    def _outcome(self, test: Test, simulator: str) -> Execution | Gate:
+    def _outcome(self, test: Test, simulator: SimulatorName) -> Execution | Gate:
         """Drive a test; returns its gate if no network can be judged by it there."""
         gate = self.judge(test, simulator)
         if gate is not None and not gate.is_valid:
@@ -225,7 +225,7 @@ class Executor:
         excluded = exclusion_of(run)
         return self._keep(test, simulator, run) if excluded is None else self._keep_gate(test, simulator, excluded)
 
-    def judge(self, test: Test, simulator: str) -> Gate | None:
+    def judge(self, test: Test, simulator: SimulatorName) -> Gate | None:
         """Decide, before a network drives a test, whether it can be judged by it there; None if the test has no gate.
 
         Each test is judged once on each simulator; see `ds_sim.gates`.
@@ -246,7 +246,7 @@ class Executor:
         run = self._drive(test, simulator, AUTOPILOT, probed=True)
         return self._keep_gate(test, simulator, exclusion_of(run) or gate_of(run))
 
-    def _drive(self, test: Test, simulator: str, driver: DriverName, *, probed: bool = False) -> RunRecord:
+    def _drive(self, test: Test, simulator: SimulatorName, driver: DriverName, *, probed: bool = False) -> RunRecord:
         """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
         for attempt in range(self._settings.retries + 1):
             self._check_stop()
@@ -258,7 +258,7 @@ class Executor:
             self._store.add_error(test.test_id, simulator, attempt, run.outcome, message)
         raise NoOutcomeError(run)
 
-    def _count_unlucky(self, test: Test, simulator: str, run: RunRecord) -> None:
+    def _count_unlucky(self, test: Test, simulator: SimulatorName, run: RunRecord) -> None:
         """Count a test without an outcome; raise CampaignError after `PATIENCE` of them in a row."""
         with self._lock:
             self.failed_executions += 1
@@ -272,11 +272,11 @@ class Executor:
             "folder logs, fix the cause, and run the same command again"
         )
 
-    def _keep_gate(self, test: Test, simulator: str, gate: Gate) -> Gate:
+    def _keep_gate(self, test: Test, simulator: SimulatorName, gate: Gate) -> Gate:
         self._store.add_gate(test.test_id, simulator, gate)
         return gate
 
-    def _keep(self, test: Test, simulator: str, run: RunRecord) -> Execution:
+    def _keep(self, test: Test, simulator: SimulatorName, run: RunRecord) -> Execution:
         """Write the bag, then the store."""
         bag = ""
         if self._settings.record != "none":
@@ -294,7 +294,7 @@ class Executor:
         return execution
 
 
-def execution_of(test_id: str, simulator: str, run: RunRecord, bag: str = "") -> Execution:
+def execution_of(test_id: str, simulator: SimulatorName, run: RunRecord, bag: str = "") -> Execution:
     """Convert a run to the form in which the store keeps it."""
     trajectory = _trajectory_of(run)
     return Execution(

@@ -25,6 +25,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 
 STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
@@ -187,9 +188,9 @@ class CampaignData:
     config: CampaignConfig
     tests: tuple[Test, ...] = ()
     executions: tuple[Execution, ...] = ()
-    gates: Mapping[tuple[str, str], Gate] = field(default_factory=dict)
+    gates: Mapping[tuple[str, SimulatorName], Gate] = field(default_factory=dict)
     notes: Mapping[str, str] = field(default_factory=dict)
-    errors: tuple[tuple[str, str, int, str, str], ...] = ()
+    errors: tuple[tuple[str, SimulatorName, int, str, str], ...] = ()
     given_up: frozenset[str] = frozenset()
     searches: tuple[tuple[str, int, str, int], ...] = ()
     results: Mapping[str, int] = field(default_factory=dict)
@@ -207,12 +208,12 @@ class CampaignData:
         return tuple(e for e in self.executions if e.outcome.is_verdict)
 
     @cached_property
-    def failed(self) -> dict[tuple[str, str], bool]:
+    def failed(self) -> dict[tuple[str, SimulatorName], bool]:
         """Test and simulator -> whether the driver failed, for verdicts alone."""
         return {(one.test_id, one.simulator): one.outcome.is_failure for one in self.verdicts}
 
     @cached_property
-    def failures(self) -> dict[str, FailureCount]:
+    def failures(self) -> dict[SimulatorName, FailureCount]:
         """Failures on every simulator, in the order of the configuration."""
         driven = Counter(simulator for _, simulator in self.failed)
         failing = Counter(simulator for (_, simulator), failed in self.failed.items() if failed)
@@ -240,7 +241,7 @@ class CampaignData:
         )
 
     @cached_property
-    def excluded(self) -> dict[tuple[str, str], Gate]:
+    def excluded(self) -> dict[tuple[str, SimulatorName], Gate]:
         """Test and simulator -> why no network can be judged by it there."""
         return {key: gate for key, gate in self.gates.items() if not gate.is_valid}
 

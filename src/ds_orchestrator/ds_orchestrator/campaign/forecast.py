@@ -19,7 +19,7 @@ from ds_orchestrator.campaign.engine import Engine
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.rows import pack_numbers
 from ds_road import generate
-from ds_sim.registry import label_of
+from ds_sim.registry import SimulatorName, label_of
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 
@@ -35,7 +35,7 @@ class MeasuredDrive:
         disk: bytes that it would leave in the campaign folder.
     """
 
-    simulator: str
+    simulator: SimulatorName
     outcome: str
     seconds: float
     disk: int
@@ -98,7 +98,7 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
     each = min(config.workers, max(1, len(os.sched_getaffinity(0)) // len(config.simulators)))
     work = [(name, k) for k in range(each) for name in config.simulators]
 
-    def drive(unit: tuple[str, int]) -> tuple[str, RunRecord, float]:
+    def drive(unit: tuple[SimulatorName, int]) -> tuple[SimulatorName, RunRecord, float]:
         name, k = unit
         road = generate(np.random.default_rng([config.seed, k]), max_angle=config.search.max_angle, lane=config.lane)
         since = time.monotonic()
@@ -126,7 +126,7 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
     )
 
 
-def _disk(config: CampaignConfig, simulator: str, run: RunRecord) -> int:
+def _disk(config: CampaignConfig, simulator: SimulatorName, run: RunRecord) -> int:
     """Bytes of a run in the store and of its bag, which is written to a temporary folder."""
     execution = execution_of("forecast", simulator, run)
     stored = len(pack_numbers(execution.trajectory)) + len(pack_numbers(execution.steering))

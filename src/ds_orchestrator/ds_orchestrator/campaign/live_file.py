@@ -23,6 +23,7 @@ from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
 
 EVERY = 1.0
@@ -50,7 +51,7 @@ class LiveDrive(BaseModel):
         lateral_position: m from the lane's centre, positive to the right, or None.
     """
 
-    simulator: str = Field(max_length=_LONGEST)
+    simulator: SimulatorName = Field(max_length=_LONGEST)
     road_id: str = Field(max_length=_LONGEST)
     seed: int = Field(ge=0, le=_LARGEST_NUMBER)
     began: float = Field(allow_inf_nan=False)
@@ -127,12 +128,12 @@ class LiveFile(TimedListener):
         super().stage(name)
         self._listener.stage(name)
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
         """See `Listener.expect`."""
         super().expect(stages)
         self._listener.expect(stages)
 
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
         super().finished(test, simulator, execution, fresh)
         self._listener.finished(test, simulator, execution, fresh)
@@ -143,7 +144,7 @@ class LiveFile(TimedListener):
             self._stage, self._eta = name, Eta()
 
     @contextmanager
-    def driving(self, simulator: str, road_id: str, seed: int) -> Iterator[LiveDrive]:
+    def driving(self, simulator: SimulatorName, road_id: str, seed: int) -> Iterator[LiveDrive]:
         """Enter a drive under way; whoever has feedback sets its attributes."""
         # Not checked: what is wrong with a name must not end a campaign here.
         drive = LiveDrive.model_construct(simulator=simulator, road_id=road_id, seed=seed, began=time.time())

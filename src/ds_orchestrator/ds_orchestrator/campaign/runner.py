@@ -26,7 +26,7 @@ from ds_orchestrator.search.algorithms import search_of
 from ds_orchestrator.search.features import cell_of
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
-from ds_sim.registry import label_of
+from ds_sim.registry import SimulatorName, label_of
 
 
 class Campaign:
@@ -107,7 +107,7 @@ class Campaign:
         elites = elites_of(data.tests, data.executions, data.cells, ignored=data.given_up)
         return [test for test in data.tests if test.test_id in elites]
 
-    def _search(self, sibling: str, run: int) -> None:
+    def _search(self, sibling: SimulatorName, run: int) -> None:
         """Run or replay one search run on one sibling, taking known outcomes from the store.
 
         A search that continued without a test's outcome ignores it on replay, even if the test has one by now: the
@@ -157,7 +157,7 @@ class Campaign:
             if name != test.sibling:
                 self._executor.follow(name, test)
 
-    def _take_back(self, sibling: str) -> None:
+    def _take_back(self, sibling: SimulatorName) -> None:
         """Forget the trailing tests of each search run that have no outcome, so that they are tried again."""
         done = {e.test_id for e in self._store.executions() if e.simulator == sibling}
         done |= {i for (i, name), gate in self._store.gates().items() if name == sibling and not gate.is_valid}

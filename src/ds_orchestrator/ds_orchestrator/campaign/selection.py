@@ -13,13 +13,14 @@ from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.search.features import Cell, Feature, feature_of
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
+from ds_sim.registry import SimulatorName
 
 
 def roads_of(
     folder: Path,
     *,
     failed: bool = False,
-    simulator: str | None = None,
+    simulator: SimulatorName | None = None,
     cell: str | None = None,
     test: str | None = None,
 ) -> list[dict[str, Any]]:

@@ -16,6 +16,7 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.maps.campaign_maps import elites_of
 from ds_orchestrator.store.store import Store
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,7 @@ class Stage:
         return "begun" if self.done else "to do"
 
 
-Group = tuple[str, int, str]
+Group = tuple[SimulatorName, int, SimulatorName]
 """Sibling and run of the search that generated tests, and a simulator."""
 
 

@@ -13,7 +13,7 @@ from ds_orchestrator.maps.algebra import OPERATORS
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.search.features import FEATURES
 from ds_sim.conditions.text import format_3sf
-from ds_sim.registry import SIMULATORS
+from ds_sim.registry import SIMULATORS, SimulatorName
 
 WINDING = 150
 """Smallest maximum angle of a new campaign's random roads, degrees; chosen: half of the largest, as gentle roads
@@ -31,8 +31,8 @@ MOST_SEARCHED = 2
 
 def template(
     driver: str,
-    siblings: Sequence[str],
-    twin: str | None,
+    siblings: Sequence[SimulatorName],
+    twin: SimulatorName | None,
     size: str,
     ranges: Mapping[str, tuple[float, float]] | None = None,
     angles: Mapping[str, int] | None = None,

@@ -13,6 +13,7 @@ from ds_driver.closed_loop.drive_request import request_from_json
 from ds_orchestrator.engines.fingerprint import fingerprint
 from ds_orchestrator.engines.local import LocalEngine, running_local
 from ds_orchestrator.engines.parcel import Parcel
+from ds_sim.registry import SimulatorName
 from ds_sim.run_codec import encode_run
 
 Key = tuple[str, float]
@@ -33,7 +34,7 @@ _lock = threading.Lock()
 _prepared: dict[Key, _Prepared] = {}
 
 
-def describe(key: Key, backend: str, simulators: tuple[str, ...]) -> tuple[dict[str, str], int]:
+def describe(key: Key, backend: str, simulators: tuple[SimulatorName, ...]) -> tuple[dict[str, str], int]:
     """Describe this worker: its fingerprint, and the drives that it takes at a time; 0 if it is not prepared."""
     with _lock:
         return fingerprint(backend, simulators), _prepared[key].engine.capacity if key in _prepared else 0
@@ -85,7 +86,7 @@ def drive(key: Key, request: dict[str, Any]) -> bytes | None:
     if one is None:
         return None
     asked = request_from_json(request)
-    simulator = one.parcel.name_there(asked.simulator, one.folder)
+    simulator = one.parcel.simulator_there(asked.simulator, one.folder)
     driver = one.parcel.driver_there(asked.driver, one.folder)
     run = one.engine.drive(replace(asked, simulator=simulator, driver=driver))
     with _lock:
@@ -105,4 +106,4 @@ def _check(parcel: Parcel, folder: Path) -> None:
     if parcel.driver_sha256 and driver_sha256(driver) != parcel.driver_sha256:
         raise ValueError(f"driver {parcel.driver} has other content there")
     for simulator in parcel.simulators:
-        make_simulator(parcel.name_there(simulator, folder)).close()
+        make_simulator(parcel.simulator_there(simulator, folder)).close()

@@ -20,12 +20,13 @@ from ds_orchestrator.engines.start import running_engine
 from ds_orchestrator.store.model import NO_ORIGIN, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 LOG = logger_of(__name__)
 DRIVES_FILE = "drives.sqlite"
 """Store of drives of given tests; not a campaign's file, as no search can resume from it."""
-Key = tuple[str, str]
+Key = tuple[str, SimulatorName]
 """Test and simulator."""
 
 
@@ -74,7 +75,7 @@ class DriveResults:
 
 def drive_tests(
     settings: DriveSettings,
-    work: Mapping[str, Sequence[Test]],
+    work: Mapping[SimulatorName, Sequence[Test]],
     folder: Path,
     callbacks: Callbacks | None = None,
     *,
@@ -137,7 +138,11 @@ def open_drives(
 
 
 def _drive(
-    settings: DriveSettings, work: Mapping[str, Sequence[Test]], folder: Path, store: Store, callbacks: Callbacks
+    settings: DriveSettings,
+    work: Mapping[SimulatorName, Sequence[Test]],
+    folder: Path,
+    store: Store,
+    callbacks: Callbacks,
 ) -> None:
     try:
         with (
@@ -154,7 +159,7 @@ def _drive(
         raise Stopped from None
 
 
-def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> DriveResults:
+def read_drives(folder: Path, work: Mapping[SimulatorName, Sequence[Test]]) -> DriveResults:
     """Read what became of given tests so far, as `drive_tests` does, and drive nothing."""
     if not (folder / DRIVES_FILE).exists():
         return DriveResults(errors={(test.test_id, name): Unfinished() for name, of in work.items() for test in of})
@@ -162,7 +167,7 @@ def read_drives(folder: Path, work: Mapping[str, Sequence[Test]]) -> DriveResult
         return _read(store, work)
 
 
-def _read(store: Store, work: Mapping[str, Sequence[Test]]) -> DriveResults:
+def _read(store: Store, work: Mapping[SimulatorName, Sequence[Test]]) -> DriveResults:
     wanted = {(test.test_id, name) for name, tests in work.items() for test in tests}
     executions = {(one.test_id, one.simulator): one for one in store.executions()}
     last = {(test, name): Unfinished(Outcome[outcome], message) for test, name, _, outcome, message in store.errors()}

@@ -32,7 +32,7 @@ _FLOATING_POINT = frozenset(
 also use those for other formats, such as avx512_bf16."""
 
 
-def fingerprint(backend: str, simulators: Collection[str]) -> dict[str, str]:
+def fingerprint(backend: str, simulators: Collection[SimulatorName]) -> dict[str, str]:
     """What two machines must have in common to compute the same bits: name -> value.
 
     Args:
@@ -68,9 +68,9 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
     return "; ".join(found)
 
 
-def _of_simulator(name: str) -> dict[str, str]:
+def _of_simulator(name: SimulatorName) -> dict[str, str]:
     """What the bits of a simulator's drives depend on, with its code unless that is in `CODE`."""
-    base = SimulatorName.parse(name).base
+    base = name.base
     try:
         kind = simulator_class(base)
     except UnknownSimulatorError:

@@ -14,7 +14,6 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import Watch
-from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
 
 DRIVES_PER_WORKER = 4
@@ -51,7 +50,7 @@ class LocalEngine:
         Raises:
             ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
         """
-        external = SimulatorName.parse(request.simulator).is_external
+        external = request.simulator.is_external
         with self._vehicles[request.simulator] if external else nullcontext():
             return self._drive(request)
 

@@ -40,7 +40,7 @@ class Parcel:
     driver: DriverName
     driver_sha256: str
     backend: str
-    simulators: tuple[str, ...]
+    simulators: tuple[SimulatorName, ...]
     files: dict[str, bytes] = field(default_factory=dict)
     renamed: dict[str, str] = field(default_factory=dict)
 
@@ -58,16 +58,19 @@ class Parcel:
         for name, content in self.files.items():
             write_whole(folder / name, content)
 
-    def name_there(self, name: str, folder: Path) -> str:
+    def simulator_there(self, simulator: SimulatorName, folder: Path) -> SimulatorName:
         """Translate a simulator's name to its name on a worker."""
-        return self.renamed.get(name, name).replace("{folder}", str(folder))
+        return SimulatorName(self._there(simulator, folder))
 
     def driver_there(self, driver: DriverName, folder: Path) -> DriverName:
         """Translate a driver's name to its name on a worker."""
-        return DriverName.parse(self.name_there(str(driver), folder))
+        return DriverName.parse(self._there(str(driver), folder))
+
+    def _there(self, name: str, folder: Path) -> str:
+        return self.renamed.get(name, name).replace("{folder}", str(folder))
 
 
-def parcel_of(driver: DriverName, simulators: Sequence[str]) -> Parcel:
+def parcel_of(driver: DriverName, simulators: Sequence[SimulatorName]) -> Parcel:
     """Pack a driver and simulators.
 
     Raises:
@@ -78,11 +81,10 @@ def parcel_of(driver: DriverName, simulators: Sequence[str]) -> Parcel:
     files: dict[str, bytes] = {}
     renamed: dict[str, str] = {}
     for number, simulator in enumerate(simulators):
-        name = SimulatorName.parse(simulator)
-        if name.file:
-            place = f"simulators/{number}/{Path(name.file).name}"
-            files[place] = read_regular(Path(name.file), LARGEST_PART)
-            renamed[simulator] = f"{name.base}@{{folder}}/{place}"
+        if simulator.file:
+            place = f"simulators/{number}/{Path(simulator.file).name}"
+            files[place] = read_regular(Path(simulator.file), LARGEST_PART)
+            renamed[simulator] = f"{simulator.base}@{{folder}}/{place}"
     sha256 = backend = ""
     if driver != AUTOPILOT:
         from ds_driver.networks.network_driver import driver_sha256

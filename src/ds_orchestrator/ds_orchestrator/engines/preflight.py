@@ -13,7 +13,7 @@ from ds_orchestrator.campaign.engine import BAG_MODULES, DriveSettings, usual_re
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.model import NotApplicableError
-from ds_sim.registry import make_simulator, spec_of
+from ds_sim.registry import SimulatorName, make_simulator, spec_of
 
 BFLOAT16_SHARE = {"graph": 0.6, "local": 0.85, "dask": 0.85}
 """Processor time of a campaign with `local` in bfloat16 over that with an engine in single precision, for Dave-2;
@@ -54,7 +54,7 @@ def preflight(settings: DriveSettings) -> None:
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
 
 
-def check_driver(driver: DriverName, simulators: Sequence[str]) -> None:
+def check_driver(driver: DriverName, simulators: Sequence[SimulatorName]) -> None:
     """Check a driver's name.
 
     Args:

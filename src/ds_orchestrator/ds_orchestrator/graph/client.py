@@ -30,7 +30,7 @@ from ds_orchestrator.graph.supervisor import (
     closed_loop_process_name,
     simulator_process_name,
 )
-from ds_sim.registry import spec_of
+from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
 from ds_sim.ros.node_thread import NodeThread
@@ -72,7 +72,7 @@ class GraphClient:
 
     def __init__(
         self,
-        namespaces: dict[str, str],
+        namespaces: dict[SimulatorName, str],
         *,
         domain: int | None,
         command_timeout: float,
@@ -105,7 +105,7 @@ class GraphClient:
         """ROS context in the graph's domain, for further nodes of this process."""
         return self._context
 
-    def wait_until_ready(self, limit: float = START_TIME, *, only: str | None = None) -> None:
+    def wait_until_ready(self, limit: float = START_TIME, *, only: SimulatorName | None = None) -> None:
         """Wait until every simulator, or only one, answers and has a driver.
 
         Args:
@@ -139,7 +139,7 @@ class GraphClient:
             if found != expected:
                 raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
 
-    def info(self, simulator: str) -> GetSimulatorInfo.Response:
+    def info(self, simulator: SimulatorName) -> GetSimulatorInfo.Response:
         """Ask a simulator's node for its description.
 
         Raises:
@@ -152,7 +152,7 @@ class GraphClient:
 
     def execute(
         self,
-        simulator: str,
+        simulator: SimulatorName,
         scenario: Scenario,
         *,
         conditions_of_node: bool = False,
@@ -199,23 +199,23 @@ class GraphClient:
             self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def _processes(self, simulator: str) -> set[str]:
+    def _processes(self, simulator: SimulatorName) -> set[str]:
         """Names of the processes that a run on a simulator needs."""
         return {self._simulator_of(simulator), self._driver_of(simulator)}
 
-    def _simulator_of(self, simulator: str) -> str:
+    def _simulator_of(self, simulator: SimulatorName) -> str:
         """Name of the process with a simulator's node; the supervisor need not run it."""
         namespace = self._namespaces[simulator]
         together = closed_loop_process_name(namespace)
         known = () if self._supervisor is None else self._supervisor.names
         return together if together in known else simulator_process_name(namespace)
 
-    def _driver_of(self, simulator: str) -> str:
+    def _driver_of(self, simulator: SimulatorName) -> str:
         """Name of the process with a simulator's driver; the supervisor need not run it."""
         together = closed_loop_process_name(self._namespaces[simulator])
         return together if self._simulator_of(simulator) == together else DRIVER_PROCESS
 
-    def _restart(self, simulator: str) -> None:
+    def _restart(self, simulator: SimulatorName) -> None:
         """Restart a simulator's process, if the supervisor runs it."""
         if self._supervisor is not None and not self._thread.stopped:
             with self._revival:
@@ -246,7 +246,7 @@ class GraphClient:
         answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
         return patient and renewed < began and not answered
 
-    def _renew_driver(self, simulator: str, began: float, record: RunRecord) -> None:
+    def _renew_driver(self, simulator: SimulatorName, began: float, record: RunRecord) -> None:
         """Restart the supervisor's driver if it hangs; one that sends invalid commands does not hang.
 
         It may drive other simulators too, whose runs lose the old process as well: they must not restart it again.
@@ -270,7 +270,7 @@ class GraphClient:
             command_timeout=self._timeout,
         )
 
-    def _execute(self, name: str, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
+    def _execute(self, name: SimulatorName, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
         began = time.monotonic()
         try:
@@ -293,7 +293,7 @@ class GraphClient:
             self._renew_driver(name, began, record)
         return Outcome(result.outcome.value), result.message
 
-    def _drive(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
+    def _drive(self, name: SimulatorName, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         """Send a goal and return its result, or one line on the error.
 
         Waits for a simulator that drives for another client, and ends a run that lost its client.
@@ -313,7 +313,7 @@ class GraphClient:
             if time.monotonic() > deadline or self._thread.pause(0.5 if others else 0.2):
                 return result
 
-    def _drive_once(self, name: str, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
+    def _drive_once(self, name: SimulatorName, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         simulator = self._simulators[name]
         simulator.alive, simulator.frame = time.monotonic(), 0
         handle = self._thread.call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
@@ -335,7 +335,7 @@ class GraphClient:
             return f"{name} has not answered for {seconds:.0f} s, {simulator.place}: is its node alive?"
         return f"the simulator fell silent during the run, {simulator.place}"
 
-    def _await_result(self, name: str, handle: Any) -> Any:
+    def _await_result(self, name: SimulatorName, handle: Any) -> Any:
         """Wait for the result of a goal; None if the simulator has shown no sign of life for too long."""
         future = self._thread.send(handle.get_result_async, SERVICE_TIME)
         if future is None:

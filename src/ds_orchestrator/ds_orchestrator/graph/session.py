@@ -83,13 +83,13 @@ class GraphEngine:
     """
 
     def __init__(
-        self, graphs: Sequence[Engine], simulators: Sequence[str], start_probing: Callable[[], Engine]
+        self, graphs: Sequence[Engine], simulators: Sequence[SimulatorName], start_probing: Callable[[], Engine]
     ) -> None:
         self._graphs = list(graphs)
-        self._free: dict[str, SimpleQueue[Engine]] = {name: SimpleQueue() for name in simulators}
+        self._free: dict[SimulatorName, SimpleQueue[Engine]] = {name: SimpleQueue() for name in simulators}
         for name, free in self._free.items():
             # A simulator that is another program has one vehicle, so one graph drives it.
-            for graph in self._graphs[:1] if SimulatorName.parse(name).is_external else self._graphs:
+            for graph in self._graphs[:1] if name.is_external else self._graphs:
                 free.put(graph)
         self._start_probing, self._probing = start_probing, threading.Lock()
         self._probe: Engine | None = None
@@ -118,7 +118,7 @@ class GraphEngine:
 
 
 def processes_of(
-    driver: DriverName, namespaces: dict[str, str], command_timeout: float, *, composed: bool, draw: str
+    driver: DriverName, namespaces: dict[SimulatorName, str], command_timeout: float, *, composed: bool, draw: str
 ) -> list[ProcessSpec]:
     """Specify the processes of a graph; see `running_graph`."""
     if composed:
@@ -128,7 +128,7 @@ def processes_of(
 
 @contextmanager
 def running_graph(
-    namespaces: dict[str, str],
+    namespaces: dict[SimulatorName, str],
     driver: DriverName,
     *,
     command_timeout: float,

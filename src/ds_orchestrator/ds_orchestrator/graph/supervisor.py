@@ -17,6 +17,7 @@ from ds_base.folder_files import enter_folder
 from ds_base.installation import missing_of_ros
 from ds_base.processes import USER_DOMAIN, ChildProcesses, last_line_of
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_sim.registry import SimulatorName
 
 
 class RosMissingError(RunError):
@@ -181,7 +182,7 @@ def closed_loop_process_name(namespace: str) -> str:
 
 
 def closed_loop_processes(
-    driver: DriverName, namespaces: dict[str, str], command_timeout: float, *, draw: str = "all"
+    driver: DriverName, namespaces: dict[SimulatorName, str], command_timeout: float, *, draw: str = "all"
 ) -> list[ProcessSpec]:
     """Specify one process per simulator, with a driver's node beside the simulator's.
 
@@ -204,7 +205,7 @@ def closed_loop_processes(
     ]
 
 
-def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> list[ProcessSpec]:
+def simulator_processes(namespaces: dict[SimulatorName, str], command_timeout: float) -> list[ProcessSpec]:
     """Specify one process per simulator."""
     return [
         ProcessSpec(
@@ -217,7 +218,7 @@ def simulator_processes(namespaces: dict[str, str], command_timeout: float) -> l
     ]
 
 
-def driver_process(driver: DriverName, namespaces: dict[str, str]) -> ProcessSpec:
+def driver_process(driver: DriverName, namespaces: dict[SimulatorName, str]) -> ProcessSpec:
     """Specify the driver of all simulators; it asks each for its crop, or for the gains of its vehicle."""
     parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
     if driver == AUTOPILOT:

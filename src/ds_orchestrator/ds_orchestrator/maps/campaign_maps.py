@@ -14,6 +14,7 @@ from ds_orchestrator.search.algorithms import Archive
 from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of, feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ def cells_of(
     *,
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,
-    gates: Mapping[tuple[str, str], Gate] = MappingProxyType({}),
+    gates: Mapping[tuple[str, SimulatorName], Gate] = MappingProxyType({}),
 ) -> dict[str, Cell]:
     """Map test -> cell, for every test that has one; see `ds_orchestrator.search.features`.
 
@@ -113,13 +114,13 @@ def elites_of(
 
 
 def build_maps(
-    siblings: Sequence[str],
-    twin: str | None,
+    siblings: Sequence[SimulatorName],
+    twin: SimulatorName | None,
     tests: Sequence[Test],
     executions: Sequence[Execution],
     plan: MapPlan = MapPlan(),  # noqa: B008 (immutable)
     *,
-    gates: Mapping[tuple[str, str], Gate] = MappingProxyType({}),
+    gates: Mapping[tuple[str, SimulatorName], Gate] = MappingProxyType({}),
 ) -> dict[MapId, FeatureMap]:
     """Build every map of a campaign; see `MapId` for the kinds.
 
@@ -174,7 +175,7 @@ def build_maps(
 
 def _excluded(
     map_id: MapId,
-    siblings: Sequence[str],
+    siblings: Sequence[SimulatorName],
     tests: Sequence[Test],
     cells: Mapping[str, Cell],
     migrated: Collection[str],

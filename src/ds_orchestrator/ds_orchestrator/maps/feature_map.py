@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
+from ds_sim.registry import NO_SIMULATOR, SimulatorName
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,22 +35,22 @@ class MapId:
     """
 
     kind: Kind
-    simulator: str = ""
-    origin: str = ""
+    simulator: SimulatorName = NO_SIMULATOR
+    origin: SimulatorName = NO_SIMULATOR
     operator: str = ""
 
     @classmethod
-    def search(cls, sibling: str) -> MapId:
+    def search(cls, sibling: SimulatorName) -> MapId:
         """Tests of a sibling's search, driven on that sibling."""
         return cls(kind="search", simulator=sibling, origin=sibling)
 
     @classmethod
-    def migration(cls, origin: str, target: str) -> MapId:
+    def migration(cls, origin: SimulatorName, target: SimulatorName) -> MapId:
         """Tests of one sibling's search, driven on another sibling or on the twin."""
         return cls(kind="migration", simulator=target, origin=origin)
 
     @classmethod
-    def union(cls, sibling: str) -> MapId:
+    def union(cls, sibling: SimulatorName) -> MapId:
         """Tests of all searches, driven on one sibling (paper 3.4)."""
         return cls(kind="union", simulator=sibling)
 
@@ -59,7 +60,7 @@ class MapId:
         return cls(kind="merged", operator=operator)
 
     @classmethod
-    def twin(cls, twin: str) -> MapId:
+    def twin(cls, twin: SimulatorName) -> MapId:
         """Tests of all searches, driven on the twin (paper 3.6)."""
         return cls(kind="twin", simulator=twin)
 
@@ -78,7 +79,9 @@ class MapId:
         return f"{words[self.kind]} {self.simulator or self.operator}".strip()
 
 
-def map_ids(siblings: Sequence[str], twin: str | None, operators: Sequence[str] = ()) -> list[MapId]:
+def map_ids(
+    siblings: Sequence[SimulatorName], twin: SimulatorName | None, operators: Sequence[str] = ()
+) -> list[MapId]:
     """Identities of every map of a campaign, in the order in which they are written.
 
     Args:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -25,6 +24,7 @@ from ds_orchestrator.store.rows import (
 from ds_orchestrator.store.sqlite_file import SqliteFile
 from ds_road import road_from_json, road_to_json
 from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.registry import NO_SIMULATOR, SimulatorName
 from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
@@ -39,12 +39,12 @@ class Origin:
         number: index of the test within the run, from 0.
     """
 
-    sibling: str
+    sibling: SimulatorName
     run: int
     number: int
 
 
-NO_ORIGIN = Origin("", 0, 0)
+NO_ORIGIN = Origin(NO_SIMULATOR, 0, 0)
 """How the store writes that no search generated a test."""
 
 
@@ -65,7 +65,7 @@ class Test(OfScenario):
     origin: Origin | None = None
 
     @property
-    def sibling(self) -> str:
+    def sibling(self) -> SimulatorName:
         """Simulator whose search generated the test; "" without an origin."""
         return (self.origin or NO_ORIGIN).sibling
 
@@ -117,7 +117,7 @@ class Execution:
     """
 
     test_id: str
-    simulator: str
+    simulator: SimulatorName
     outcome: Outcome
     message: str
     fitness: float
@@ -192,10 +192,10 @@ def execution_of(row: ExecutionRow, file: SqliteFile) -> Execution:
     """
     if abs(row.simulated_seconds - row.steps * FRAME_TIME) > _TOLERANCE:
         raise _unreadable(row.test_id, row.simulator, f"simulated_seconds is {row.simulated_seconds:g}")
-    simulator, digest = sys.intern(row.simulator), row.trajectory_sha256
+    digest = row.trajectory_sha256
     return Execution(
         test_id=row.test_id,
-        simulator=simulator,
+        simulator=row.simulator,
         outcome=Outcome[row.outcome],
         message=row.message,
         fitness=row.fitness,
@@ -203,7 +203,7 @@ def execution_of(row: ExecutionRow, file: SqliteFile) -> Execution:
         steps=row.steps,
         simulated_seconds=row.simulated_seconds,
         trajectory_sha256=digest,
-        drive=StoredDrive(file, row.test_id, simulator, row.max_lateral_position, row.steps, digest, row.rowid),
+        drive=StoredDrive(file, row.test_id, row.simulator, row.max_lateral_position, row.steps, digest, row.rowid),
         bag=row.bag,
     )
 
@@ -224,7 +224,7 @@ class StoredDrive:
 
     file: SqliteFile
     test_id: str
-    simulator: str
+    simulator: SimulatorName
     max_lateral_position: float
     steps: int
     sha256: str
@@ -265,5 +265,5 @@ def _arrays_of(drive: StoredDrive) -> DriveArrays:
     return drive.read()
 
 
-def _unreadable(test_id: str, simulator: str, error: object) -> RowError:
+def _unreadable(test_id: str, simulator: SimulatorName, error: object) -> RowError:
     return RowError(f"the run of {test_id:.60} on {simulator:.60} cannot be read: {error}")

@@ -17,6 +17,7 @@ from ds_base.config_errors import first_problem
 from ds_base.errors import InputError
 from ds_road.road import MAX_POINTS
 from ds_sim.gates.gate import GateState
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 MOST_STEPS = 1_000_000
@@ -41,6 +42,7 @@ def _one_of(*words: str) -> Callable[[str], str]:
 
 Text = Annotated[str, Field(strict=True, max_length=10_000)]
 """Message or name; chosen: far longer than the longest one that a campaign writes."""
+Simulator = Annotated[SimulatorName, Field(strict=True, max_length=10_000)]
 Document = Annotated[str, Field(strict=True, max_length=2**20)]
 """JSON; chosen: a road of 1000 points with all digits takes 50 kB."""
 FileName = Annotated[str, Field(strict=True, pattern=r"^[A-Za-z0-9_.-]{1,200}$")]
@@ -65,7 +67,7 @@ class TestRow(NamedTuple):
     """
 
     test_id: FileName
-    sibling: Text
+    sibling: Simulator
     run: Count
     number: Count
     road: Document
@@ -80,7 +82,7 @@ class ExecutionRow(NamedTuple):
     """Row of `executions` without its frames."""
 
     test_id: Text
-    simulator: Text
+    simulator: Simulator
     outcome: Verdict
     message: Text
     fitness: Real
@@ -96,7 +98,7 @@ class GateRow(NamedTuple):
     """Row of `gates`."""
 
     test_id: Text
-    simulator: Text
+    simulator: Simulator
     state: Annotated[Text, AfterValidator(_one_of(*GateState))]
     message: Text
     outcome: Annotated[Text, AfterValidator(_one_of("", *VERDICTS))]
@@ -108,7 +110,7 @@ class ErrorRow(NamedTuple):
     """Attempt that ended in an error."""
 
     test_id: Text
-    simulator: Text
+    simulator: Simulator
     attempt: Count
     outcome: Annotated[Text, AfterValidator(_one_of(*_ERRORS))]
     message: Text
@@ -117,7 +119,7 @@ class ErrorRow(NamedTuple):
 class SearchRow(NamedTuple):
     """Run of a search."""
 
-    sibling: Text
+    sibling: Simulator
     run: Count
     method: Text
     seed: Count
@@ -145,9 +147,9 @@ class BagRow(NamedTuple):
 class DriveCount(NamedTuple):
     """Number of executions on a simulator of tests of one search run, by outcome."""
 
-    sibling: Text
+    sibling: Simulator
     run: Count
-    simulator: Text
+    simulator: Simulator
     outcome: Verdict
     executions: Count
 

@@ -31,6 +31,7 @@ from ds_orchestrator.store.rows import (
 )
 from ds_orchestrator.store.sqlite_file import SqliteFile
 from ds_sim.gates.gate import Gate, GateState
+from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 _SECONDS = "seconds "
@@ -117,7 +118,7 @@ class Store:
                 "started it, or choose another --out"
             )
 
-    def add_gate(self, test_id: str, simulator: str, gate: Gate) -> None:
+    def add_gate(self, test_id: str, simulator: SimulatorName, gate: Gate) -> None:
         """Store what the gates say of a test on one simulator; only a valid test can become an excluded one."""
         outcome = "" if gate.outcome is None else gate.outcome.name
         row = GateRow(
@@ -129,15 +130,15 @@ class Store:
             row,
         )
 
-    def gate(self, test_id: str, simulator: str) -> Gate | None:
+    def gate(self, test_id: str, simulator: SimulatorName) -> Gate | None:
         """What the gates say of a test on one simulator, or None if that is not known."""
         return self._gates("WHERE test_id=? AND simulator=?", (test_id, simulator)).get((test_id, simulator))
 
-    def gates(self) -> dict[tuple[str, str], Gate]:
+    def gates(self) -> dict[tuple[str, SimulatorName], Gate]:
         """What the gates say of every test and simulator for which that is known, ordered by simulator and test."""
         return self._gates()
 
-    def _gates(self, where: str = "", values: tuple[str, ...] = ()) -> dict[tuple[str, str], Gate]:
+    def _gates(self, where: str = "", values: tuple[str, ...] = ()) -> dict[tuple[str, SimulatorName], Gate]:
         return {
             (row.test_id, row.simulator): Gate(
                 state=GateState(row.state),
@@ -157,7 +158,7 @@ class Store:
             "INSERT OR REPLACE INTO executions", (*(values | {"outcome": execution.outcome.name}).values(), *frames)
         )
 
-    def add_error(self, test_id: str, simulator: str, attempt: int, outcome: Outcome, message: str) -> None:
+    def add_error(self, test_id: str, simulator: SimulatorName, attempt: int, outcome: Outcome, message: str) -> None:
         """Store an attempt that ended in an error."""
         self._insert("INSERT INTO errors", ErrorRow(test_id, simulator, attempt, outcome.name, message))
 
@@ -180,7 +181,7 @@ class Store:
         """Tests whose search continued without their outcome; they may have one by now."""
         return {row.test_id for row in self._rows(IdRow, "given_up")}
 
-    def add_search(self, sibling: str, run: int, method: str, seed: int) -> None:
+    def add_search(self, sibling: SimulatorName, run: int, method: str, seed: int) -> None:
         """Store method and seed of one run of a search."""
         self._insert("INSERT OR IGNORE INTO searches", SearchRow(sibling, run, method, seed))
 
@@ -223,7 +224,9 @@ class Store:
         except RowError as error:
             raise self._file.damaged(str(error)) from None
 
-    def check(self, siblings: Collection[str], simulators: Collection[str], *, runs: int, budget: int) -> None:
+    def check(
+        self, siblings: Collection[SimulatorName], simulators: Collection[SimulatorName], *, runs: int, budget: int
+    ) -> None:
         """Refuse rows that a campaign over these simulators cannot have, before they are used.
 
         The other columns of tests and executions are checked when they are read.
@@ -263,7 +266,7 @@ class Store:
         if both:
             raise self._file.damaged(f"an execution of {both[0][0]!r:.60} where its gate excludes it")
 
-    def execution(self, test_id: str, simulator: str) -> Execution | None:
+    def execution(self, test_id: str, simulator: SimulatorName) -> Execution | None:
         """The execution of a test on one simulator, or None if there is none yet."""
         found = self._executions("WHERE test_id=? AND simulator=?", (test_id, simulator))
         return found[0] if found else None
@@ -303,11 +306,11 @@ class Store:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
-    def failures(self) -> dict[str, FailureCount]:
+    def failures(self) -> dict[SimulatorName, FailureCount]:
         """Simulator -> failures among its executions."""
         return self._failures(lambda row: row.simulator)
 
-    def failures_of_groups(self) -> dict[tuple[str, int, str], FailureCount]:
+    def failures_of_groups(self) -> dict[tuple[SimulatorName, int, SimulatorName], FailureCount]:
         """Sibling and run of a search, and simulator -> failures among the executions of its tests there."""
         return self._failures(lambda row: (row.sibling, row.run, row.simulator))
 
@@ -333,7 +336,7 @@ class Store:
             "JOIN tests USING (test_id) GROUP BY sibling, run, simulator, outcome) ORDER BY simulator, first",
         )
 
-    def count_excluded(self) -> dict[tuple[str, int, str], int]:
+    def count_excluded(self) -> dict[tuple[SimulatorName, int, SimulatorName], int]:
         """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
         found = self._file.ask(
             "SELECT sibling, run, simulator, count(*) FROM gates JOIN tests USING (test_id) WHERE state != ? "

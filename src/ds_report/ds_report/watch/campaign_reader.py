@@ -15,6 +15,7 @@ from ds_orchestrator.campaign.live_file import Live, read_live
 from ds_orchestrator.search.features import Cell, cell_of
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_orchestrator.store.store import Store
+from ds_sim.registry import SimulatorName
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +45,7 @@ class _Known:
 
     config: CampaignConfig
     tests: dict[str, Test] = field(default_factory=dict)
-    executions: dict[tuple[str, str], Execution] = field(default_factory=dict)
+    executions: dict[tuple[str, SimulatorName], Execution] = field(default_factory=dict)
     cells: dict[str, Cell] = field(default_factory=dict)
     rows: tuple[int, int] = (0, 0)
     last_test: str | None = None
@@ -110,7 +111,7 @@ class CampaignReader:
             at=now,
         )
 
-    def execution(self, test_id: str, simulator: str) -> tuple[Test, Execution] | None:
+    def execution(self, test_id: str, simulator: SimulatorName) -> tuple[Test, Execution] | None:
         """Read one execution with its trajectory, and its test; None if there is none."""
         test = self._known.tests.get(test_id)
         if test is None:

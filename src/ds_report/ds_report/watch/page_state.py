@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -181,7 +181,7 @@ def _under_way(drive: LiveDrive, by_road: dict[tuple[str, int], list[Test]], now
     return said
 
 
-def drive_lines(test: Test, execution: Execution, names: list[str]) -> dict[str, Any]:
+def drive_lines(test: Test, execution: Execution, names: Sequence[str]) -> dict[str, Any]:
     """Describe one finished drive as the report's script unpacks it: the road, and a run per simulator or None."""
     road, path = test.road, execution.trajectory
     (cx, cy), (lx, ly), (rx, ry) = (

@@ -24,6 +24,7 @@ from ds_report.camera_pictures import translates
 from ds_report.pages import render
 from ds_report.watch.campaign_reader import CampaignReader
 from ds_report.watch.page_state import DrivePictures, drive_lines, page_state
+from ds_sim.registry import SimulatorName
 
 HOST = "127.0.0.1"
 PORT = 8760
@@ -76,7 +77,7 @@ class Watched:
                 self._until = time.monotonic() + max(EVERY, SHARE * (time.monotonic() - began))
             return self._state
 
-    async def drive(self, test_id: str, simulator: str) -> dict[str, Any] | None:
+    async def drive(self, test_id: str, simulator: SimulatorName) -> dict[str, Any] | None:
         """A finished drive with its pictures; None if there is none.
 
         Raises:
@@ -157,7 +158,7 @@ class _Drive(_Handler):
     async def get(self) -> None:
         test_id, simulator = (self.get_query_argument(name, "") for name in ("test", "simulator"))
         try:
-            drive = await self.watched.drive(test_id, simulator)
+            drive = await self.watched.drive(test_id, SimulatorName(simulator))
         except StoreError as error:
             raise HTTPError(503, reason="the drive cannot be read now") from error
         except BusyError:

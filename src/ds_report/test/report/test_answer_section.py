@@ -15,8 +15,11 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_report.html_report import write_report
 from ds_report.sections import answer_section
+from ds_sim import SimulatorName
 
-CONFIG = CampaignConfig(siblings=["a:One", "b:Two"], twin="c:Three", seed=7)
+CONFIG = CampaignConfig(
+    siblings=[SimulatorName("a:One"), SimulatorName("b:Two")], twin=SimulatorName("c:Three"), seed=7
+)
 """Simulators that nobody can make, so that pages have no camera pictures."""
 
 

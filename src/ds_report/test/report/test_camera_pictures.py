@@ -21,11 +21,11 @@ from ds_report.camera_pictures import (
     replay_frames,
     telling_tests,
 )
-from ds_sim.registry import make_simulator
+from ds_sim.registry import BULLET, DONKEY, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 
-TEST = Test("t", Scenario(road(0), seed=1), Origin("bullet", 0, 0))
+TEST = Test("t", Scenario(road(0), seed=1), Origin(BULLET, 0, 0))
 
 
 def picture(text: str) -> np.ndarray:
@@ -35,7 +35,7 @@ def picture(text: str) -> np.ndarray:
 
 
 def test_camera_pictures_repeat() -> None:
-    assert camera_pictures(["donkey"], TEST.scenario) == camera_pictures(["donkey"], TEST.scenario)
+    assert camera_pictures([DONKEY], TEST.scenario) == camera_pictures([DONKEY], TEST.scenario)
 
 
 def test_pictures_are_what_the_simulator_has_shown() -> None:
@@ -50,13 +50,13 @@ def test_pictures_are_what_the_simulator_has_shown() -> None:
         assert seen is not None
         images.append(seen.image)
     assert session.run is not None
-    execution = execution_of(TEST.test_id, "bullet", session.run)
-    frames = {("t", "bullet"): moments(execution), ("t", "nowhere:A"): [0]}
+    execution = execution_of(TEST.test_id, BULLET, session.run)
+    frames = {("t", BULLET): moments(execution), ("t", SimulatorName("nowhere:A")): [0]}
     driven = [execution, make_execution(TEST, "nowhere:A", 1.0)]
-    drives = drive_pictures(["bullet", "nowhere:A"], [TEST], driven, frames=frames)
+    drives = drive_pictures([BULLET, SimulatorName("nowhere:A")], [TEST], driven, frames=frames)
     drive, none = drives["t"]
     assert drive is not None and none is not None and "not shipped" in none.note and not none.frames
-    assert drives == drive_pictures(["bullet", "nowhere:A"], [TEST], driven, frames=frames)
+    assert drives == drive_pictures([BULLET, SimulatorName("nowhere:A")], [TEST], driven, frames=frames)
     assert drive.times == tuple(step / 20 for step in moments(execution)) and drive.strip == (0, 1, 2, 3, 4)
     for (text, words), step in zip(drive.frames, moments(execution), strict=True):
         shown, real = picture(text).astype(float), cv2.resize(images[step], SIZE, interpolation=cv2.INTER_AREA)
@@ -75,7 +75,7 @@ def test_moments_cover_a_drive_or_lead_to_its_failure() -> None:
 
 
 def test_the_worst_of_every_cell_comes_first() -> None:
-    tests = [Test(f"t{k}", Scenario(road(0), seed=1), Origin("A", 0, k)) for k in range(6)]
+    tests = [Test(f"t{k}", Scenario(road(0), seed=1), Origin(SimulatorName("A"), 0, k)) for k in range(6)]
     cells = {"t0": (1,), "t1": (1,), "t2": (2,), "t3": (1,), "t4": (3,)}
     offsets = {"t0": 0.5, "t1": 2.2, "t2": 0.3, "t3": 2.4, "t4": 1.0, "t5": 2.5}
     driven = [make_execution(test, "A", offsets[test.test_id]) for test in tests]
@@ -96,7 +96,7 @@ def test_the_worst_of_every_cell_comes_first() -> None:
 
 
 def test_replays_show_failed_drives_first_and_stay_within_their_bound() -> None:
-    tests = [Test(f"t{k}", Scenario(road(k), seed=1), Origin("A", 0, k)) for k in range(4)]
+    tests = [Test(f"t{k}", Scenario(road(k), seed=1), Origin(SimulatorName("A"), 0, k)) for k in range(4)]
     cells = {test.test_id: (k,) for k, test in enumerate(tests)}
     offsets = {"A": (2.4, 0.5, 2.2, 0.4), "B": (0.5, 0.6, 2.5, 0.3)}
     driven = [make_execution(test, name, offsets[name][k]) for name in "AB" for k, test in enumerate(tests)]

@@ -20,14 +20,16 @@ from ds_orchestrator.maps.feature_map import MapId, map_ids
 from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
-from ds_sim.registry import label_of
+from ds_sim.registry import SimulatorName, label_of
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
-TWO = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin="nowhere:Twin")
+TWO = CampaignConfig(
+    siblings=[SimulatorName("nowhere:A"), SimulatorName("path_to_x:Sim")], twin=SimulatorName("nowhere:Twin")
+)
 """Simulators that cannot be created, so that nothing is rendered; one has a name that looks like a migration."""
-ONE = CampaignConfig(siblings=["nowhere:A"], twin="nowhere:Twin")
-ALONE = CampaignConfig(siblings=["nowhere:A", "path_to_x:Sim"], twin=None)
+ONE = CampaignConfig(siblings=[SimulatorName("nowhere:A")], twin=SimulatorName("nowhere:Twin"))
+ALONE = CampaignConfig(siblings=[SimulatorName("nowhere:A"), SimulatorName("path_to_x:Sim")], twin=None)
 FAILS, PASSES = 2.5, 0.5
 
 
@@ -122,7 +124,7 @@ def test_correlations_of_an_earlier_version_are_read(tmp_path: Path) -> None:
     }
     (tmp_path / "maps" / "correlations.json").write_text(json.dumps([row]))
     (found,) = read_correlations(tmp_path, TWO)
-    assert found.map == MapId.union("path_to_x:Sim") and found.value == "quality_loss"
+    assert found.map == MapId.union(SimulatorName("path_to_x:Sim")) and found.value == "quality_loss"
     assert found.r_interval == (0.1, 0.9) and found.failing is None and found.caution == ""
 
 

@@ -16,10 +16,11 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_report.failure_section import failure_section
 from ds_report.pages import render
+from ds_sim import BULLET, SOFTBODY
 
 
 def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["bullet", "softbody"], twin=None, driver=AUTOPILOT)
+    config = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=None, driver=AUTOPILOT)
     with closing(make_campaign(tmp_path, config, 6, roads=12)) as store:
         data = read_campaign(store)
         section = failure_section(data)
@@ -42,17 +43,17 @@ def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_pat
 def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wide: int, said: str
 ) -> None:
-    config = CampaignConfig(siblings=["bullet"], twin=None, driver=AUTOPILOT)
+    config = CampaignConfig(siblings=[BULLET], twin=None, driver=AUTOPILOT)
     with closing(make_campaign(tmp_path, config, 16, roads=16)) as store:
         data = read_campaign(store)
     kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
-    made = [Reason(test.test_id, "bullet", kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
+    made = [Reason(test.test_id, BULLET, kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
     monkeypatch.setattr("ds_report.failure_section.reasons_of", lambda data: made)
     section = failure_section(data)
     assert section is not None and section.sentences[0].startswith(said)
 
 
 def test_without_failures_there_is_no_section(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["bullet"], twin=None, driver=AUTOPILOT)
+    config = CampaignConfig(siblings=[BULLET], twin=None, driver=AUTOPILOT)
     with closing(make_campaign(tmp_path, config, 0)) as store:
         assert failure_section(read_campaign(store)) is None

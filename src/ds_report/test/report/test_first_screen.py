@@ -13,9 +13,12 @@ from report_campaigns import make_campaign
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_report.first_screen import first_screen
+from ds_sim import SimulatorName
 from ds_sim.simulator import Outcome
 
-CONFIG = CampaignConfig(siblings=["a:One", "b:Two"], twin="c:Three", seed=7)
+CONFIG = CampaignConfig(
+    siblings=[SimulatorName("a:One"), SimulatorName("b:Two")], twin=SimulatorName("c:Three"), seed=7
+)
 
 
 def with_outcomes(folder: Path, config: CampaignConfig, failing: dict[str, set[int]]) -> CampaignData:

@@ -20,6 +20,9 @@ from ds_report.heatmap import (
     draw_map,
     write_maps,
 )
+from ds_sim import SimulatorName
+
+A, T = map(SimulatorName, "at")
 
 BOUNDS = Bounds(turns=(2, 4), curvature=(15, 17))
 
@@ -53,19 +56,19 @@ def test_a_cell_stands_where_its_features_say_and_an_empty_one_is_not_zero() -> 
 
 
 def test_each_value_is_drawn_and_numbers_are_written() -> None:
-    both = make_map(MapId.union("a"), {(3, 16): (0.0, 1.0)})
+    both = make_map(MapId.union(A), {(3, 16): (0.0, 1.0)})
     probability = draw_map(both, "probability", bounds=BOUNDS)
     quality = draw_map(both, "quality_loss", bounds=BOUNDS)
     assert len(pixels_of(probability, rgb(PASS))) > 500 and len(pixels_of(quality, rgb(FAIL))) > 500
-    near = draw_map(make_map(MapId.union("a"), {(3, 16): (0.004, 0.0)}), "probability", bounds=BOUNDS)
+    near = draw_map(make_map(MapId.union(A), {(3, 16): (0.004, 0.0)}), "probability", bounds=BOUNDS)
     seven = MapCell(tests=7, failures=0, probability=0.0, quality_loss=0.0)
-    many = FeatureMap(id=MapId.union("a"), cells={(3, 16): seven})
+    many = FeatureMap(id=MapId.union(A), cells={(3, 16): seven})
     assert near.shape == probability.shape
     assert not np.array_equal(draw_map(many, "probability", bounds=BOUNDS), probability)
 
 
 def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:
-    plain = make_map(MapId.union("a"), {(3, 16): (0.0, 1.0)})
+    plain = make_map(MapId.union(A), {(3, 16): (0.0, 1.0)})
     apart = replace(plain, excluded={(3, 16): 2, (2, 17): 4, (4, 18): 1})
     bounds = bounds_of([apart])
     assert (bounds.turns, bounds.curvature) == ((2, 4), (16, 18))
@@ -81,8 +84,8 @@ def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:
 def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:
     maps = [
         make_map(MapId.merged(), {(2, 17): (0, 0)}),
-        make_map(MapId.twin("t"), {(4, 15): (0, 0)}),
-        make_map(MapId.union("a"), {}),
+        make_map(MapId.twin(T), {(4, 15): (0, 0)}),
+        make_map(MapId.union(A), {}),
     ]
     assert bounds_of(maps) == BOUNDS
     assert list(BOUNDS.columns) == [2, 3, 4] and list(BOUNDS.rows) == [17, 16, 15]
@@ -92,7 +95,7 @@ def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:
 
 
 def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path: Path) -> None:
-    ids = map_ids(["a", "my:Sim"], "t")
+    ids = map_ids([A, SimulatorName("my:Sim")], T)
     names = [map_id.name for map_id in ids]
     maps = {map_id: make_map(map_id, {(3, 10 + k): (k / 9, 1 - k / 9)}) for k, map_id in enumerate(ids)}
     for folder in ("one", "two"):

@@ -34,6 +34,7 @@ from ds_report.findings import RoadOutcomes, best_split, road_outcomes, summaris
 from ds_report.html_report import write_report
 from ds_report.page_data import page_data
 from ds_road import Road
+from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
 from ds_sim.conditions.model import Conditions
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
@@ -72,7 +73,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, Store, CampaignConfig]:
     folder = tmp_path_factory.mktemp("campaign")
-    config = CampaignConfig(siblings=["donkey", EVIL], twin="nowhere:Twin", seed=77)
+    config = CampaignConfig(siblings=[DONKEY, EVIL], twin=SimulatorName("nowhere:Twin"), seed=77)
     store = make_campaign(folder, config, 6)
     store.add_error("donkey-0-0001", EVIL, 0, Outcome.SIM_ERROR, "<img src=x> broke & stopped")
     html = report_of(folder, store).read_text(encoding="utf-8")
@@ -183,9 +184,11 @@ def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> N
 
 
 def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
+    config = CampaignConfig(
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=SimulatorName("nowhere3:C")
+    )
     store = make_campaign(tmp_path, config, 2)
-    lost = Test("A-0-0009", Scenario(road(1), seed=1), Origin("nowhere:A", 0, 9))
+    lost = Test("A-0-0009", Scenario(road(1), seed=1), Origin(SimulatorName("nowhere:A"), 0, 9))
     store.add_test(lost)
     store.add_error(lost.test_id, "nowhere:A", 0, Outcome.SIM_ERROR, "the wheels came off")
     store.give_up(lost.test_id)
@@ -212,7 +215,7 @@ def test_cameras_are_pictures_and_a_missing_simulator_is_a_note(
 
 
 def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["nowhere:A"], twin=None)
+    config = CampaignConfig(siblings=[SimulatorName("nowhere:A")], twin=None)
     pages = []
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
@@ -226,12 +229,14 @@ def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_a_campaign_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
+    config = CampaignConfig(
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=SimulatorName("nowhere3:C")
+    )
     store = Store(tmp_path / "campaign.sqlite", config=config.model_dump_json())
     page = Page(report_of(tmp_path, store).read_text())
     assert "Nothing was driven yet" in page.texts["p"][1]
     assert page.data["tests"] == [] and page.data["selected"] is None
-    store.add_test(Test("A-0-0000", Scenario(road(1), seed=1), Origin("nowhere:A", 0, 0)))
+    store.add_test(Test("A-0-0000", Scenario(road(1), seed=1), Origin(SimulatorName("nowhere:A"), 0, 0)))
     store.add_execution(make_execution(store.tests()[0], "nowhere:A", 2.4))
     page = Page(report_of(tmp_path, store).read_text())
     assert [run is None for run in page.data["tests"][0][10]] == [False, True, True]
@@ -241,7 +246,9 @@ def test_a_campaign_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
 
 
 def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin="nowhere3:C")
+    config = CampaignConfig(
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=SimulatorName("nowhere3:C")
+    )
     store = make_campaign(tmp_path, config, 4)
     rq2 = Table(
         name="rq2",
@@ -273,7 +280,9 @@ def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
 
 def test_three_features_make_places_of_three_bins(tmp_path: Path) -> None:
     features = ["turns_count", "curvature", "direction_coverage:10"]
-    config = CampaignConfig(siblings=["nowhere:A", "nowhere2:B"], twin=None, features=features)
+    config = CampaignConfig(
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=None, features=features
+    )
     store = make_campaign(tmp_path, config, 4)
     maps, _ = results(read_campaign(store))
     data = Page(report_of(tmp_path, store).read_text()).data
@@ -324,22 +333,22 @@ def driven(config: CampaignConfig) -> CampaignData:
     return CampaignData(config=config, tests=(test,), executions=executions)
 
 
-def said(siblings: list[str], merged: tuple[float, ...], twin: tuple[float, ...], times: int = TIMES) -> str:
+def said(siblings: list[SimulatorName], merged: tuple[float, ...], twin: tuple[float, ...], times: int = TIMES) -> str:
     """Write the details of the findings for such maps."""
     config = CampaignConfig(siblings=siblings)
     values = {
-        **{MapId.union(name): UNIONS[name] for name in siblings},
+        **{MapId.union(SimulatorName(name)): UNIONS[name] for name in siblings},
         MapId.merged(): merged,
-        MapId.twin("donkey"): twin,
+        MapId.twin(DONKEY): twin,
     }
     maps = {map_id: hand_made(map_id, of, times) for map_id, of in values.items()}
-    correlations, added = evaluate(maps, siblings, "donkey"), paired_differences(maps, siblings, "donkey", resamples=50)
+    correlations, added = evaluate(maps, siblings, DONKEY), paired_differences(maps, siblings, DONKEY, resamples=50)
     found = summarise(driven(config), maps, correlations, paired_differences=added)
     return " ".join((found.headline, *found.details))
 
 
 def test_findings_say_what_the_numbers_say() -> None:
-    text = said(["bullet", "softbody"], MERGED, TWIN)
+    text = said([BULLET, SOFTBODY], MERGED, TWIN)
     assert "Of 24 cells that all siblings fill, they agree on failure in 6, agree on no failure in 6 and " in text
     assert "disagree in 12." in text
     # By NumPy: softbody's map is nearest to the twin's, then the merged one, then bullet's.
@@ -353,13 +362,13 @@ def test_findings_say_what_the_numbers_say() -> None:
 
 def test_too_few_failing_cells_carry_no_conclusion() -> None:
     """The four cells once: two fail. Neither r nor a comparison of maps is stated."""
-    text = said(["bullet", "softbody"], MERGED, TWIN, times=1)
+    text = said([BULLET, SOFTBODY], MERGED, TWIN, times=1)
     assert text.count("No conclusion about how well the siblings predict the twin: the twin fails in 2 of 4 cells") == 1
     assert "r =" not in text and "better than" not in text and "distinguishable" not in text
 
 
 def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
-    config = CampaignConfig(siblings=["bullet", "softbody", "third:Simulator"])
+    config = CampaignConfig(siblings=[BULLET, SOFTBODY, SimulatorName("third:Simulator")])
     unions = [MapId.union(name) for name in config.siblings]
     added = [
         PairedDifference(over=union, value="quality_loss", cells=30, r=(low + high) / 2, r_interval=(low, high))
@@ -370,7 +379,7 @@ def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
         for map_id in (*unions, MapId.merged())
     ]
     maps = {map_id: hand_made(map_id, MERGED) for map_id in (*unions, MapId.merged())}
-    maps[MapId.twin("donkey")] = hand_made(MapId.twin("donkey"), TWIN)
+    maps[MapId.twin(DONKEY)] = hand_made(MapId.twin(DONKEY), TWIN)
     *_, sentence = summarise(driven(config), maps, correlations, paired_differences=added).details
     assert sentence.endswith(
         ": better than bullet alone, worse than third:Simulator alone and not distinguishable from softbody alone."
@@ -378,15 +387,15 @@ def test_a_map_is_called_better_only_when_the_interval_leaves_0_out() -> None:
 
 
 def test_findings_say_why_there_is_no_correlation() -> None:
-    text = said(["bullet", "softbody"], MERGED, (0.0, 0.0, 0.0, 0.0))
+    text = said([BULLET, SOFTBODY], MERGED, (0.0, 0.0, 0.0, 0.0))
     assert "predict the twin: the twin fails in 0 of 24 cells" in text and "r =" not in text
-    text = said(["bullet", "softbody"], (0.5, 0.5, 0.5, 0.5), TWIN)
+    text = said([BULLET, SOFTBODY], (0.5, 0.5, 0.5, 0.5), TWIN)
     assert "cannot be compared with the twin: the map's probability is 0.5 in every cell" in text
-    assert "does not predict" in said(["bullet", "softbody"], MERGED, (0.0, 1.0, 0.5, 0.0))
+    assert "does not predict" in said([BULLET, SOFTBODY], MERGED, (0.0, 1.0, 0.5, 0.0))
 
 
 def test_findings_of_one_sibling() -> None:
-    text = said(["bullet"], UNIONS["bullet"], TWIN)
+    text = said([BULLET], UNIONS["bullet"], TWIN)
     assert "bullet, the only sibling, has failures in 12 of 24 cells." in text
     assert "its map and the merged map are the same" in text
 
@@ -395,7 +404,7 @@ def shaped(curvature: float, turns: int, number: int) -> Test:
     """A test whose road has these features, whatever its control points, and is no mutant of another."""
     made = Road(road(number).control_points)
     made.__dict__.update(curvature=curvature, turns_count=turns)
-    return Test(f"t{number}", Scenario(made, seed=1), Origin("A", 0, number))
+    return Test(f"t{number}", Scenario(made, seed=1), Origin(SimulatorName("A"), 0, number))
 
 
 def outcomes(*roads: tuple[float, int, bool]) -> RoadOutcomes:
@@ -509,12 +518,12 @@ def test_a_road_fails_where_the_twin_fails_or_else_where_every_sibling_does() ->
     }
     executions = tuple(make_execution(t, s, offsets[t.test_id, s]) for t in tests for s in "ABT")
     data = CampaignData(
-        config=CampaignConfig(siblings=["n:A", "n:B"], twin="n:T"),
+        config=CampaignConfig(siblings=[SimulatorName("n:A"), SimulatorName("n:B")], twin=SimulatorName("n:T")),
         tests=tuple(tests),
         executions=tuple(replace(e, simulator=f"n:{e.simulator}") for e in executions),
     )
     assert road_outcomes(data).failed == (True, False) and road_outcomes(data).where == "the twin n:T"
-    alone = replace(data, config=CampaignConfig(siblings=["n:A", "n:B"], twin=None))
+    alone = replace(data, config=CampaignConfig(siblings=[SimulatorName("n:A"), SimulatorName("n:B")], twin=None))
     assert road_outcomes(alone).failed == (False, True) and road_outcomes(alone).where == "every sibling"
 
 
@@ -583,7 +592,9 @@ def test_the_page_of_a_large_campaign_shows_its_worst_tests_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ds_report.html_report.SHOWN_TESTS", 3)
-    config = CampaignConfig(siblings=["nowhere:A", "nowhere:B"], twin=None, driver=AUTOPILOT)
+    config = CampaignConfig(
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")], twin=None, driver=AUTOPILOT
+    )
     store = make_campaign(tmp_path, config, 5)
     worst: dict[str, int] = {}
     for execution in store.executions():

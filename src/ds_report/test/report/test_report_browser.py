@@ -19,7 +19,7 @@ from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import Gate, GateState
-from ds_sim.registry import label_of
+from ds_sim.registry import BULLET, SimulatorName, label_of
 from ds_sim.simulator import Outcome
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class Campaign:
 
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
-    config = CampaignConfig(siblings=["bullet", "nowhere:B"], twin="nowhere:C", seed=7)
+    config = CampaignConfig(siblings=[BULLET, SimulatorName("nowhere:B")], twin=SimulatorName("nowhere:C"), seed=7)
     return Campaign(tmp_path_factory.mktemp("seen"), config, 4)
 
 
@@ -136,7 +136,7 @@ def test_on_a_phone_nothing_collides_or_is_cut_off_and_a_tap_is_read_out(browser
         )
         == []
     )
-    cell, content = max(campaign.maps[MapId.union("bullet")].cells.items(), key=lambda item: (item[1].tests, item[0]))
+    cell, content = max(campaign.maps[MapId.union(BULLET)].cells.items(), key=lambda item: (item[1].tests, item[0]))
     page.mouse.click(*report.place("union_bullet", cell))
     page.wait_for_function("place => location.hash === place", arg="#cell=" + "-".join(map(str, cell)))
     readout = page.locator("figure.map", has=page.locator('[data-map="union_bullet"]')).locator(".readout")
@@ -211,7 +211,7 @@ def test_commands_drive_a_test_again(opened: Opened, campaign: Campaign) -> None
 def test_maps_draw_their_values_and_nothing_where_nothing_is_known(opened: Opened, campaign: Campaign) -> None:
     for value in ("quality_loss", "tests", "probability"):
         opened.page.click(f"[data-value={value}]")
-        for map_id in (MapId.union("bullet"), MapId.merged(), MapId.twin("nowhere:C")):
+        for map_id in (MapId.union(BULLET), MapId.merged(), MapId.twin(SimulatorName("nowhere:C"))):
             name = map_id.name
             expected = {cell: getattr(content, value) for cell, content in campaign.maps[map_id].cells.items()}
             opened.page.wait_for_function(
@@ -228,7 +228,7 @@ def test_maps_draw_their_values_and_nothing_where_nothing_is_known(opened: Opene
 
 def test_hovering_over_a_cell_shows_it_in_every_map(opened: Opened, campaign: Campaign) -> None:
     name = "union_bullet"
-    cell, content = max(campaign.maps[MapId.union("bullet")].cells.items(), key=lambda item: (item[1].tests, item[0]))
+    cell, content = max(campaign.maps[MapId.union(BULLET)].cells.items(), key=lambda item: (item[1].tests, item[0]))
     empty = next(place for place, value in opened.shown(name).items() if value is None)
     for where, told in ((cell, f"{content.failures} of {content.tests} test"), (empty, "no test")):
         opened.page.mouse.move(5, 5)
@@ -367,7 +367,7 @@ def test_an_address_opens_its_cell(opened: Opened, campaign: Campaign) -> None:
 
 def test_three_features_are_shown_slice_by_slice(browser: Browser, tmp_path: Path) -> None:
     features = ["turns_count", "curvature", "direction_coverage:10"]
-    config = CampaignConfig(siblings=["nowhere:A"], twin=None, features=features)
+    config = CampaignConfig(siblings=[SimulatorName("nowhere:A")], twin=None, features=features)
     campaign = Campaign(tmp_path, config, 8)
     report = Opened(browser, campaign.path)
     cells = campaign.maps[MapId.merged()].cells
@@ -392,7 +392,9 @@ def test_three_features_are_shown_slice_by_slice(browser: Browser, tmp_path: Pat
 
 def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path) -> None:
     config = CampaignConfig(
-        siblings=["nowhere:A", "nowhere:B"], twin=None, conditions=parse_conditions("visibility=60")
+        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")],
+        twin=None,
+        conditions=parse_conditions("visibility=60"),
     )
     store = Store(tmp_path / "campaign.sqlite", config=config.identity())
     kinds = (Conditions(visibility=40.0), Conditions(visibility=200.123, friction=0.5))
@@ -400,7 +402,7 @@ def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path
         store.add_test(set_conditions(test, kinds[number % 2]))
         store.add_execution(driven[0])
         gate = Gate(state=GateState.INFEASIBLE, message="the autopilot ends stuck", outcome=Outcome.STUCK)
-        store.add_gate(test.test_id, "nowhere:B", gate)
+        store.add_gate(test.test_id, SimulatorName("nowhere:B"), gate)
     opened, tests = Opened(browser, report_of(tmp_path, store)), store.tests()
     assert opened.page.locator("#excluded li").all_inner_texts() == [
         "nowhere:B: 8 of 8 gated tests enter no map: 8 infeasible"

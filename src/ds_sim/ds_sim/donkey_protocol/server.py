@@ -18,7 +18,7 @@ from ds_base.errors import InputError
 from ds_base.progress import logger_of
 from ds_sim.donkey_protocol.conversation import SCENE, Conversation, ServedTests
 from ds_sim.donkey_protocol.messages import MessageSplitter, ProtocolError
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.simulator import Simulator, SimulatorError
 
 LOG = logger_of(__name__)
@@ -51,7 +51,7 @@ class DonkeyServer:
 
     def __init__(
         self,
-        simulator: str,
+        simulator: SimulatorName,
         tests: ServedTests,
         *,
         patience: float = 600.0,

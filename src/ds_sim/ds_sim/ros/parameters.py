@@ -16,6 +16,7 @@ from rclpy.node import Node
 
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
+from ds_sim.registry import SimulatorName
 from ds_sim.ros.requests import RequestRefused
 from ds_sim.simulator import Reason
 
@@ -111,14 +112,14 @@ class SimulatorParameters:
         conditions: operating conditions of runs that bring none.
     """
 
-    simulator: str
+    simulator: SimulatorName
     sync: str
     command_timeout: float
     publish_clock: bool
     conditions: Conditions
 
 
-def declare_parameters(node: Node, simulator: str) -> SimulatorParameters:
+def declare_parameters(node: Node, simulator: SimulatorName) -> SimulatorParameters:
     """Declare and read the parameters.
 
     Args:

@@ -17,7 +17,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog
 from ds_sim.ros.diagnostics import ERROR, EVERY, OK, WARN, Diagnostics, Report
@@ -39,7 +39,7 @@ class SimulatorNode(Node):
         simulator: default of the parameter `simulator`.
     """
 
-    def __init__(self, simulator: str) -> None:
+    def __init__(self, simulator: SimulatorName) -> None:
         super().__init__("simulator")
         parameters = declare_parameters(self, simulator)
         self._sync, self._timeout = parameters.sync, parameters.command_timeout
@@ -208,7 +208,7 @@ class SimulatorNode(Node):
 
 def main(simulator: str = "bullet") -> None:
     """Host the simulator named by the parameter `simulator`, by default this one."""
-    sys.exit(run_node(lambda: SimulatorNode(simulator)))
+    sys.exit(run_node(lambda: SimulatorNode(SimulatorName(simulator))))
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from ds_orchestrator.search.features import DEFAULT_FEATURES, Cell, cell_of, fea
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 
 LOG = logger_of(__name__)
@@ -52,7 +53,7 @@ class GivenTests:
     name: str
     settings: DriveSettings
     features: Sequence[str]
-    work: Mapping[str, Sequence[Test]]
+    work: Mapping[SimulatorName, Sequence[Test]]
     reference: Drives = field(default_factory=dict)
     candidate: Drives = field(default_factory=dict)
     gates: Mapping[Key, Gate] = field(default_factory=dict)
@@ -137,7 +138,9 @@ def tests_of_campaigns(reference: tuple[Path, CampaignData], candidate: tuple[Pa
     return [of_first, of_second] if of_second.pairs else [replace(of_first, prefix="")]
 
 
-def random_tests(roads: Sequence[Road], seed: int, *, siblings: Sequence[str], twin: str | None) -> GivenTests:
+def random_tests(
+    roads: Sequence[Road], seed: int, *, siblings: Sequence[SimulatorName], twin: SimulatorName | None
+) -> GivenTests:
     """Random roads, each driven on every simulator.
 
     Args:
@@ -158,7 +161,7 @@ def random_tests(roads: Sequence[Road], seed: int, *, siblings: Sequence[str], t
     )
 
 
-def _by_content(work: Mapping[str, Sequence[Test]]) -> dict[tuple[Scenario, str], Key]:
+def _by_content(work: Mapping[SimulatorName, Sequence[Test]]) -> dict[tuple[Scenario, str], Key]:
     """Scenario and simulator, on which a drive depends -> test and simulator."""
     return {(test.scenario, name): (test.test_id, name) for name, tests in work.items() for test in tests}
 
@@ -203,7 +206,7 @@ def compare(
         ComparisonError: a known drive does not come out the same again.
     """
     pairs: list[PairedDrive] = []
-    left_out: list[tuple[str, str, str]] = []
+    left_out: list[tuple[str, SimulatorName, str]] = []
     excluded = 0
     checked: set[Role] = set()
     for tests in sets:
@@ -306,7 +309,7 @@ def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out
     The known outcomes of a network whose files have changed or are gone are taken as they are.
     """
     settings = replace(tests.settings, driver=network.driver)
-    work: dict[str, list[Test]] = {}
+    work: dict[SimulatorName, list[Test]] = {}
     for name, of in tests.work.items():
         driven = [test for test in of if (test.test_id, name) in known]
         if driven:
@@ -338,7 +341,7 @@ def _cannot_drive(network: Network) -> str:
 
 def _paired(
     tests: GivenTests, sides: Mapping[Role, DriveResults]
-) -> tuple[list[PairedDrive], list[tuple[str, str, str]]]:
+) -> tuple[list[PairedDrive], list[tuple[str, SimulatorName, str]]]:
     """Pairs with a verdict of both, and pairs that lack one by an error."""
     pairs, left_out = [], []
     for name, of in tests.work.items():

@@ -16,6 +16,7 @@ from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, drive_t
 from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
+from ds_sim.registry import SimulatorName
 from ds_studies.explanation.shares import CONDITIONS, Explanation, Subset, loss_of, subsets
 
 _PLAIN = "plain-"
@@ -34,14 +35,14 @@ class Experiment:
     """
 
     test: Test
-    fails: str
-    against: str
+    fails: SimulatorName
+    against: SimulatorName
     parts: dict[str, tuple[str, ...]]
 
-    def drive(self, of_failing: Subset) -> tuple[str, Test]:
+    def drive(self, of_failing: Subset) -> tuple[SimulatorName, Test]:
         """Simulator and test of the drive that has some parts of the failing simulator, all others of the other."""
         taken = {part for word in of_failing for part in self.parts[word]}
-        name = str(hybrid_name({part: self.fails if part in taken else self.against for part in PARTS}))
+        name = hybrid_name({part: self.fails if part in taken else self.against for part in PARTS})
         if CONDITIONS in self.parts and CONDITIONS not in of_failing:
             plain = replace(self.test.scenario, conditions=DEFAULT)
             return name, replace(self.test, test_id=_PLAIN + self.test.test_id, scenario=plain)
@@ -67,7 +68,9 @@ class ExplanationError(RunError):
     """A drive of an experiment gave no outcome."""
 
 
-def experiment_on(data: CampaignData, test_id: str, fails: str | None = None, against: str | None = None) -> Experiment:
+def experiment_on(
+    data: CampaignData, test_id: str, fails: SimulatorName | None = None, against: SimulatorName | None = None
+) -> Experiment:
     """Plan the exchanges for one test of a campaign.
 
     Args:
@@ -121,7 +124,7 @@ def drive_experiments(
     """
     if not experiments:
         return DriveResults()
-    work: dict[str, list[Test]] = {}
+    work: dict[SimulatorName, list[Test]] = {}
     for experiment in experiments:
         for subset in subsets(tuple(experiment.parts)):
             name, test = experiment.drive(subset)

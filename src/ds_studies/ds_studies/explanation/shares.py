@@ -18,7 +18,7 @@ from typing import Any
 from ds_base.table import Column, Table, styled
 from ds_base.words import listed
 from ds_orchestrator.store.model import Execution
-from ds_sim.registry import label_of
+from ds_sim.registry import SimulatorName, label_of
 
 Subset = frozenset[str]
 CONDITIONS = "conditions"
@@ -74,8 +74,8 @@ class Explanation:
     """
 
     test_id: str
-    fails: str
-    against: str
+    fails: SimulatorName
+    against: SimulatorName
     losses: Mapping[Subset, float]
 
     @property

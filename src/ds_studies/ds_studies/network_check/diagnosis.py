@@ -20,6 +20,7 @@ from ds_driver.networks.description import DescribedNetwork, InputSpec, OutputSp
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
+from ds_sim.registry import SimulatorName
 from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreement, readings
 from ds_studies.network_check.recording import Recording, record, speeds_of_throttle
 
@@ -101,7 +102,7 @@ class Finding:
 class Answers:
     """Answers of the network on one simulator, as described."""
 
-    simulator: str
+    simulator: SimulatorName
     correlation: float
     slope: float
     lowest: float
@@ -129,7 +130,7 @@ class NetworkCheck:
     correlation: float
     answers: Sequence[Answers]
     findings: Sequence[Finding]
-    steering: dict[str, NDArray[np.float64]]
+    steering: dict[SimulatorName, NDArray[np.float64]]
     fixed: DescribedNetwork | None
 
     @property
@@ -238,7 +239,7 @@ def pace_of(pilot: Pilot, frame: Frame) -> float:
 
 def ask_open_loop(
     pilot: Pilot, recordings: Sequence[Recording]
-) -> tuple[dict[str, NDArray[np.float64]], NDArray[np.float64] | None, dict[str, float]]:
+) -> tuple[dict[SimulatorName, NDArray[np.float64]], NDArray[np.float64] | None, dict[SimulatorName, float]]:
     """Return unclipped steering by simulator, all throttles, and ms of processor time per image by simulator."""
     steering, throttle, milliseconds = {}, [], {}
     for one in recordings:

@@ -19,7 +19,7 @@ from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_road import Side
-from ds_sim.registry import simulator_of_process
+from ds_sim.registry import SimulatorName, simulator_of_process
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, SimulatorError
@@ -58,7 +58,7 @@ class Recording:
         throttle: (frames,) its throttle, 0 to 1.
     """
 
-    simulator: str
+    simulator: SimulatorName
     frames: tuple[Frame, ...]
     steering: NDArray[np.float64]
     throttle: NDArray[np.float64]
@@ -121,13 +121,13 @@ def affordable(
 
 
 class _Job(NamedTuple):
-    simulator: str
+    simulator: SimulatorName
     scenarios: Sequence[Scenario]
     kept: slice
 
 
 def record(
-    simulators: Sequence[str], seed: int, progress: Progress, *, whole: bool = False, lane: Side = "right"
+    simulators: Sequence[SimulatorName], seed: int, progress: Progress, *, whole: bool = False, lane: Side = "right"
 ) -> list[Recording]:
     """Let the autopilot drive in a lane on every simulator; the same seed gives the same images.
 
@@ -160,7 +160,7 @@ def _record(job: _Job) -> Recording:
     )
 
 
-def speeds_of_throttle(pilot: Pilot, simulator: str, seed: int) -> NDArray[np.float64]:
+def speeds_of_throttle(pilot: Pilot, simulator: SimulatorName, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
     from ds_studies.sensitivity.measurement import candidate_roads
 

@@ -18,7 +18,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
 from ds_orchestrator.search.features import Cell, feature_of
 from ds_orchestrator.store.model import Execution
 from ds_sim.gates.gate import Gate
-from ds_sim.registry import label_of
+from ds_sim.registry import SimulatorName, label_of
 from ds_sim.ros.conversions import conditions_to_messages, road_to_message
 
 FRAME = "feature_map"
@@ -27,7 +27,7 @@ MOST_CELLS = 2**16
 """Cells of a grid; chosen: a hundred times those of the paper's maps."""
 
 
-def outcome_message(folder: str, test_id: str, simulator: str, found: Execution | Gate | None) -> TestOutcome:
+def outcome_message(folder: str, test_id: str, simulator: SimulatorName, found: Execution | Gate | None) -> TestOutcome:
     """Convert what became of a test of a goal's folder on a simulator; None: every attempt ended in an error."""
     message = TestOutcome(campaign=folder, test_id=test_id, simulator=simulator)
     if isinstance(found, Execution):
@@ -49,7 +49,7 @@ def test_response(data: CampaignData, folder: str, test_id: str, response: GetTe
         return response
     response.found, response.road, response.seed = True, road_to_message(test.road), test.seed
     response.conditions = conditions_to_messages(test.conditions)
-    known: dict[str, Execution | Gate] = {
+    known: dict[SimulatorName, Execution | Gate] = {
         name: gate for (one, name), gate in data.gates.items() if one == test_id and not gate.is_valid
     }
     known |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}

@@ -11,6 +11,7 @@ from ds_interfaces.msg import CampaignState, TestOutcome
 from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName
 from ds_studies.ros.campaign_messages import outcome_message
 
 
@@ -33,13 +34,13 @@ class StateListener(TimedListener):
         with self._lock:
             self._state.stage = name
 
-    def expect(self, stages: Sequence[Mapping[str, int]]) -> None:
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
         """See `Listener.expect`."""
         super().expect(stages)
         with self._lock:
             self._state.expected = self.total
 
-    def finished(self, test: Test, simulator: str, execution: Execution | Gate | None, fresh: bool) -> None:
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
         super().finished(test, simulator, execution, fresh)
         with self._lock:

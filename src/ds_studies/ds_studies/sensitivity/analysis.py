@@ -24,7 +24,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import format_conditions
-from ds_sim.registry import spec_of
+from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.scenario import Scenario
 from ds_studies.sensitivity.measurement import (
     GATE,
@@ -59,7 +59,7 @@ class Drives:
         self._gatekeeper.stop()
         self._engine.stop()
 
-    def fails(self, simulator: str, scenario: Scenario, who: str) -> bool:
+    def fails(self, simulator: SimulatorName, scenario: Scenario, who: str) -> bool:
         """Whether the driver fails, or for `GATE` whether no driver can be judged.
 
         Raises:
@@ -162,7 +162,7 @@ def _choose(
     candidates: Sequence[Scenario],
     needed: int,
     pool: ThreadPoolExecutor,
-) -> dict[str, list[Scenario]]:
+) -> dict[SimulatorName, list[Scenario]]:
     """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
     found = {
         name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
@@ -179,7 +179,7 @@ def _choose(
 
 def _measure(
     drives: Drives,
-    roads: Mapping[str, Sequence[Scenario]],
+    roads: Mapping[SimulatorName, Sequence[Scenario]],
     factors: Sequence[Factor],
     pool: ThreadPoolExecutor,
     *,
@@ -192,7 +192,7 @@ def _measure(
     found: dict[tuple[int, str], Threshold] = {}
     running: dict[Future[Threshold], tuple[int, str]] = {}
 
-    def threshold(position: int, name: str) -> Threshold:
+    def threshold(position: int, name: SimulatorName) -> Threshold:
         factor = factors[position]
         try:
             results = measure(factor, needed, _fails(drives, name, roads[name]), levels=levels)
@@ -217,7 +217,7 @@ def _measure(
     return found
 
 
-def _fails(drives: Drives, simulator: str, roads: Sequence[Scenario]) -> Fails:
+def _fails(drives: Drives, simulator: SimulatorName, roads: Sequence[Scenario]) -> Fails:
     def fails(who: str, number: int, conditions: Conditions) -> bool:
         return drives.fails(simulator, replace(roads[number], conditions=conditions), who)
 

@@ -88,7 +88,7 @@ class SuiteTest(_Strict):
     seed: Annotated[int, Field(ge=0, lt=2**32)]
     conditions: ConditionsText = DEFAULT
     cell: list[int] | None = None
-    outcomes: Annotated[dict[str, SuiteOutcome], Field(min_length=1)]
+    outcomes: Annotated[dict[SimulatorName, SuiteOutcome], Field(min_length=1)]
 
 
 class Suite(_Strict):
@@ -114,8 +114,8 @@ class Suite(_Strict):
     campaign: str
     driver: DriverText
     driver_sha256: str = ""
-    siblings: Annotated[list[str], Field(min_length=1, max_length=20)]
-    twin: str | None = None
+    siblings: Annotated[list[SimulatorName], Field(min_length=1, max_length=20)]
+    twin: SimulatorName | None = None
     lane: Side = "right"
     maxitwo_compatible: bool = False
     features: list[str] = list(DEFAULT_FEATURES)
@@ -147,7 +147,7 @@ class Suite(_Strict):
         return self
 
     @property
-    def simulators(self) -> list[str]:
+    def simulators(self) -> list[SimulatorName]:
         """Siblings, then the twin if there is one."""
         return [*self.siblings, *([self.twin] if self.twin else [])]
 
@@ -207,7 +207,7 @@ def _moved(raw: Any, start: Path, end: Path) -> Any:
     for test in found["tests"] if isinstance(found.get("tests"), list) else ():
         if isinstance(test, dict) and isinstance(test.get("outcomes"), dict):
             outcomes = test["outcomes"].items()
-            test["outcomes"] = {str(SimulatorName.parse(name).moved(start, end)): one for name, one in outcomes}
+            test["outcomes"] = {str(SimulatorName(name).moved(start, end)): one for name, one in outcomes}
     return found
 
 
@@ -305,7 +305,7 @@ def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
 
 
 def _test(
-    test: Test, why: list[Reason], cell: tuple[int, ...] | None, executions: Mapping[str, Execution]
+    test: Test, why: list[Reason], cell: tuple[int, ...] | None, executions: Mapping[SimulatorName, Execution]
 ) -> SuiteTest:
     points = [[float(value) for value in point] for point in test.road.control_points]
     return SuiteTest(
@@ -327,7 +327,7 @@ def settings_of_suite(suite: Suite, driver: DriverName) -> DriveSettings:
 
 def run_suite(
     suite: Suite, settings: DriveSettings, candidate: Network, folder: Path, callbacks: Callbacks, *, source: str
-) -> tuple[Comparison, dict[tuple[str, str], Execution]]:
+) -> tuple[Comparison, dict[tuple[str, SimulatorName], Execution]]:
     """Drive a suite, and compare its outcomes with those of the suite.
 
     Args:
@@ -381,7 +381,9 @@ def run_suite(
     return comparison, executions
 
 
-def with_outcomes(suite: Suite, candidate: Network, executions: dict[tuple[str, str], Execution], code: str) -> Suite:
+def with_outcomes(
+    suite: Suite, candidate: Network, executions: dict[tuple[str, SimulatorName], Execution], code: str
+) -> Suite:
     """The same tests with the outcomes of another network, to be expected from now on."""
     return suite.model_copy(
         update={
