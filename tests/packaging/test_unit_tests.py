@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Unit tests run by `colcon test` after a plain `make setup`, without the libraries that only `make test` installs."""
+"""Unit tests run after a plain `make setup`, without the libraries that only `make test` installs."""
 
 from __future__ import annotations
 

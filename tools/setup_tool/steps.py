@@ -144,7 +144,7 @@ class Setup:
         steps = [
             Step("environment", f"virtual environment .venv, {origin}", base, self._make_environment, lambda: programs),
             install("project", "the project's libraries", project.values()),
-            install("build", "colcon, CMake and Ninja", build.values()),
+            install("build", "CMake, Ninja and pytest", build.values()),
             install("torch", "PyTorch, CPU build", [torch], lambda: self._install_torch(torch)),
             install(
                 *("compiled", "PyBullet (takes minutes where it must be compiled)", [compiled]),
