@@ -32,7 +32,7 @@ from ds_road import Road
 from ds_sim.registry import STANDARD, make_simulator
 from ds_sim.simulator import Command, Observation
 
-BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
+BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16")
 BATCHES = (1, 4, 8)
 """Frames at once, where the backend takes as many with the bits that each gives alone."""
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compares drives in bfloat16 or 8 bits with drives in single precision: the same network, roads and seeds.
+"""Compares drives in bfloat16 with drives in single precision: the same network, roads and seeds.
 
 `python -m benchmarks.precision --out precision` drives 200 random roads, in turn on bullet, softbody and donkey,
 with `dave2` and with `dave2_short` (which fails often enough to show a difference), with the backends `openvino` and
 `openvino-bf16` each: 800 drives without ROS. Every drive is kept; a stopped run continues there.
 The roads are drawn as a search draws its first ones, with maximum angles of 100 to 300 degrees, from a seed that
-nothing else uses. `--backend openvino-int8` compares that back end instead, in the same folder and by the same rule.
+nothing else uses.
 
 The rule, fixed before the first drive: `openvino-bf16` is chosen for `ds_bringup/config/paper.yaml` only if, for each
 of the two networks, over all 200 roads, the 95 % interval of the paired difference of the failure rates (Bonett and
@@ -37,8 +37,7 @@ SEED = 8_130_013
 ROADS = 200
 NETWORKS = ("dave2", "dave2_short")
 SINGLE = "openvino"
-REDUCED = ("openvino-bf16", "openvino-int8")
-"""Back ends that are compared; the first is the default."""
+REDUCED = "openvino-bf16"
 ANGLES = range(100, 301, 10)
 """Maximum angles, degrees (maxitwo; `ds_orchestrator.search.algorithms.SearchSettings`)."""
 HALF_WIDTH = 5.0
@@ -109,17 +108,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("precision"), help="folder of the finished drives")
     parser.add_argument("--roads", type=int, default=ROADS)
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)), help="processes")
-    parser.add_argument("--backend", choices=REDUCED, default=REDUCED[0])
     arguments = parser.parse_args()
     console, work, holds = Console(width=120), work_of(arguments.roads), []
     for network in NETWORKS:
         found = []
-        for backend in (SINGLE, arguments.backend):
+        for backend in (SINGLE, REDUCED):
             driver, folder = DriverName.parse(network).on(backend), arguments.out / f"{network}-{backend}"
             settings = DriveSettings(siblings=tuple(STANDARD), driver=driver, gates="none", workers=arguments.workers)
             found.append(drive_tests(settings, work, folder))
-        holds.append(compare(network, arguments.backend, found[0], found[1], console))
-    console.print(f"{arguments.backend} may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
+        holds.append(compare(network, REDUCED, found[0], found[1], console))
+    console.print(f"{REDUCED} may be chosen for paper.yaml: {'yes' if all(holds) else 'no'}")
 
 
 if __name__ == "__main__":

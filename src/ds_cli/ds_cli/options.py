@@ -119,9 +119,7 @@ Sort = Annotated[
     str | None,
     typer.Option(metavar="COLUMN", help="With several networks: sort their table by a column; -COLUMN: downwards."),
 ]
-Backend = Annotated[
-    str, typer.Option(help="Inference backend: auto, torch, onnx, openvino, openvino-bf16 or openvino-int8.")
-]
+Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
 Camera = Annotated[str | None, typer.Option(help="Image topic, where a bag has several.")]

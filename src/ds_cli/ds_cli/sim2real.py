@@ -87,7 +87,7 @@ def translate_command(
     generator: Annotated[
         Path, typer.Option(help="Generator, a .safetensors file; a set of them for a data set of several simulators.")
     ],
-    backend: Annotated[str, typer.Option(help="onnx, openvino, openvino-bf16, openvino-int8 or torch.")] = "onnx",
+    backend: Annotated[str, typer.Option(help="onnx, openvino, openvino-bf16 or torch.")] = "onnx",
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes for a data set; as many as processors if left out.")
     ] = None,

@@ -12,23 +12,19 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from onnx import TensorProto, helper, numpy_helper
 
-from ds_driver.networks import backends, network_file, quantisation
+from ds_driver.networks import backends, network_file
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.backends import BackendError, onnx_runner
-from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_driver import NetworkDriver, on_backend
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.torch_networks import load_network, make_network, replayed, save_weights
 from ds_driver.networks.weights import load_weights
-from ds_sim.registry import STANDARD, spec_of
 
 openvino = pytest.importorskip("openvino")  # an extra for users
 FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.uint8)
-needs_vnni = pytest.mark.skipif(not quantisation.has_vnni(), reason="processor without VNNI")
 needs_bf16 = pytest.mark.skipif(
     "BF16" not in backends.cpu_capabilities(openvino.Core()), reason="processor without bfloat16"
 )
@@ -87,66 +83,8 @@ def test_a_processor_without_bfloat16_is_refused(monkeypatch: pytest.MonkeyPatch
     NetworkDriver("dave2@openvino")
 
 
-def onnx_file(folder: Path, *, kernel: int, opset: int = 17) -> Path:
-    """Write a network of a user: a convolution, or without a kernel none, and a mean; return its description."""
-    shape = [1, 3, 80, 160]
-    weights = np.random.default_rng(1).normal(0, 0.1, (4, 3, kernel, kernel)).astype(np.float32)
-    conv = helper.make_node("Conv" if kernel else "Abs", ["image", "w"] if kernel else ["image"], ["features"])
-    nodes = [conv, helper.make_node("ReduceMean", ["features"], ["steering"], axes=[1, 2, 3])]
-    inside = helper.make_graph(
-        nodes,
-        "own",
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, shape)],
-        [helper.make_tensor_value_info("steering", TensorProto.FLOAT, [1, 1, 1, 1])],
-        [numpy_helper.from_array(weights, "w")] if kernel else [],
-    )
-    model = helper.make_model(inside, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
-    (folder / "own.onnx").write_bytes(model.SerializeToString())
-    (folder / "own.yaml").write_text("file: own.onnx\ninput: {size: [80, 160], divide: 255}\n")
-    return folder / "own.yaml"
-
-
-@needs_vnni
-def test_eight_bits_steer_like_single_precision(tmp_path: Path) -> None:
-    frames = calibration_frames()
-    for driver in ("dave2", "chauffeur", str(onnx_file(tmp_path, kernel=5))):
-        single, quantised = (NetworkDriver(f"{driver}@{backend}") for backend in ("openvino", "openvino-int8"))
-        expected = [single.steering(frame.image, frame.crop) for frame in frames]
-        found = [quantised.steering(frame.image, frame.crop) for frame in frames]
-        assert found == pytest.approx(expected, abs=0.05) and found != expected and np.ptp(expected) > 0.01
-
-
-@needs_vnni
-@pytest.mark.parametrize(
-    ("kernel", "opset", "said"),
-    [(0, 17, "has no convolution: use another backend"), (3, 12, "has opset 12, expected 13 or later")],
-)
-def test_a_network_that_cannot_have_eight_bits_is_refused(kernel: int, opset: int, said: str, tmp_path: Path) -> None:
-    with pytest.raises(BackendError, match=said) as caught:
-        NetworkDriver(f"{onnx_file(tmp_path, kernel=kernel, opset=opset)}@openvino-int8")
-    assert "\n" not in str(caught.value)
-
-
-def test_a_processor_without_instructions_for_eight_bits_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "old").write_text("flags\t: avx2 fma avx512f\n")
-    (tmp_path / "new").write_text("flags\t: avx2 fma avx_vnni\n")
-    assert quantisation.has_vnni(tmp_path / "new") and not quantisation.has_vnni(tmp_path / "old")
-    monkeypatch.setattr(quantisation, "has_vnni", lambda: False)
-    with pytest.raises(BackendError, match=r"no VNNI \(AVX512_VNNI, AVX_VNNI or AMX\): use the backend openvino$"):
-        NetworkDriver("dave2@openvino-int8")
-
-
-def test_calibration_images_are_cropped_as_their_simulators_are() -> None:
-    frames = calibration_frames()
-    for name in STANDARD:
-        spec, crops = spec_of(name), [frame.crop for frame in frames if frame.simulator == name]
-        assert crops == [Crop(spec.crop_top, spec.crop_bottom)] * 7
-
-
 def test_a_backend_gives_the_same_bits_in_another_process() -> None:
-    names = ["torch", "onnx", "openvino", *(["openvino-int8"] if quantisation.has_vnni() else [])]
+    names = ["torch", "onnx", "openvino"]
     script = (
         "import numpy as np\n"
         "from ds_driver.networks.network_driver import NetworkDriver\n"
@@ -197,12 +135,11 @@ def test_a_missing_gpu_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         NetworkDriver("dave2@cuda")
 
 
-@pytest.mark.parametrize("backend", ["openvino", "openvino-bf16", "openvino-int8"])
+@pytest.mark.parametrize("backend", ["openvino", "openvino-bf16"])
 def test_missing_openvino_is_refused_with_the_command_that_installs_it(
     backend: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "openvino", None)
-    monkeypatch.setattr("ds_driver.networks.quantisation.has_vnni", lambda: True)
     with pytest.raises(BackendError, match=r"OpenVINO is not installed.*type make setup$"):
         NetworkDriver(f"dave2@{backend}")
 

@@ -14,7 +14,6 @@ from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.quantisation import has_vnni
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import load_weights
 
@@ -41,13 +40,11 @@ def alone(driver: NetworkDriver, frame: Frame) -> tuple[float, float]:
     return command.steering, command.throttle
 
 
-@pytest.mark.parametrize("backend", ["openvino", "openvino-bf16", "openvino-int8"])
+@pytest.mark.parametrize("backend", ["openvino", "openvino-bf16"])
 @pytest.mark.parametrize("architecture", sorted(NETWORKS))
 def test_every_batch_size_gives_the_bits_of_single_frames(architecture: str, backend: str, tmp_path: Path) -> None:
     if backend == "openvino-bf16" and "BF16" not in backends.cpu_capabilities(openvino.Core()):
         pytest.skip("processor without bfloat16")
-    if backend == "openvino-int8" and not has_vnni():
-        pytest.skip("processor without VNNI")
     torch.manual_seed(2)
     path = tmp_path / "w.safetensors"
     network = make_network(architecture)

@@ -25,7 +25,6 @@ from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256, generators_of, load_pilot, translation_of
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
-from ds_driver.networks.quantisation import has_vnni
 from ds_driver.networks.received_driver import received_driver
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import GENERATORS, architecture_in, generators_in, load_weights
@@ -95,12 +94,10 @@ def test_a_network_sees_the_translation_by_the_generator_of_the_frames_simulator
     assert plain.translation is None and plain.rows_seen(Crop(54, 0), 160, "softbody") == (54, 160)
 
 
-@pytest.mark.parametrize("backend", ["onnx", "openvino", "openvino-int8", "torch"])
+@pytest.mark.parametrize("backend", ["onnx", "openvino", "torch"])
 def test_frames_of_several_simulators_are_answered_with_the_bits_of_each_alone(folder: Path, backend: str) -> None:
     if backend.startswith("openvino"):
         pytest.importorskip("openvino")
-    if backend == "openvino-int8" and not has_vnni():
-        pytest.skip("processor without VNNI")
     driver = NetworkDriver(f"{folder / 'real.safetensors'}@{backend}")
     asked = frames(7)
     alone = [driver.command(replace(f, step=1)) for f in asked]

@@ -57,5 +57,5 @@ def test_only_processor_features_that_round_the_networks_back_end_count(tmp_path
 
 
 def test_the_libraries_of_a_networks_back_end_count() -> None:
-    assert {"openvino", "onnxruntime"} <= fingerprint("openvino-int8", ()).keys()
-    assert "onnxruntime" not in fingerprint("openvino-bf16", ())
+    known = fingerprint("openvino-bf16", ()).keys()
+    assert "openvino" in known and "onnxruntime" not in known

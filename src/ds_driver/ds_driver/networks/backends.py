@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs networks on one thread, with ONNX Runtime, OpenVINO or PyTorch (`torch_networks`), and names these backends.
 
-A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, `@openvino-int8`, or `@cuda` (PyTorch on a
-GPU): `dave2@openvino`. All compute in single precision except `openvino-bf16` and `openvino-int8`, whose convolutions
-have 8 bits and whose other layers are in bfloat16 where the processor has it.
+A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, or `@cuda` (PyTorch on a GPU):
+`dave2@openvino`. All compute in single precision except `openvino-bf16`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from ds_base.atomic_files import write_whole
 from ds_base.installation import CPUINFO, install_command, processor_flags
 from ds_driver.networks.pilot import DriverError
 
-BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16", "openvino-int8")
+BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16")
 """auto: `default_backend` for built-in networks and ONNX files, the native backend for other network files."""
 DEVICES = ("cpu", "cuda")
 LARGEST_BATCH = 8
@@ -175,7 +174,7 @@ def openvino_runner(
     Args:
         content: content of the file.
         where: name of the file, for messages.
-        backend: `openvino`, `openvino-bf16`, or `openvino-int8` for what `ds_driver.networks.quantisation` made.
+        backend: `openvino` or `openvino-bf16`.
         kind: `onnx`, `tflite` or `torchscript`.
         batches: whether the network treats the images of a batch independently; with one input and output.
 
@@ -187,8 +186,8 @@ def openvino_runner(
     except ImportError:
         raise BackendError(f"OpenVINO is not installed (60 MB): type {install_command('openvino')}") from None
     core = openvino.Core()
-    bf16 = backend != "openvino" and "BF16" in cpu_capabilities(core)
-    if backend == "openvino-bf16" and not bf16:
+    bf16 = backend == "openvino-bf16"
+    if bf16 and "BF16" not in cpu_capabilities(core):
         raise BackendError("this processor has no bfloat16 (AVX512_BF16 or AMX): use the backend openvino")
     settings = {
         "INFERENCE_NUM_THREADS": 1,

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.bounded_memory import limited_memory
-from ds_driver.networks.backends import BackendError, NetworkInput
-from ds_driver.networks.calibration import calibration_frames
+from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.description import DescribedNetwork, OutputSpec, PathSpec, Rows, file_of, read_description
 from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.memory import GivenInput, RunMemory
@@ -75,7 +74,7 @@ class DescribedNetworkPilot(Pilot):
 
     def _load(self, file: Path, backend: str, device: str) -> None:
         self.backend = backend
-        self._runner = runner_of(file, backend, device, self._samples)
+        self._runner = runner_of(file, backend, device)
         self._place, self._given = _places(file.name, self._runner.inputs, self.description)
         self.start()
         self._check(file.name)
@@ -165,11 +164,6 @@ class DescribedNetworkPilot(Pilot):
         if spec.layout == "nchw":
             pixels = pixels.transpose(2, 0, 1)
         return pixels
-
-    def _samples(self) -> list[NDArray[Any]]:
-        if self.description.inputs or self.description.has_memory:
-            raise BackendError("8 bits are calibrated on single images: use another backend for this network")
-        return [np.ascontiguousarray(self.pixels(frame)[None]) for frame in calibration_frames()]
 
     def _check(self, name: str) -> None:
         """Compare the file with the description, and warm up with a black image."""

@@ -19,7 +19,6 @@ from ds_base.words import did_you_mean
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.architectures import NETWORKS, UnknownNetworkError
 from ds_driver.networks.backends import default_backend, graph_runner
-from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.driver_name import AUTOPILOT, NO_GENERATORS, DriverName
@@ -28,7 +27,6 @@ from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.quantisation import for_backend
 from ds_driver.networks.user_class import UserClassPilot, source_of
 from ds_driver.networks.weights import (
     Weights,
@@ -55,23 +53,13 @@ BACKEND_BEFORE = "onnx"
 class BuiltInPilot(Pilot):
     """Drives with one of the paper's networks.
 
-    `translation` says what translates its images, by which it is then quantised.
-
     Raises:
         ds_driver.networks.backends.BackendError: the backend or the device is not available.
     """
 
     sees_crop_only = True
 
-    def __init__(
-        self, weights: Weights, backend: str = "auto", device: str = "cpu", translation: ImageTranslation | None = None
-    ) -> None:
-        def samples() -> list[NDArray[np.uint8]]:
-            frames = calibration_frames()
-            if translation is not None:
-                frames = translation.seen([one for one in frames if str(one.simulator) in translation.generators])
-            return [prepare(frame.image, frame.crop)[None] for frame in frames]
-
+    def __init__(self, weights: Weights, backend: str = "auto", device: str = "cpu") -> None:
         if backend == "torch":
             # PyTorch takes 2 s and 200 MB to import.
             from ds_driver.networks.torch_networks import network_runner
@@ -79,8 +67,7 @@ class BuiltInPilot(Pilot):
             runner = network_runner(weights, device)
         else:
             chosen = default_backend() if backend == "auto" else backend
-            content = for_backend(chosen, to_onnx(weights), weights.name, samples)
-            runner = graph_runner(content, weights.name, chosen)
+            runner = graph_runner(to_onnx(weights), weights.name, chosen)
         self._compute = runner.compute
         self.largest_batch = runner.largest_batch
 
@@ -188,7 +175,7 @@ def load_pilot(driver: DriverName | str) -> Pilot:
     name = DriverName.of(driver)
     weights = load_weights(name.network) if name.has_weights else None
     translation = _image_translation(name, _set_of(name, weights.generators if weights else {}))
-    pilot = _load_network(name) if weights is None else BuiltInPilot(weights, name.backend, name.device, translation)
+    pilot = _load_network(name) if weights is None else BuiltInPilot(weights, name.backend, name.device)
     return pilot if translation is None else TranslatingPilot(pilot, translation)
 
 

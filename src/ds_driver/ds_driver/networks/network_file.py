@@ -17,7 +17,6 @@ from ds_driver.networks.backends import (
 )
 from ds_driver.networks.foreign_file import LARGEST_FILE, foreign
 from ds_driver.networks.pilot import DriverError
-from ds_driver.networks.quantisation import Samples, for_backend
 
 NETWORK_MEMORY = 4 * 2**30
 """Bytes that a network may map beyond what the process has; chosen: 40 times the largest shipped one. A graph of three
@@ -32,7 +31,7 @@ KINDS = {
 """File suffix -> format."""
 _FORMATS = {"torchscript": "TorchScript", "tflite": "TensorFlow Lite"}
 _BACKENDS_OF = {
-    "onnx": ("onnx", "openvino", "openvino-bf16", "openvino-int8"),
+    "onnx": ("onnx", "openvino", "openvino-bf16"),
     "torchscript": ("torch", "openvino", "openvino-bf16"),
     "tflite": ("openvino", "openvino-bf16"),
 }
@@ -55,7 +54,7 @@ def backends_for(file: Path, backend: str = "auto") -> tuple[str, ...]:
     return (backend,)
 
 
-def runner_of(file: Path, chosen: str, device: str = "cpu", samples: Samples = lambda: []) -> Runner:
+def runner_of(file: Path, chosen: str, device: str = "cpu") -> Runner:
     """Load a network file with one of `backends_for` it, whatever its description says; see `DescribedNetworkPilot`."""
     kind = KINDS[file.suffix.lower()]
     try:
@@ -71,7 +70,7 @@ def runner_of(file: Path, chosen: str, device: str = "cpu", samples: Samples = l
     if kind == "onnx":
         check_onnx(content, file.name)
     if chosen.startswith("openvino"):
-        return openvino_runner(for_backend(chosen, content, file.name, samples), file.name, chosen, kind=kind)
+        return openvino_runner(content, file.name, chosen, kind=kind)
     if chosen == "onnx":
         return onnx_runner(content, file.name)
     from ds_driver.networks.torch_networks import torch_device, torchscript_runner

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from onnx import TensorProto
 
 from ds_driver.networks.backends import graph_runner
-from ds_driver.networks.calibration import calibration_frames
 from ds_driver.networks.onnx_export import OnnxGraph
-from ds_driver.networks.quantisation import for_backend
 from ds_driver.sim2real.generator import EPSILON, Sim2RealError, StoredGenerator, prepare, resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
-BACKENDS = ("onnx", "openvino", "openvino-bf16", "openvino-int8", "torch")
+BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
 
 
 def generator_to_onnx(generator: StoredGenerator) -> bytes:
@@ -100,7 +98,7 @@ class _Graph(OnnxGraph):
 class Translator:
     """Translates images, without state: an image has the same bits alone and in any batch.
 
-    Results differ by a grey level or so between the `BACKENDS`, with `openvino-int8` by 40 at most.
+    Results differ by a grey level or so between the `BACKENDS`.
 
     Raises:
         Sim2RealError: the backend is unknown.
@@ -118,19 +116,11 @@ class Translator:
 
             self._runner = generator_runner(generator, device)
         else:
-            where = "the generator"
-            content = for_backend(backend, generator_to_onnx(generator), where, self._samples)
-            self._runner = graph_runner(content, where, backend)
+            self._runner = graph_runner(generator_to_onnx(generator), "the generator", backend)
 
     def prepared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Cut out and resize what the generator sees of a camera image: (rows, columns, 3) uint8 RGB of its size."""
         return prepare(image, self.generator.window, self.generator.shape.size)
-
-    def _samples(self) -> list[NDArray[np.uint8]]:
-        """What it sees of its simulator, or of all if the simulator is a user's."""
-        frames = calibration_frames()
-        own = [frame for frame in frames if frame.simulator == self.generator.simulator]
-        return [self.prepared(frame.image)[None] for frame in own or frames]
 
     def small(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Translate a prepared image, in the generator's size."""

@@ -20,8 +20,8 @@ CODE = ("ds_base", "ds_road", "ds_sim", "ds_driver", *(target.partition(".")[0] 
 """Packages whose code takes part in a drive."""
 LIBRARIES = ("numpy", "numba", "opencv-python-headless", "pybullet", "pymunk", "shapely")
 """Libraries that take part in every drive."""
-BACKENDS = {"onnxruntime": ("onnx", "openvino-int8"), "openvino": ("openvino",), "torch": ("torch",)}
-"""Library -> beginnings of the back ends that compute with it; ONNX Runtime also quantises."""
+BACKENDS = {"onnxruntime": ("onnx",), "openvino": ("openvino",), "torch": ("torch",)}
+"""Library -> beginnings of the back ends that compute with it."""
 PROCESSOR_FEATURES = "processor features"
 _FEATURES = ("sse4", "avx", "fma", "f16c", "amx", "asimd", "sve", "bf16")
 """Beginnings of the processor features by which libraries choose their kernels, and so their roundings."""
@@ -36,7 +36,7 @@ def fingerprint(backend: str, simulators: Collection[SimulatorName]) -> dict[str
     """What two machines must have in common to compute the same bits: name -> value.
 
     Args:
-        backend: `onnx`, `openvino`, `openvino-bf16`, `openvino-int8`, `torch`, or "" for a driver without a network.
+        backend: `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
         simulators: names of the simulators.
     """
     known = versions()
@@ -81,7 +81,7 @@ def _of_simulator(name: SimulatorName) -> dict[str, str]:
 
 
 def code_sha256(packages: Collection[str] = CODE) -> str:
-    """Digest of the source code of packages, and of the images by which networks are quantised."""
+    """Digest of the source code of packages."""
     digest = hashlib.sha256()
     for package in dict.fromkeys(packages):
         spec = find_spec(package)
@@ -91,7 +91,7 @@ def code_sha256(packages: Collection[str] = CODE) -> str:
         path = Path(spec.origin)
         files = [path]
         if spec.submodule_search_locations:
-            files = sorted([*path.parent.rglob("*.py"), *path.parent.glob("models/calibration/*")])
+            files = sorted(path.parent.rglob("*.py"))
         for file in files:
             digest.update(f"{package}/{file.relative_to(path.parent)}\n".encode())
             digest.update(read_regular(file))
