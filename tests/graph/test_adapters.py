@@ -88,9 +88,10 @@ def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(adapted: 
     """The result's message states the jitter; the watchdog ends a run whose driver stops sending."""
     from geometry_msgs.msg import Twist
     from rclpy.node import Node
+    from rclpy.qos import qos_profile_sensor_data
 
     node = Node("standard_driver")
-    publisher = node.create_publisher(Twist, "/ds1/cmd_vel", 1)
+    publisher = node.create_publisher(Twist, "/ds1/cmd_vel", qos_profile_sensor_data)  # best effort
     message = Twist()
     message.linear.x = 6.0
     timer = node.create_timer(0.05, lambda: publisher.publish(message))

@@ -20,6 +20,7 @@ from ds_driver.ros.simulator_client import SimulatorInfo
 from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
+from ds_sim.ros.subscriptions import subscribe_to_commands
 
 
 class CmdVelAdapter(Node):
@@ -45,7 +46,7 @@ class CmdVelAdapter(Node):
         self._answers = AnswerDiagnostics(self)
         self._drive = self.create_publisher(DriveCommand, "drive", 1)
         self.create_subscription(VehicleState, "state", self._on_state, 5)
-        self.create_subscription(message_type(self._kind), self._kind.topic, self._on_command, 5)
+        subscribe_to_commands(self, message_type(self._kind), self._kind.topic, self._on_command, 5)
         if self._geometry is None:
             purpose = "for the vehicle's geometry (not needed with parameters wheelbase and max_steering_angle)"
             self._info = SimulatorInfo(self, [""], purpose, self._on_info)

@@ -28,6 +28,7 @@ from ds_sim.ros.real_time_loop import RealTimeLoop
 from ds_sim.ros.requests import GoalServer, LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.runtime import run_node, with_info
 from ds_sim.ros.standard_control import StandardControl
+from ds_sim.ros.subscriptions import subscribe_to_commands
 from ds_sim.session import Session
 from ds_sim.simulator import Command, CommandError, Observation, Outcome, Reason
 
@@ -52,7 +53,7 @@ class SimulatorNode(Node):
         self._goal: ServerGoalHandle | None = None
         self._last: Observation | None = None
         self._watchdog, self._monitor = CommandWatchdog(self._timeout), CommandMonitor()
-        self.create_subscription(DriveCommand, "drive", with_info(self._on_command), 10)
+        subscribe_to_commands(self, DriveCommand, "drive", with_info(self._on_command), 10)
         self.create_service(LoadRoad, "load_road", self._on_load_road)
         self.create_service(GetSimulatorInfo, "get_info", lambda _, info: messages.info_response(spec, info))
         self.create_service(Trigger, "reset", self._on_reset)
