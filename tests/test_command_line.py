@@ -6,9 +6,11 @@ from __future__ import annotations
 import io
 import json
 import os
+import shlex
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -119,6 +121,22 @@ def test_the_overview_says_of_every_verb_what_its_own_help_says() -> None:
         command = app.get_command(None, name)
         assert command.help.splitlines()[0] == verb.summary, name
         assert tuple(getattr(command, "commands", ())) == verb.verbs, name
+
+
+def test_every_help_text_has_an_example_that_its_parser_takes() -> None:
+    def commands(command: Any, *path: str) -> Iterator[tuple[tuple[str, ...], Any]]:
+        inner = getattr(command, "commands", {})
+        yield from (one for name in inner for one in commands(inner[name], *path, name))
+        if not inner:
+            yield path, command
+
+    app: Any = application.make_app()
+    for name, verb in VERBS.items():
+        for path, command in commands(app.get_command(None, name), name) if verb.module else ():
+            (example,) = (line for line in command.help.splitlines() if line.startswith("Example: ds "))
+            words = shlex.split(example.removeprefix("Example: ds ").partition(" > ")[0])
+            assert tuple(words[: len(path)]) == path
+            command.make_context("ds", words[len(path) :])
 
 
 def test_a_help_text_imports_nothing_heavy() -> None:

@@ -46,7 +46,7 @@ class LazyGroup(TyperGroup):
         if verb is None or not verb.module:
             return None
         app: typer.Typer = import_module(f"{PACKAGE}.{verb.module}").app
-        return get_group(app).commands[cmd_name]
+        return _with_joined_lines(get_group(app).commands[cmd_name])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the verb that was typed, or name the nearest one."""
@@ -62,6 +62,15 @@ class LazyGroup(TyperGroup):
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Print the overview."""
         print(overview())
+
+
+def _with_joined_lines(command: Any) -> Any:
+    """Let the terminal's width break the lines of a help text, not those of the docstring."""
+    paragraphs = (command.help or "").split("\n\n")
+    command.help = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
+    for one in getattr(command, "commands", {}).values():
+        _with_joined_lines(one)
+    return command
 
 
 def make_app() -> TyperGroup:

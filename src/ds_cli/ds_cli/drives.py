@@ -316,8 +316,12 @@ def drive_command(
 ) -> None:
     """Drive one road with one driver on one simulator.
 
-    The driver fails when the vehicle leaves its lane. Exit status: 0 the drive has a verdict, 1 it ended in an error,
-    2 bad input, 3 the driver failed (only with --fail-on failure).
+    Without --road the road is random. The driver fails when the vehicle leaves its lane.
+
+    Exit status: 0 the drive has a verdict, 1 it ended in an error, 2 bad input, 3 the driver failed (only with
+    --fail-on failure).
+
+    Example: ds drive --sim donkey --driver dave2 --seed 7 --video drive.mp4
     """
     import numpy as np
 

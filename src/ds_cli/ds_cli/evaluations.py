@@ -145,9 +145,11 @@ def evaluate_command(
 ) -> None:
     """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
 
-    The paper's tables, with its numbers next to the campaign's, and which operator suits the campaign. With --data and
-    no campaign, RQ1 of any network: its steering errors on the siblings' images against those on the twin's, without
-    driving. With --json, CSV and LaTeX, all tables.
+    The tables of the paper show its numbers next to those of your campaign, and which operator suits it. With --data
+    and no campaign, you get RQ1 of any network: its steering errors on the images of the siblings and of the twin,
+    without driving. With --json, CSV and LaTeX, all tables.
+
+    Example: ds evaluate out
     """
     if folder is not None:
         if given := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:

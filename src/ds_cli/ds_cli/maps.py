@@ -145,7 +145,10 @@ def maps_command(
 ) -> None:
     """Show a campaign's feature maps, or those of imported outcomes, as coloured grids.
 
-    Every simulator's map, and the siblings' merged into one; --map shows another one alone. With --json, all of them.
+    A cell shows how often the tests of similar roads fail. There is a map for every simulator, and one of the siblings
+    merged. --map shows another one alone. With --json, all of them.
+
+    Example: ds maps out
     """
     from ds_analysis.common.outcome_table import is_study
     from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of

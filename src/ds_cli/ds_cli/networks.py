@@ -50,7 +50,10 @@ def collect_command(
     disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Strength of random steering pushes.")] = 0.0,
     sims: Simulators = ALL,
 ) -> None:
-    """Collect labelled driving data with the autopilot."""
+    """Collect labelled driving data with the autopilot.
+
+    Example: ds collect --out data --roads 25
+    """
     from ds_base.installation import versions
     from ds_driver.data.collection import CollectionPlan, collect, given_roads
     from ds_driver.data.dataset import DatasetError, write_manifest
@@ -90,7 +93,9 @@ def import_command(
 ) -> None:
     """Import recorded drives of a real car into a data set.
 
-    Networks can then be trained on it and compared.
+    `ds train` can then train on it, and `ds evaluate` can compare networks on it.
+
+    Example: ds import my_tub --out data
     """
     from ds_base.left_out import LeftOut
     from ds_driver.data.recordings import Reading, import_recordings, open_recording
@@ -136,7 +141,10 @@ def train_command(
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     trust: Trust = None,
 ) -> None:
-    """Train one network for all simulators of a data set."""
+    """Train one network for all simulators of a data set.
+
+    Example: ds train --data data --out trained --network dave2
+    """
     from ds_driver.training import TrainingPlan, architecture_of, schedule_of, train
 
     network = network or (architecture_of(start) if start else "dave2")
@@ -173,7 +181,10 @@ def _steps_of(text: str) -> tuple[int, ...]:
 
 @app.command("models")
 def models_command(as_json: JsonFlag = False) -> None:
-    """List the shipped networks and their success rates."""
+    """List the shipped networks and their success rates.
+
+    Example: ds models
+    """
     from ds_driver.networks.weights import SHIPPED, shipped_networks
 
     document = []

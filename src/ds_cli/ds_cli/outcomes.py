@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 outcomes_app = typer.Typer(no_args_is_help=True)
-app.add_typer(outcomes_app, name="outcomes", help="Read outcomes of any simulators and cars, and write ours.")
+app.add_typer(
+    outcomes_app, name="outcomes", help="Import outcomes of any simulators and cars, and export outcomes of `ds`."
+)
 
 
 @outcomes_app.command("import")
@@ -40,8 +42,10 @@ def outcomes_import_command(
 ) -> None:
     """Make a study of the same tests' outcomes on any simulators, to predict, propose drives and compare.
 
-    Without --columns, test_id, simulator and failed or what has usual names for them; otherwise the folder gets a first
-    columns.yaml to check. docs/outcomes.md begins with a table of ten lines.
+    A table needs the columns test_id, simulator and failed, or their usual other names. If they cannot be found, the
+    folder gets a columns.yaml to check and pass on with --columns. docs/outcomes.md begins with a table of ten lines.
+
+    Example: ds outcomes import table.csv --out study
     """
     from ds_analysis.outcomes.columns import read_columns
     from ds_analysis.outcomes.known_before import ImportNotes
@@ -125,7 +129,10 @@ def outcomes_export_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign, a comparison or a study.")],
     out: Annotated[Path, typer.Option(help="Table to write: .csv or .parquet.")],
 ) -> None:
-    """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it."""
+    """Write outcomes as one long table, a row for each drive, as `ds outcomes import` reads it.
+
+    Example: ds outcomes export out --out table.csv
+    """
     from ds_analysis.common.outcome_table import is_study
     from ds_analysis.outcomes.reading import read_road_table
     from ds_analysis.outcomes.study import read_study, study_of, write_rows

@@ -14,7 +14,9 @@ from ds_cli.options import Backend, DriverText, JsonFlag, Workers, driver_named,
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
 
 app = typer.Typer()
-recording_app = typer.Typer(help="Make a track, a twin and a sibling of a car's recording.", no_args_is_help=True)
+recording_app = typer.Typer(
+    help="Test a network on a recording of your car: its track, a twin and a sibling.", no_args_is_help=True
+)
 app.add_typer(recording_app, name="recording")
 
 
@@ -39,7 +41,7 @@ def recording_test_command(
     source: Source,
     lane_width: LaneWidth,
     camera: CameraFile,
-    out: Annotated[Path, typer.Option(help="Folder for the result; a stopped test goes on there.")],
+    out: Annotated[Path, typer.Option(help="Folder for the result; a stopped test is resumed.")],
     driver: DriverText = "dave2",
     backend: Backend = "auto",
     roads: Annotated[int, typer.Option(min=1, max=200, help="Roads to cut at most.")] = 20,
@@ -62,8 +64,11 @@ def recording_test_command(
 ) -> None:
     """Test a network on the track of a recording: does it leave its lane there?
 
-    Locates the recording, fits the twin, cuts roads, drives them seen in the recording's photographs and on the twin,
-    and ends in one page, and in one sentence after what it could not do. A stopped test goes on.
+    Locates the recording, fits the twin and cuts roads out of the track. The network then drives these roads, in the
+    photographs of the recording and on the twin. The result is one page and one sentence, after what could not be done.
+    The same command resumes a stopped test.
+
+    Example: ds recording test my_tub --driver my_net.yaml --camera camera.yaml --lane-width 0.25 --out answer
     """
     from ds_cli.progress import ScreenListener
     from ds_driver.data.recordings import Reading
@@ -114,7 +119,9 @@ def locate_command(
 ) -> None:
     """Find where the car was in every image of a recording, and the track it drove on.
 
-    Looks for a coloured centre line between two white edge lines. A recording that cannot carry this is refused.
+    The track needs a coloured centre line between two white edge lines. A recording without them is refused.
+
+    Example: ds recording locate my_tub --lane-width 0.25 --camera camera.yaml --out located
     """
     from ds_driver.data.recordings import Reading
     from ds_recording.odometry import summary
@@ -156,6 +163,8 @@ def calibrate_command(
     """Calibrate a camera with photographs of a chessboard, taken at the size of its recordings.
 
     Height and pitch above the floor stay unknown; `ds recording locate` estimates them from the lines.
+
+    Example: ds recording calibrate photographs/ --squares 8x6 --size 0.025 --out camera.yaml
     """
     from ds_recording.chessboard import calibrate, images_of, parse_board
     from ds_recording.floor_camera import write_camera
@@ -197,7 +206,10 @@ def recording_roads_command(
 ) -> None:
     """Cut the recorded track into roads to test.
 
-    `ds siblings compare --file ROADS --sims recording@FOLDER,...` drives them; a road metre is 1/16 m on the floor.
+    A metre of the roads is 1/16 m on the floor. `ds siblings compare --file ROADS --sims recording@FOLDER,...` drives
+    them.
+
+    Example: ds recording roads located --length 60 --out roads.json
     """
     from ds_recording.sibling.recorded_drive import read_drive
     from ds_recording.sibling.sections import sections

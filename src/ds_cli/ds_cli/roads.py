@@ -82,7 +82,10 @@ def road_generate_command(
     count: Annotated[int, typer.Option(min=1, max=100_000, help="Number of roads.")] = 1,
     max_angle: MaxAngle = 270,
 ) -> None:
-    """Print random roads as a JSON list."""
+    """Print random roads as a JSON list.
+
+    Example: ds road generate --count 20 --seed 1 > roads.json
+    """
     import numpy as np
 
     import ds_road
@@ -96,7 +99,10 @@ def road_generate_command(
 def road_check_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: JsonFlag = False
 ) -> None:
-    """Check every road of a file: validity, length, curvature and turns."""
+    """Check every road of a file: validity, length, curvature and turns.
+
+    Example: ds road check roads.json
+    """
     import ds_road
 
     document = [ds_road.check(raw) for raw in ds_road.read_raw_roads(file)]
@@ -131,7 +137,10 @@ def road_show_command(
     lane: Lane = None,
     out: Annotated[Path, typer.Option(help="Picture to write, PNG.")] = Path("road.png"),
 ) -> None:
-    """Draw a road as a PNG."""
+    """Draw a road as a PNG.
+
+    Example: ds road show --seed 1 --out road.png
+    """
     import ds_road
     from ds_base.atomic_files import write_whole
     from ds_sim.camera.encodings import png
@@ -150,6 +159,8 @@ def road_export_command(
     """Export roads for other tools, as ASAM OpenDRIVE 1.7.
 
     Writes one file per road, named after its test or its place in the list, and prints their paths.
+
+    Example: ds road export roads.json --out exported
     """
     import ds_road
     from ds_road import export
@@ -191,8 +202,10 @@ def road_import_command(
 ) -> None:
     """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
 
-    The content decides the format. Roads outside of the box of 250 m are moved into its middle if they fit; of what is
-    larger, `ds road cut` makes sections.
+    The format is recognised by the content. Roads outside of the box of 250 m are moved into its middle if they fit. If
+    they are larger, cut sections with `ds road cut`.
+
+    Example: ds road import track.xodr > roads.json
     """
     from ds_base.left_out import LeftOut
     from ds_road.importing import import_roads
@@ -212,7 +225,10 @@ def road_cut_command(
     scale: Scale = 1.0,
     strict: Strict = False,
 ) -> None:
-    """Print sections of roads and tracks as a JSON list, such as those of a track that is larger than the box."""
+    """Print sections of roads and tracks as a JSON list, such as those of a track that is larger than the box.
+
+    Example: ds road cut track.csv --length 200 --every 100 > sections.json
+    """
     from ds_base.left_out import LeftOut
     from ds_road.importing import cut_roads
 

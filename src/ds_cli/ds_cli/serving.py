@@ -15,7 +15,7 @@ from ds_cli.output import Interrupted, say_next
 from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
-serve_app = typer.Typer(help="Serve a simulator to clients of another one's protocol.", no_args_is_help=True)
+serve_app = typer.Typer(help="Serve a simulator to clients of the Donkey simulator.", no_args_is_help=True)
 app.add_typer(serve_app, name="serve")
 
 
@@ -44,8 +44,10 @@ def serve_donkey_command(
 ) -> None:
     """Serve a simulator to clients of the Donkey simulator, such as gym-donkeycar's environments.
 
-    Lock-step: the simulator makes one frame for each control, as fast as the client sends them. Prints the address when
-    clients can connect, and serves until it is stopped.
+    The simulator makes one frame for each control, as fast as the client sends them. The address is printed when
+    clients can connect. Serves until it is stopped.
+
+    Example: ds serve donkey --sim panda --port 9091
     """
     from ds_cli.roads import one_road, roads_of
     from ds_sim.conditions.text import parse_conditions

@@ -72,7 +72,7 @@ def siblings_compare_command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for siblings.json, tables, pictures and drives; a stopped comparison goes on there."),
+        typer.Option(help="Folder for siblings.json, tables, pictures and drives; a stopped comparison is resumed."),
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
@@ -81,10 +81,12 @@ def siblings_compare_command(
 ) -> None:
     """Drive the same roads on several simulators: which fail where, and what each sibling adds.
 
-    For every simulator: the share of roads that the driver completes, and how well road features alone predict its
-    failures. For every pair: how far their failures agree and lie inside each other. For every sibling: the information
-    that it adds about the twin beyond these features and the siblings before it. docs/evaluation.md says how each
-    number is computed.
+    For every simulator you see the share of roads that the driver completes, and how well road features alone predict
+    its failures. For every pair you see how far their failures agree. For every sibling you see the information that it
+    adds about the twin beyond road features and the siblings before it. docs/evaluation.md says how each number is
+    computed.
+
+    Example: ds siblings compare --driver dave2 --out compared
     """
     from ds_analysis.common.outcome_table import table_of_runs
     from ds_analysis.paper.simulator_agreement import compare, summary

@@ -42,7 +42,10 @@ def train_command(
 ) -> None:
     """Train a generator for one simulator's images.
 
-    The simulated images come from random roads of their own, driven by the autopilot.
+    The generator makes simulated images look like your photographs. The simulated ones come from random roads that the
+    autopilot drives.
+
+    Example: ds sim2real train --sim bullet --real my_tub --out s2r_bullet
     """
     from ds_driver.sim2real.preparation import prepare_domains, read_sources
     from ds_driver.sim2real.settings import PRESETS
@@ -93,7 +96,10 @@ def translate_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Translate the images of a data set, bag or tub; the same format out."""
+    """Translate the images of a data set, bag or tub; the same format out.
+
+    Example: ds sim2real translate data --generator generators --out data_real
+    """
     from ds_driver.networks.weights import shipped_sets
     from ds_driver.sim2real.generator import load_generator
     from ds_driver.sim2real.image_translation import open_set

@@ -42,9 +42,11 @@ def twin_fit_command(
     evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of the model per round at most.")] = 40,
     as_json: JsonFlag = False,
 ) -> None:
-    """Fit the digital twin's parameters to recorded drives; a fit that was interrupted goes on.
+    """Fit the digital twin's parameters to recorded drives.
 
-    `--sim donkey@FILE` then drives with them.
+    `--sim donkey@FILE` then drives with them. The same command resumes an interrupted fit.
+
+    Example: ds twin fit located --out car.yaml
     """
     from ds_report.fit_picture import draw_fit
     from ds_twin_donkey.car_files import read_start

@@ -62,7 +62,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "demo",
                 "studies.demo",
-                "See where a shipped network fails, why, and what to do next, in about five minutes.",
+                "See where a shipped network fails, why, and what to do next.",
             ),
             Verb(
                 "campaign",
@@ -87,19 +87,19 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "real",
                 "prediction.real",
-                "Draw, record and use a few drives on a real car.",
+                "Propose, record and use a few drives on a real car.",
                 ("propose", "record", "update"),
             ),
             Verb(
                 "outcomes",
                 "outcomes",
-                "Read outcomes of any simulators and cars, and write ours.",
+                "Import outcomes of any simulators and cars, and export outcomes of `ds`.",
                 ("import", "export"),
             ),
             Verb(
                 "recording",
                 "recordings",
-                "Make a track, a twin and a sibling of a car's recording.",
+                "Test a network on a recording of your car: its track, a twin and a sibling.",
                 ("test", "locate", "calibrate", "roads"),
             ),
             Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
@@ -135,7 +135,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
                 "Inspect, re-simulate and repair rosbag2 recordings.",
                 ("info", "recover", "redrive", "drive"),
             ),
-            Verb("serve", "serving", "Serve a simulator to clients of another one's protocol.", ("donkey",)),
+            Verb("serve", "serving", "Serve a simulator to clients of the Donkey simulator.", ("donkey",)),
             Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
             Verb(
                 "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
@@ -171,6 +171,8 @@ def overview(*, colour: bool = False) -> str:
         "",
         "Find out where a steering network leaves its lane: on several cheap simulators (the",
         "digital siblings), and on a digital twin of a small car.",
+        "",
+        "Begin with ds demo, or with your own: ds check NETWORK, then ds test NETWORK.",
     ]
     for heading, verbs in GROUPS:
         lines += ["", bold(f"{heading}:")]

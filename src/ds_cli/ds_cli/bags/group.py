@@ -64,6 +64,8 @@ def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
     """Describe a bag: outcome, road, versions and topics.
 
     A bag of another project is described as far as it is a rosbag2 or ROS 1 bag.
+
+    Example: ds bag info runs/seven
     """
     from rich.text import Text
 
@@ -92,7 +94,10 @@ def recover_command(
     out: Annotated[Path | None, typer.Option(help="Folder to write; DIR_recovered if left out.")] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Recover a bag whose writer was killed."""
+    """Recover a bag whose writer was killed.
+
+    Example: ds bag recover runs/killed
+    """
     from ds_bags.copying import recover
 
     bag = recover(folder, out)
@@ -118,9 +123,11 @@ def redrive_command(
 ) -> None:
     """Re-simulate a recorded run and compare it with the recording, bit by bit.
 
-    Re-simulation gives the recorded road, seed and commands to the simulator again. No driver takes part, so it shows
-    whether this installation reproduces the run, and what the camera saw, even if the bag holds no images. Exit status
-    1 if a frame differs.
+    The simulator gets the recorded road, seed and commands again, without a driver. This shows whether your
+    installation reproduces the run, and what the camera saw, even if the bag holds no images. Exit status 1 if a frame
+    differs.
+
+    Example: ds bag redrive runs/seven --video run.mp4
     """
     from ds_bags.verification import verify_bag
     from ds_sim.video import check_path
@@ -174,7 +181,9 @@ def drive_command(
 ) -> None:
     """Show recorded images to a network (open loop), and compare its steering with the recorded one.
 
-    Prints steering errors, their density and distances between recordings.
+    The network does not drive. Prints the steering errors, and distances between recordings.
+
+    Example: ds bag drive runs/seven --driver dave2 --out open_loop
     """
     from ds_cli.bags.open_loop import bag_drive
     from ds_driver.data.recordings import Reading

@@ -63,7 +63,7 @@ class Driving:
     """How a comparison drives what is missing.
 
     Attributes:
-        out: folder for the drives; a comparison that was stopped there goes on.
+        out: folder for the drives; a comparison that was stopped there is resumed.
         label: of the candidate, where several share the folder; else "".
         with_engine: chooses engine and workers.
     """
@@ -237,7 +237,7 @@ def campaign_compare_command(
     ] = None,
     backend: Backend = "auto",
     out: Annotated[
-        Path, typer.Option(help="Folder for drives and results; a comparison that was stopped there goes on.")
+        Path, typer.Option(help="Folder for drives and results; a comparison that was stopped there is resumed.")
     ] = Path("comparison"),
     roads: Annotated[
         int | None, typer.Option(min=1, max=10_000, help=f"For two networks: random roads; {ROADS} if left out.")
@@ -267,10 +267,12 @@ def campaign_compare_command(
 ) -> None:
     """Compare two networks on the same tests: what got worse, what got better?
 
-    A and B are two campaigns of one configuration, a campaign and a network, or two networks, which drive random roads;
-    or two studies of imported outcomes, where nothing is driven.
-    Tests that one of them has not driven are driven first, without ROS unless --engine says otherwise. Writes
-    comparison.html, comparison.md and comparison.json under --out.
+    A and B are two networks, which drive random roads; a campaign and a network, which drives the tests of the
+    campaign; two campaigns of one configuration; or two studies of imported outcomes. Drives that are missing come
+    first, without ROS unless --engine says otherwise. Writes comparison.html, comparison.md and comparison.json under
+    --out.
+
+    Example: ds compare old.yaml new.yaml --out comparison
     """
     from ds_analysis.common.outcome_table import is_study
     from ds_analysis.comparison.paired_drives import ComparisonError

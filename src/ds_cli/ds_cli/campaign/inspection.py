@@ -81,7 +81,10 @@ def status(folder: Path) -> Result:
 
 @campaign_app.command("status")
 def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
-    """Show how far a campaign is, stage by stage."""
+    """Show how far a campaign is, stage by stage.
+
+    Example: ds campaign status out
+    """
     answer(status(folder), as_json)
 
 
@@ -100,8 +103,10 @@ def campaign_roads_command(
 ) -> None:
     """Print a campaign's roads as JSON, as `ds drive --road` and `ds road check` take it.
 
-    Each road comes with its test, seed, cell, and outcome on every simulator. `ds drive --road FILE` with a file of one
-    road drives it with the test's seed, which repeats the recorded run.
+    Each road comes with its test, seed, cell, and outcome on every simulator. If a file holds one road, `ds drive
+    --road FILE` drives it with the seed of its test, which repeats the recorded run.
+
+    Example: ds campaign roads out --failed --out failures.json
     """
     from ds_base.atomic_files import write_whole
     from ds_orchestrator.campaign.selection import roads_of
@@ -123,7 +128,9 @@ def campaign_roads_command(
 def report_command(folder: Folder, trust: Trust = None) -> None:
     """Rebuild the report of a campaign, or write one of imported outcomes.
 
-    A campaign's maps and tables are made again, too.
+    The maps and tables of a campaign are computed again, too. Nothing is driven.
+
+    Example: ds report out
     """
     from ds_analysis.common.outcome_table import is_study
     from ds_cli.progress import StageLines
@@ -149,6 +156,8 @@ def campaign_export_command(
 
     outcomes.parquet has a row for each drive; with --frames, frames.parquet one for each frame, with units and meanings
     of the columns. The campaign may still be running.
+
+    Example: ds campaign export out --out study
     """
     from ds_analysis.common.outcome_table import table_of_campaign
     from ds_analysis.outcomes.frames import write_frames
@@ -173,8 +182,10 @@ def watch_command(
 ) -> None:
     """Show a campaign in the browser while it runs.
 
-    What runs now, the latest drives with camera and trajectory, the feature maps filling up, progress and time left.
-    The page is served to this machine only. The campaign's folder stays as it is, whatever engine writes it.
+    The page shows progress, time left, the latest drives and the feature maps. Only this machine can open it, and it
+    changes nothing in the folder.
+
+    Example: ds watch out
     """
     import asyncio
 

@@ -225,7 +225,7 @@ def search_command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there goes on."),
+        typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there is resumed."),
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
@@ -241,8 +241,11 @@ def search_command(
 ) -> None:
     """Search roads on which a network fails, and report where and why.
 
-    Writes campaign.yaml, a configuration with a comment on every key, into the folder, and runs it as `ds campaign run`
-    does, without ROS unless --engine says otherwise. The last line is the path of the HTML report.
+    A search makes roads on which the network drives badly on a sibling. All of them are then driven on every simulator.
+    The last line is the path of the HTML report; campaign.yaml in the folder is the configuration. It drives without
+    ROS unless --engine says otherwise.
+
+    Example: ds test my_net.yaml --out out
     """
     from ds_base.atomic_files import write_whole
     from ds_base.bounded_file import read_words
@@ -294,7 +297,10 @@ def campaign_run_command(
     sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Run a campaign; resume it if the folder holds one with the same configuration."""
+    """Run a campaign; resume it if the folder holds one with the same configuration.
+
+    Example: ds campaign run my.yaml --out out --workers 2
+    """
     from ds_orchestrator.campaign.config import ConfigError, read_config
     from ds_orchestrator.engines.preflight import check_driver
 
@@ -335,7 +341,10 @@ def campaign_resume_command(
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Resume a campaign that was stopped; with any engine."""
+    """Resume a campaign that was stopped; with any engine.
+
+    Example: ds campaign resume out
+    """
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
     changed = with_engine(stored_config(folder, trust), workers, engine)

@@ -57,6 +57,8 @@ def suite_make_command(
     """Freeze the tests of a campaign that tell most: failing ones, boundary ones, and one of every cell.
 
     The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
+
+    Example: ds suite make out --out suite.json
     """
     from ds_base.words import count
     from ds_orchestrator.campaign.folder import open_store, read_campaign
@@ -98,7 +100,7 @@ def suite_run_command(
     driver: DriverText,
     backend: Backend = "auto",
     out: Annotated[
-        Path, typer.Option(help="Folder for drives and results; a run that was stopped there goes on.")
+        Path, typer.Option(help="Folder for drives and results; a run that was stopped there is resumed.")
     ] = Path("suite_run"),
     stop_early: Annotated[
         bool, typer.Option("--stop-early", help="End as soon as --fail-on or --max-failures cannot be met any more.")
@@ -120,8 +122,10 @@ def suite_run_command(
 ) -> None:
     """Drive a suite's tests with a network, and compare with the outcomes in the suite.
 
-    Without ROS unless --engine says otherwise. Exit status: 0 done, 1 a drive ended in an error, 2 bad input, 3 a pass
-    criterion is not met.
+    It drives without ROS unless --engine says otherwise. Exit status: 0 done, 1 a drive ended in an error, 2 bad input,
+    3 a pass criterion is not met.
+
+    Example: ds suite run suite.json --driver next.yaml --out suite_run --fail-on regression
     """
     from ds_analysis.comparison.sequential import BATCH
     from ds_base.folder_files import make_folder

@@ -73,8 +73,11 @@ def predict_command(
 ) -> None:
     """Predict where a car, or a simulator that was never driven, fails.
 
-    A car is predicted from every simulator, the twin among them, and from its own recorded drives; `--twin` predicts a
-    simulator as if it had never been driven. Each cell fails, is safe, or is disputed. docs/merge.md says how.
+    The prediction for a car uses the drives on every simulator, the twin among them, and the recorded drives of the
+    car. `--twin` predicts a simulator as if it had never been driven. Each cell fails, is safe, or is disputed.
+    docs/merge.md says how.
+
+    Example: ds predict out
     """
     from dataclasses import replace
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ds_analysis.real.records import RealDrive
 
 app = typer.Typer()
-real_app = typer.Typer(help="Draw, record and use a few drives on a real car.", no_args_is_help=True)
+real_app = typer.Typer(help="Propose, record and use a few drives on a real car.", no_args_is_help=True)
 app.add_typer(real_app, name="real")
 
 Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
@@ -132,8 +132,10 @@ def propose_command(
 ) -> None:
     """Draw tests to drive on the car at random, and write roads to tape out and what to set.
 
-    Each call continues the same random order, so that `ds real update` can bound the car's failures whenever you stop.
+    `ds real update` can bound the car's failures whenever you stop, because each call continues the same random order.
     Writes to DIR/real: drawings and points in metres at the car's size, and outcomes.csv to fill in.
+
+    Example: ds real propose out --drives 6
     """
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
@@ -220,9 +222,11 @@ def record_command(
 ) -> None:
     """Record outcomes of drives on the car, proposed or not, apart from simulated ones, and show what they change.
 
-    From a CSV with a row per drive; from a rosbag2 recording of one drive, by its odometry from the start of the road
-    or a topic with the lateral position; from a folder that `ds recording locate` wrote of it; or from a Donkey Car tub
+    A drive comes from a CSV with a row for each drive; from a rosbag2 recording, by its odometry from the start of the
+    road or a topic with the lateral position; from a folder that `ds recording locate` wrote; or from a Donkey Car tub
     with --outcome. A test counts once. Only drives that were proposed, or that you say were --drawn, certify something.
+
+    Example: ds real record out outcomes.csv
     """
     from dataclasses import replace
 
@@ -261,7 +265,10 @@ def update_command(
     ] = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """Show predictions before and after the recorded drives, what they certify, and whether simulators have helped."""
+    """Show predictions before and after the recorded drives, what they certify, and whether simulators have helped.
+
+    Example: ds real update out
+    """
     from ds_base.folder_files import locked, make_folder
 
     if out is not None:

@@ -36,9 +36,12 @@ def check_command(
 ) -> None:
     """Show what a network sees, and say what is wrong with how it is connected.
 
-    The autopilot drives, and the network is only asked about the images. For a file without description, one is
-    written beside it. Exit status: 0 nothing wrong found, 2 bad input, 3 not connected correctly, or trained on
-    another world.
+    The autopilot drives, and the network answers the images without driving. Its answers tell how the file wants its
+    images and what its outputs mean. If the file has no description, one is written next to it.
+
+    Exit status: 0 nothing wrong found, 2 bad input, 3 not connected correctly, or trained on another world.
+
+    Example: ds check my_net.onnx
     """
     from rich.console import Console
     from rich.table import Table

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds demo`: what this project does, with a shipped network, in five minutes."""
+"""`ds demo`: what this project does, with a shipped network."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ def demo_command(
     engine: EngineName = None,
     as_json: JsonFlag = False,
 ) -> None:
-    """See where a shipped network fails, why, and what to do next, in about five minutes.
+    """See where a shipped network fails, why, and what to do next.
 
-    One road in clear air and in fog; what else breaks the network; a campaign under the conditions that do; the report.
+    Drives one road in clear air and in fog, finds what else breaks the network, runs a campaign under these conditions,
+    and writes its report.
+
+    Example: ds demo --out demo
     """
     from ds_base.folder_files import make_folder
     from ds_base.installation import ds_command

@@ -42,7 +42,7 @@ def explain_command(
         int, typer.Option(min=0, max=20, help="Largest groups of failures to explain; 0 only lists all groups.")
     ] = 3,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for tables and drives; a stopped experiment goes on there.")
+        Path | None, typer.Option(help="Folder for tables and drives; a stopped experiment is resumed.")
     ] = None,
     workers: Workers = None,
     engine: EngineName = None,
@@ -52,9 +52,11 @@ def explain_command(
 ) -> None:
     """Find out why tests of a campaign fail.
 
-    From the record: how the car left its lane, and what led there. By experiment, where another simulator completes the
-    test: it is driven again with camera, look, vehicle, delays and conditions exchanged between the two, each alone and
-    all combinations, and each part gets its share of the failure.
+    The record of a test shows how the car left its lane, and what led there. If another simulator
+    completes the test, an experiment exchanges camera, look, vehicle, delays and conditions between the two, in all
+    combinations, and drives again. Each part then gets its share of the failure.
+
+    Example: ds explain out
     """
     from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of, where
     from ds_base.atomic_files import write_json

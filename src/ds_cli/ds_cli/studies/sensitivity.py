@@ -60,7 +60,7 @@ def sensitivity_command(
     ] = 4,
     seed: Seed = 1,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis goes on there.")
+        Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis is resumed.")
     ] = None,
     gates: Annotated[
         Path | None,
@@ -76,9 +76,11 @@ def sensitivity_command(
 ) -> None:
     """Find how strong each operating condition must be for a driver to fail.
 
-    One condition at a time, for every simulator: the value at which the driver fails on the median road, by bisection,
-    as far as the autopilot completes the same test. A condition that a simulator cannot realise is not applicable.
-    Several networks, separated by commas, come in one table.
+    Each condition, such as fog or worn lines, becomes stronger by bisection until the driver fails on the median road.
+    It goes only as far as the autopilot completes the same test. A condition that a simulator does not support is not
+    applicable. Several networks, separated by commas, come in one table.
+
+    Example: ds sensitivity --driver my_net.yaml --out sensitivity
     """
     from rich.console import Console
 
