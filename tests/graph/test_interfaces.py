@@ -151,7 +151,8 @@ def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any
     names = sorted(n for n in names if n not in ("use_sim_time", "start_type_description_service"))
     descriptors = ask(DescribeParameters, "describe_parameters", DescribeParameters.Request(names=names)).descriptors
     ranges = [re.sub("^(a number from|one of) ", "", d.additional_constraints) for d in descriptors]
-    described = {(d.name, TYPES[d.type], r, d.description) for d, r in zip(descriptors, ranges, strict=True)}
+    meanings = [re.sub(", one for each namespace; -1.*", "", d.description) for d in descriptors]
+    described = {(d.name, TYPES[d.type], *rest) for d, *rest in zip(descriptors, ranges, meanings, strict=True)}
     assert described == {(row[0], row[1], row[3], row[4]) for row in tables(node)[1]}
     assert all(d.read_only and d.description for d in descriptors)
     for d in descriptors:
