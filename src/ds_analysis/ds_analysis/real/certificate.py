@@ -91,7 +91,7 @@ def certify(bets: Sequence[Bet], tests: int) -> Certificate:
             helped = plain - (bet.predicted - bet.mean_predicted)
             log_capital[0] += np.log1p(stakes[:, None] * plain)
             log_capital[1] += np.log1p(0.5 * stakes[:, None] * helped)  # which lies between -2 and 2
-            kept &= _mean_capital(log_capital) < 1.0 / ALPHA
+            kept &= _log_mean(log_capital) < -np.log(ALPHA)
         failures, left = failures + bet.failed, left - 1
         kept &= (total >= failures) & (total <= failures + left)
     possible = np.flatnonzero(kept)
@@ -101,9 +101,10 @@ def certify(bets: Sequence[Bet], tests: int) -> Certificate:
     return Certificate(tests=tests, drawn=drawn, low=int(possible[0]), high=int(possible[-1]))
 
 
-def _mean_capital(log_capital: Array) -> Array:
+def _log_mean(log_capital: Array) -> Array:
+    """Logarithm of the mean over the stakes; the capital itself may exceed what a float holds."""
     top = log_capital.max(axis=(0, 1))
-    return np.asarray(np.exp(top) * np.exp(log_capital - top).mean(axis=(0, 1)))
+    return np.asarray(top + np.log(np.exp(log_capital - top).mean(axis=(0, 1))))
 
 
 def drives_until(rate: float, tests: int) -> int | None:
