@@ -63,7 +63,7 @@ Lane = Annotated[
     Literal["right", "left", "middle", "single"] | None,
     typer.Option(
         help="Lane in which to drive: right, left, middle (on the centre line), or single (the only one, without a "
-        "centre line); that of the road file if left out, or right."
+        "centre line); the lane of the road file if left out, or right."
     ),
 ]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds outcomes`: outcomes that came from elsewhere, in and out."""
+"""`ds outcomes`: imports outcomes from elsewhere, and exports outcomes."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def stopped_in(folder: Path | None) -> Iterator[None]:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """What a verb found out.
+    """Result of a verb.
 
     Attributes:
         document: as JSON values.

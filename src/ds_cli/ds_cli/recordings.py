@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds recording`: where the car was in a recording, its camera, and roads to test on its track."""
+"""`ds recording`: locates the car in a recording, calibrates its camera, and tests a network on its track."""
 
 from __future__ import annotations
 

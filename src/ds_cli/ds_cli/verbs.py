@@ -189,7 +189,7 @@ def overview(*, colour: bool = False) -> str:
         "",
         "Results go to standard output (with --json as one JSON document), progress to standard",
         "error. Exit status: 0 done, 1 a run ended in an error, 2 bad input, 3 a pass criterion such",
-        "as --fail-on is not met.",
+        "as --fail-on is not met, 70 a bug of ours.",
     ]
     return "\n".join(lines)
 

@@ -12,8 +12,8 @@ rule was fixed before it was applied to any campaign:
    share of passing tests above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns
    before conditions, then the harder threshold.
    Where conditions vary, the best split of the other kind, road or conditions, is named after it.
-3. A split is stated only if chance would hardly find one as good, and the percentages beside it are those of tests that
-   did not choose it: see `ds_analysis.common.selection`.
+3. A split is stated only if chance would hardly find one as good. Its percentages come from tests that did not choose
+   it (`ds_analysis.common.selection`).
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class RoadOutcomes:
 
     @property
     def share(self) -> Share:
-        """Failures over all roads, of which there is one at least."""
+        """Failures divided by roads, of which there is at least one."""
         return Share.of(np.array(self.failed, np.bool_), self.families)
 
     @property

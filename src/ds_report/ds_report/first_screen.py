@@ -4,9 +4,9 @@
 Rules, fixed before they were applied to any campaign:
 
 1. Where it fails: see `ds_report.findings`.
-2. A sibling is to be believed where siblings disagree if it does as the twin in more of these tests than chance allows
-   the best of the siblings (`ds_analysis.common.selection`); without a twin, nobody can say. Where they never disagree,
-   or there is one alone, the twin's failures say what their agreement is worth. A scenario counts once.
+2. Where siblings disagree, a sibling is to be believed if it agrees with the twin in more of these tests than chance
+   allows the best of the siblings (`ds_analysis.common.selection`). Without a twin, nobody can say. If siblings never
+   disagree, or there is only one, the failures of the twin tell what their agreement is worth. A scenario counts once.
 3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests
    (`ds_analysis.common.next_campaign`); without a twin, drives of a car; otherwise train on the failures.
 """

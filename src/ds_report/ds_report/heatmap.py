@@ -75,8 +75,8 @@ def bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Picture:
     """Draw one value of a feature map.
 
-    Every filled cell shows its value and its number of tests; cells without tests are hatched. Tests that the gates
-    exclude are counted beside, as in `-2`; they are in no other number.
+    Every filled cell shows its value and its number of tests; cells without tests are hatched. The number of tests that
+    the gates exclude stands next to it, as in `-2`.
 
     Args:
         feature_map: map of two features.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One HTML file that shows a located recording: the track from above, what is left over, pictures with fitted lines."""
+"""One HTML file that shows a located recording: the track from above, residuals, pictures with fitted lines."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ class SiblingSection:
 
 
 def sibling_section(data: CampaignData) -> SiblingSection | None:
-    """Analyse the tests of a campaign that were driven on every simulator; None without any, or with one simulator."""
+    """Analyse tests that were driven on every simulator of a campaign; None if there is none, or only one simulator."""
     config = data.config
     if len(config.simulators) < 2 or not data.verdicts:
         return None

@@ -44,7 +44,9 @@ def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None)
 
 
 def draw_matrix(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
-    """Draw who fails where: a row per simulator, a column per road, by growing feature; `vector` as in `draw_figure`.
+    """Draw which simulator fails on which road, one row per simulator; roads are sorted by a feature.
+
+    `vector` as in `draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.

@@ -109,7 +109,7 @@ def simulator_table(study: Study) -> Table:
 
 
 def pair_table(table: OutcomeTable) -> Table:
-    """Tabulate how the failures of each pair of simulators lie inside each other, on the tests that both judged."""
+    """Tabulate for each pair of simulators how many failures of one are failures of the other, too."""
     rows = []
     for pair in combinations(table.simulators, 2):
         both = np.all([table.known(name) for name in pair], axis=0)

@@ -31,7 +31,7 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
 
     Args:
         path: file to write.
-        answer: what became of the driver.
+        answer: result of the drives.
         drive: the recording that it was driven on.
         facts: rows of a table about the recording.
     """

@@ -70,7 +70,7 @@ def unmet_by(criteria: Criteria, comparison: Comparison) -> list[str]:
 
 
 def lost_by(criteria: Criteria, comparison: Comparison, suite: Suite) -> bool:
-    """Whether a criterion cannot be met whatever the tests of a suite that are left will say."""
+    """True if a criterion can no longer be met, whatever the outcomes of the remaining tests of a suite."""
     tests = {name: sum(name in one.outcomes for one in suite.tests) for name in suite.simulators}
     tally = {name: (failures, tests[name]) for name, (failures, _) in comparison.tally().items()}
     return bool(criteria.unmet(tally, newly_failing=len(comparison.newly_failing)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds campaign`, `test`, `compare`, `suite`, `runs`, `watch` and `report`: collected from this folder."""
+"""`ds campaign`, `test`, `compare`, `suite`, `watch` and `report`: collected from this folder."""
 
 from __future__ import annotations
 

@@ -145,7 +145,7 @@ def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], 
 
 
 def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None, videos: Path | None = None) -> Result:
-    """Hold a finished campaign against pass criteria; write its outcomes as JUnit XML, and videos of failures."""
+    """Check a finished campaign against pass criteria; write its outcomes as JUnit XML, and videos of failures."""
     if criteria == type(criteria)() and junit is None and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of

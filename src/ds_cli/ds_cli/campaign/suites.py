@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds suite`: freezes the tests of a campaign that tell most, and drives them with another network in minutes."""
+"""`ds suite`: freezes the most informative tests of a campaign, and drives them with another network in minutes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def suite_make_command(
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
     as_json: JsonFlag = False,
 ) -> None:
-    """Freeze the tests of a campaign that tell most: failing ones, boundary ones, and one of every cell.
+    """Freeze the most informative tests of a campaign: failing ones, boundary ones, and one of every cell.
 
     The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
 

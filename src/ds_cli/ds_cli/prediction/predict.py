@@ -40,7 +40,7 @@ def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
 
 
 def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result:
-    """What can be said where there are too few tests for a prediction: how many each simulator fails."""
+    """Say how many tests each simulator fails, if there are too few for a prediction."""
     from ds_base.intervals import jeffreys_interval
 
     counts = {name: (int(table.failed(name).sum()), int(table.known(name).sum())) for name in table.simulators}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads a campaign again and again while another process writes it; only what is new is read."""
+"""Reads a campaign repeatedly while another process writes it, each time only what is new."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class _Known:
 
 
 class CampaignReader:
-    """Reads the campaign in a folder, which stays as it is: nothing is written, and no lock is taken.
+    """Reads the campaign in a folder, without writing to it and without taking a lock.
 
     Args:
         folder: campaign folder.
