@@ -158,7 +158,7 @@ def _baseline_table(baselines: Sequence[Baseline]) -> Table:
         rows.append((*start, "all features", *_score_row(one.all), ""))
     return Table(
         name="sibling_baseline",
-        title="The undriven baseline: failures predicted without driving, from road features and conditions",
+        title="Without driving: failures predicted from road features and conditions",
         columns=[
             Column("failures on"),
             *styled("count", "failures", "roads"),

@@ -53,7 +53,7 @@ def sensitivity_command(
         int, typer.Option(min=1, max=100, help="Short roads on each simulator that the driver completes by default.")
     ] = 3,
     levels: Annotated[
-        int, typer.Option(help="Levels of strength that may be driven up to the hardest value: 4, 8 or 16.")
+        int, typer.Option(help="Levels of strength that may be driven up to the hardest value: 2, 4, 8 or 16.")
     ] = 8,
     segments: Annotated[
         int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
