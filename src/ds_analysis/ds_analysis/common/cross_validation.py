@@ -102,13 +102,13 @@ def predict_failures(
     with config_context(assume_finite=True, skip_parameter_validation=True):
         for repeat in range(repeats):
             for train, test in folds_of(failed, families, SEED + repeat):
-                seen, outcome = features[train], failed[train]
-                model, known = _chosen(models, seen, outcome, families[train], SEED + repeat)
-                best = best_feature(seen, outcome)
-                probability[repeat, test] = _fitted(model, best, seen, outcome, features[test])
+                training, outcome = features[train], failed[train]
+                model, held_out = _chosen(models, training, outcome, families[train], SEED + repeat)
+                best = best_feature(training, outcome)
+                probability[repeat, test] = _fitted(model, best, training, outcome, features[test])
                 chosen[best] += 1
                 predicted = logit(probability[repeat, test])
-                folds.append(Fold(repeat=repeat, train=train, test=test, known=logit(known), predicted=predicted))
+                folds.append(Fold(repeat=repeat, train=train, test=test, known=logit(held_out), predicted=predicted))
     return Predictions(probability=probability, folds=folds, chosen=chosen)
 
 

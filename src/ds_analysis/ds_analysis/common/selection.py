@@ -125,13 +125,16 @@ def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random
     size = np.bincount(families)
     places = _Ranked(np.stack([np.bincount(families, of) / size for of in values]))
     of_family = np.asarray(np.bincount(families, gains), np.float64)
-    found = [places.best(of_family)[2], *(places.best(rng.permutation(of_family))[2] for _ in range(PERMUTATIONS))]
+    best_scores = [
+        places.best(of_family)[2],
+        *(places.best(rng.permutation(of_family))[2] for _ in range(PERMUTATIONS)),
+    ]
     called_harder = np.zeros(len(failed), np.bool_)
     for chosen_by, divided in splits_of(families, MOST_PARTS, SEED):
-        seen = np.zeros(len(failed))
-        seen[chosen_by] = _gains(failed[chosen_by])
-        if seen.any():
-            k, least, _ = ranked.best(seen)
+        size_before = np.zeros(len(failed))
+        size_before[chosen_by] = _gains(failed[chosen_by])
+        if size_before.any():
+            k, least, _ = ranked.best(size_before)
             called_harder[divided] = values[k, divided] >= least
         else:  # all others end alike, and say the same of these
             called_harder[divided] = failed[chosen_by].any()
@@ -140,7 +143,7 @@ def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random
         axis=axis,
         threshold=threshold,
         harder=harder,
-        p=float(np.mean(np.array(found) >= found[0])),
+        p=float(np.mean(np.array(best_scores) >= best_scores[0])),
         apart=_apart(failed, families, called_harder, harder) if 0 < called_harder.sum() < len(failed) else None,
     )
 

@@ -70,8 +70,8 @@ def values_over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, valu
     """Collect a value of several maps, then the failure probability of another, over the cells that all fill."""
     cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))
     predicted, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
-    known = ~np.isnan(predicted).any(axis=0)
-    return tuple(values[known] for values in (*predicted, against))
+    in_all = ~np.isnan(predicted).any(axis=0)
+    return tuple(values[in_all] for values in (*predicted, against))
 
 
 def pearson_or_reason(predicted: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
@@ -208,9 +208,9 @@ def are_alone(families: Indices) -> bool:
 
 def parts_of(families: Indices, parts: int, seed: int) -> Indices:
     """Divide families at random into parts, or into as many as there are families; (tests,) number of the part."""
-    known, member = np.unique(families, return_inverse=True)
-    order = np.random.default_rng(seed).permutation(len(known))
-    return np.asarray((order % min(parts, len(known)))[member])
+    distinct, member = np.unique(families, return_inverse=True)
+    order = np.random.default_rng(seed).permutation(len(distinct))
+    return np.asarray((order % min(parts, len(distinct)))[member])
 
 
 def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indices, Indices]]:

@@ -31,10 +31,10 @@ def family_weights(families: Indices, resamples: int, seed: int) -> Array:
     Returns:
         (resamples + 1, rows) how often each row counts; the first resample is the sample itself.
     """
-    known, member = np.unique(families, return_inverse=True)
+    distinct, member = np.unique(families, return_inverse=True)
     rng = np.random.default_rng(seed)
-    drawn = rng.multinomial(len(known), np.full(len(known), 1.0 / len(known)), size=resamples)
-    return np.asarray(np.vstack((np.ones(len(known)), drawn))[:, member])
+    drawn = rng.multinomial(len(distinct), np.full(len(distinct), 1.0 / len(distinct)), size=resamples)
+    return np.asarray(np.vstack((np.ones(len(distinct)), drawn))[:, member])
 
 
 def interval_of(scores: Array) -> tuple[float, float] | None:

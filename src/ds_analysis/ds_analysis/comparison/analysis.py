@@ -215,8 +215,8 @@ def _simulators(
 
 
 def _median_change(drives: Sequence[PairedDrive]) -> float | None:
-    known = [one.margin_change for one in drives if None not in (one.reference.fitness, one.candidate.fitness)]
-    return float(np.median(known)) if known else None
+    changes = [one.margin_change for one in drives if None not in (one.reference.fitness, one.candidate.fitness)]
+    return float(np.median(changes)) if changes else None
 
 
 def _cells(of: Mapping[SimulatorName, Sequence[PairedDrive]]) -> list[CellComparison]:

@@ -177,14 +177,14 @@ class PairedCounts:
         """Count drives; `sequential`: p and interval hold although the outcomes decided when the drives ended."""
         drives = list(drives)
         changes = [drive.change for drive in drives]
-        found, signs = Counter(changes), tuple((one == "newly fails") - (one == "fixed") for one in changes)
+        counts, signs = Counter(changes), tuple((one == "newly fails") - (one == "fixed") for one in changes)
         families = families_of([drive.test.scenario.road for drive in drives if drive.test.scenario is not None])
         related = len(families) == len(drives) and not are_alone(families)
         return cls(
-            newly_fail=found["newly fails"],
-            fixed=found["fixed"],
-            both_fail=found["fails in both"],
-            both_pass=found["passes in both"],
+            newly_fail=counts["newly fails"],
+            fixed=counts["fixed"],
+            both_fail=counts["fails in both"],
+            both_pass=counts["passes in both"],
             changes=signs if sequential else None,
             p_of_families=p_of_difference(np.array(signs, np.float64), families) if related else None,
         )

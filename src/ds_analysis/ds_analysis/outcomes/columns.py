@@ -70,8 +70,8 @@ class Rule(_Strict):
             return empty if self.is_ is not None else ~empty, np.zeros(len(frame), np.bool_)
         same = np.array([word_of(one) == word_of(wanted) for one in column], np.bool_)
         if len(same) and not same.any():
-            known = ", ".join(sorted({str(one) for one in column})[:_SHOWN])
-            raise OutcomeTableError(f"{source}: {self.column} is never {wanted!r:.60}, but {known:.150}")
+            examples = ", ".join(sorted({str(one) for one in column})[:_SHOWN])
+            raise OutcomeTableError(f"{source}: {self.column} is never {wanted!r:.60}, but {examples:.150}")
         return same if self.is_ is not None else ~same, empty
 
 
@@ -132,14 +132,14 @@ class Columns(_Strict):
     car: str | None = None
     car_drawn: bool = False
 
-    def filled(self, known: Sequence[str]) -> Columns:
+    def filled(self, names: Sequence[str]) -> Columns:
         """Return the same, with columns of the usual names where nothing was said."""
         usual: dict[str, Any] = {
-            name: name for name in ("repeat", "family") if getattr(self, name) is None and name in known
+            name: name for name in ("repeat", "family") if getattr(self, name) is None and name in names
         }
-        if self.simulators is None and self.margin is None and {"margin", "limit"} <= set(known):
+        if self.simulators is None and self.margin is None and {"margin", "limit"} <= set(names):
             usual["margin"] = Margin(column="margin", limit="limit")
-        if self.simulators is None and self.failed is None and "failed" in known:
+        if self.simulators is None and self.failed is None and "failed" in names:
             usual["failed"] = "failed"
         return self.model_copy(update=usual)
 
@@ -160,9 +160,9 @@ def read_columns(path: Path) -> Columns:
         first = error.errors()[0]
         named = (str(part) for part in first["loc"])  # pydantic adds the member type of a union
         place = ".".join(part for part in named if not part.startswith(("Rule", "list[", "str", "dict")))
-        known = f" (keys: {', '.join(Columns.model_fields)})" if first["type"] == "extra_forbidden" else ""
+        keys = f" (keys: {', '.join(Columns.model_fields)})" if first["type"] == "extra_forbidden" else ""
         text = " ".join(str(first["msg"]).removeprefix("Value error, ").split())
-        raise OutcomeTableError(f"{path}: {place or 'top level'}: {text}{known}: see {GUIDE}") from None
+        raise OutcomeTableError(f"{path}: {place or 'top level'}: {text}{keys}: see {GUIDE}") from None
 
 
 def column_of(frame: pd.DataFrame, name: str, source: str) -> list[Any]:
@@ -172,10 +172,10 @@ def column_of(frame: pd.DataFrame, name: str, source: str) -> list[Any]:
         OutcomeTableError: there is none; the line names those that there are.
     """
     if name not in frame.columns:
-        known = [str(one) for one in frame.columns]
-        more = ", ..." if len(known) > 3 * _SHOWN else ""
+        names = [str(one) for one in frame.columns]
+        more = ", ..." if len(names) > 3 * _SHOWN else ""
         raise OutcomeTableError(
-            f"{source} has no column {name!r}, but {', '.join(known[: 3 * _SHOWN])}{more}: say in --columns which is "
+            f"{source} has no column {name!r}, but {', '.join(names[: 3 * _SHOWN])}{more}: say in --columns which is "
             "what"
         )
     return frame[name].tolist()
@@ -216,31 +216,31 @@ def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> tuple[Bools
     strange: set[int] = set()
     if isinstance(failed, str):
         words = [word_of(one) for one in column_of(frame, failed, source)]
-        empty, known = is_empty(frame[failed]), WORDS[True] | WORDS[False]
+        empty, vocabulary = is_empty(frame[failed]), WORDS[True] | WORDS[False]
         reasons = {
             row: f"{failed} is empty" if empty[row] else f"{failed} is {word!r:.60}"
             for row, word in enumerate(words)
-            if empty[row] or word not in known
+            if empty[row] or word not in vocabulary
         }
         strange = {row for row in reasons if not empty[row] and words[row] not in NO_VERDICT}
-        found = np.array([word in WORDS[True] for word in words], np.bool_)
+        positive = np.array([word in WORDS[True] for word in words], np.bool_)
     else:
         rules = failed if isinstance(failed, list) else [failed]
         held, unknown = map(np.array, zip(*(rule.holds(frame, source) for rule in rules), strict=True))
-        found = (held & ~unknown).any(axis=0)
-        untold = ~found & unknown.any(axis=0)
+        positive = (held & ~unknown).any(axis=0)
+        untold = ~positive & unknown.any(axis=0)
         reasons = {
             int(row): f"{rules[int(np.argmax(unknown[:, row]))].column} is empty or no number"
             for row in np.flatnonzero(untold)
         }
-    kept = np.delete(found, list(reasons))
+    kept = np.delete(positive, list(reasons))
     if reasons and (strange or len(reasons) > MOST_EMPTY * len(frame)) and (kept.all() or not kept.any()):
         row = min(strange or reasons)
         expected = f"expected true or false, 1 or 0, failed or completed, or rules: {GUIDE}"
         raise OutcomeTableError(
             f"{row_of(frame, row, source)}: {reasons[row]}, {expected}; without such rows no verdict differs"
         )
-    return found, reasons
+    return positive, reasons
 
 
 def row_of(frame: pd.DataFrame, row: int, source: str) -> str:

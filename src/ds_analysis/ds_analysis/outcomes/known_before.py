@@ -81,7 +81,7 @@ def features_of(
     Raises:
         OutcomeTableError: a named column is no feature; or a number is missing and `notes.rows` is strict.
     """
-    made: dict[str, pd.Series[Any]] = {}
+    columns: dict[str, pd.Series[Any]] = {}
     for name in names if names is not None else [one for one in frame.columns if one not in used]:
         column_of(frame, name, source)
         values, is_number = _values(frame[name], numbers_of(frame, name, source))
@@ -109,15 +109,15 @@ def features_of(
         if gaps.any() and notes.rows.strict:
             raise OutcomeTableError(f"{source}: {name} is no finite number, or empty, for test {gaps.idxmax()}")
         if is_number:
-            made[name] = of_test.astype(np.float64).fillna(of_test.median())
+            columns[name] = of_test.astype(np.float64).fillna(of_test.median())
         else:
-            made |= {f"{name}={level}": (of_test == level).astype(np.float64) for level in levels}
+            columns |= {f"{name}={level}": (of_test == level).astype(np.float64) for level in levels}
             notes.features.append(f"{name}: a feature of 0 and 1 for each of {', '.join(levels)}")
         if gaps.any():
-            made[f"{name} missing"] = gaps.astype(np.float64)
+            columns[f"{name} missing"] = gaps.astype(np.float64)
             median = f", which count as the median, {of_test.median():.4g}" if is_number else ""
             notes.features.append(f"{name} missing: 1 for the {gaps.sum()} of {len(gaps)} tests without it{median}")
-    return pd.DataFrame(made)
+    return pd.DataFrame(columns)
 
 
 def _values(column: pd.Series[Any], numbers: np.ndarray) -> tuple[pd.Series[Any], bool]:

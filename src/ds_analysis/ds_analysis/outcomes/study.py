@@ -89,14 +89,14 @@ class Study:
 
     def flakiness(self) -> dict[str, tuple[int, int, float, float | None]]:
         """Simulator -> tests, drives, share of failed drives, and of repeated tests whose repeats disagree, if any."""
-        found: dict[str, tuple[int, int, float, float | None]] = {}
+        rates: dict[str, tuple[int, int, float, float | None]] = {}
         for name in (*self.simulators, *([self.car] if self.car else [])):
             of = self.rows[self.rows["simulator"] == name]
             shares = of.groupby("test_id")["failed"].agg(["mean", "size"])
             repeated = shares[shares["size"] > 1]["mean"]
             flaky = float(((repeated > 0) & (repeated < 1)).mean()) if len(repeated) else None
-            found[name] = (len(shares), len(of), float(of["failed"].mean()), flaky)
-        return found
+            rates[name] = (len(shares), len(of), float(of["failed"].mean()), flaky)
+        return rates
 
     def table(self) -> OutcomeTable:
         """Convert to the table that everything reads, a row for each test.
@@ -201,10 +201,10 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
     for name, width in axes.items():
         if not float(np.ptp(rows[name])) <= MOST_BINS * width:
             raise OutcomeTableError(f"{source}: bins of {width:g} cut {name} into more than {MOST_BINS}: widen them")
-    known = sorted(set(rows["simulator"]))
+    simulators = sorted(set(rows["simulator"]))
     for role in (columns.twin, columns.car):
-        if role is not None and role not in known:
-            raise OutcomeTableError(f"{source} has no simulator {role!r}: expected {', '.join(known)}")
+        if role is not None and role not in simulators:
+            raise OutcomeTableError(f"{source} has no simulator {role!r}: expected {', '.join(simulators)}")
     study = Study(
         rows=rows[[*LONG, *names, *conditions]],
         features=tuple(names),

@@ -59,12 +59,12 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
         StoreError: the file is damaged.
     """
     by_name = {map_id.name: map_id for map_id in map_ids(config.siblings, config.twin)}
-    known = {field.name for field in fields(Correlation)}
+    keys = {field.name for field in fields(Correlation)}
     try:
         rows: list[dict[str, Any]] = load_json(read_file(folder, CORRELATIONS))
         correlations = []
         for row in rows:
-            values = {key: value for key, value in row.items() if key in known}
+            values = {key: value for key, value in row.items() if key in keys}
             value = _RENAMED_VALUES.get(row["value"], row["value"])
             correlations.append({**values, "map": by_name[row["name"]], "value": value})
         return TypeAdapter(list[Correlation]).validate_python(correlations)

@@ -174,15 +174,15 @@ def paired_differences(
         samples = merged_values, values, against = values_over_shared_cells([merged, union], truth, value)
         failing = int((against > 0).sum())
         drawn = 0 if caution_of(len(against), failing) else resamples
-        known: dict[str, Any] = {}
+        finite: dict[str, Any] = {}
         if all(pearson_or_reason(one, against, value)[0] is not None for one in (merged_values, values)):
-            known |= {"r": difference_r(*samples), "r_interval": bootstrap_interval(samples, difference_r, drawn)}
+            finite |= {"r": difference_r(*samples), "r_interval": bootstrap_interval(samples, difference_r, drawn)}
         if has_both_outcomes(against):
-            known |= {
+            finite |= {
                 "auc": difference_auc(*samples),
                 "auc_interval": bootstrap_interval(samples, difference_auc, drawn),
             }
-        differences.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **known))
+        differences.append(PairedDifference(over=union.id, value=value, cells=len(against), failing=failing, **finite))
     return differences
 
 

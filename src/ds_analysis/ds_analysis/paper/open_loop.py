@@ -187,7 +187,7 @@ def predict(
         groups = {n: of[:images] if pilot.has_memory else _spread(of, images) for n, of in groups.items()}
     total, done = sum(map(len, groups.values())), 0
     progress.start(total)
-    found, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
+    answers, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
     for name, group in groups.items():
         if pilot.has_memory and any(b.step > a.step + 1 for a, b in pairwise(group) if a.drive == b.drive):
             raise OpenLoopError(
@@ -208,7 +208,7 @@ def predict(
             steering[index] = pilot.predict(frame).steering
             done += 1
             progress.advance(line=f"images, {name}" if done % REPORT_EVERY == 0 or done == total else "")
-        found[name] = Answers(
+        answers[name] = Answers(
             name=name,
             group=name,
             index=np.arange(len(group)),
@@ -217,7 +217,7 @@ def predict(
             answered=steering,
             images=len(group),
         )
-    return found
+    return answers
 
 
 def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]

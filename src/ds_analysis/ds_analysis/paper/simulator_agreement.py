@@ -109,8 +109,8 @@ def _pair(outcomes: RoadTable, first: SimulatorName, second: SimulatorName) -> P
         for i in (0, 1)
     )
     apart = np.abs(ones - others)
-    known = len(apart) > 0
-    correlation = r_or_nan(ones, others) if known else math.nan
+    measured = len(apart) > 0
+    correlation = r_or_nan(ones, others) if measured else math.nan
     return PairComparison(
         first=first,
         second=second,
@@ -122,10 +122,10 @@ def _pair(outcomes: RoadTable, first: SimulatorName, second: SimulatorName) -> P
         kappa=kappa,
         kappa_interval=interval,
         reason=reason,
-        median_apart=float(np.median(apart)) if known else None,
-        apart_95=float(np.percentile(apart, 95)) if known else None,
-        most_apart=float(apart.max()) if known else None,
-        share_apart=float((apart > APART).mean()) if known else None,
+        median_apart=float(np.median(apart)) if measured else None,
+        apart_95=float(np.percentile(apart, 95)) if measured else None,
+        most_apart=float(apart.max()) if measured else None,
+        share_apart=float((apart > APART).mean()) if measured else None,
         correlation=None if math.isnan(correlation) else correlation,
     )
 

@@ -82,18 +82,18 @@ def _summary(group: str, answers: Sequence[Answers]) -> ErrorSummary:
     answered = np.concatenate([one.answered for one in answers])
     both = np.isfinite(recorded) & np.isfinite(answered)
     size = np.abs(errors)
-    known = bool(errors.size)
+    measured = bool(errors.size)
     return ErrorSummary(
         group=group,
         images=sum(one.images for one in answers),
         answered=int(np.isfinite(answered).sum()),
         compared=int(errors.size),
-        mean=float(errors.mean()) if known else None,
-        mean_absolute=float(size.mean()) if known else None,
-        root_mean_square=float(np.sqrt(np.mean(errors**2))) if known else None,
-        median_absolute=float(np.median(size)) if known else None,
-        largest=float(size.max()) if known else None,
-        outputs_apart=float(wasserstein_distance(answered[both], recorded[both])) if known else None,
+        mean=float(errors.mean()) if measured else None,
+        mean_absolute=float(size.mean()) if measured else None,
+        root_mean_square=float(np.sqrt(np.mean(errors**2))) if measured else None,
+        median_absolute=float(np.median(size)) if measured else None,
+        largest=float(size.max()) if measured else None,
+        outputs_apart=float(wasserstein_distance(answered[both], recorded[both])) if measured else None,
     )
 
 

@@ -38,10 +38,10 @@ def predicted_before(undriven: Prediction, prediction: Prediction) -> Iterator[t
         undriven: without drives.
         prediction: of the same experts, with drives.
     """
-    known = 0
+    count = 0
     for k, drive in enumerate(prediction.drives):
-        if k - known >= max(1, k // _EACH):
-            undriven, known = undriven.updated(prediction.drives[known:k]), k
+        if k - count >= max(1, k // _EACH):
+            undriven, count = undriven.updated(prediction.drives[count:k]), k
         yield drive, undriven
 
 

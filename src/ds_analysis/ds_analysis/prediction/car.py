@@ -106,8 +106,8 @@ class CarPrediction:
     @property
     def _uniform(self) -> str:
         """What all simulators did, where they did the same in every test; "" otherwise."""
-        known = np.stack([self.table.known(name) for name in self.table.siblings])
-        failed = np.stack([self.table.failed(name) for name in self.table.siblings])[known]
+        driven = np.stack([self.table.known(name) for name in self.table.siblings])
+        failed = np.stack([self.table.failed(name) for name in self.table.siblings])[driven]
         if not len(failed) or failed.any() != failed.all():
             return ""
         return f"{'Every' if failed.all() else 'None of the'} {len(failed)} simulated drives failed. "
@@ -151,11 +151,11 @@ def predict_car(folder: Path, table: OutcomeTable, *, tolerated: float = TOLERAT
         ds_analysis.common.outcome_table.OutcomeTableError: there are too few tests.
         ds_analysis.real.records.RecordError: the drives of the car cannot be read or are of other tests.
     """
-    known, drives, proposed = table.as_population(), read_drives(folder), read_proposed(folder)
-    undriven = predict(known)
-    ordered = drives_in_order(known, drives, proposed)
+    population, drives, proposed = table.as_population(), read_drives(folder), read_proposed(folder)
+    undriven = predict(population)
+    ordered = drives_in_order(population, drives, proposed)
     return CarPrediction(
-        table=known,
+        table=population,
         undriven=undriven,
         prediction=undriven.updated(ordered),
         drives=drives,
@@ -177,10 +177,10 @@ def drives_in_order(table: OutcomeTable, drives: Sequence[RealDrive], proposed: 
     for test_id in left:
         if test_id not in rows:
             raise RecordError(f"the real drive of {test_id!r:.60} is of no test here: remove it from the drives")
-    found, complete = [], True
+    ordered, complete = [], True
     for test_id, drawn in proposed.in_order():
         complete &= not drawn or test_id in left
         if test_id in left:
             one = left.pop(test_id)
-            found.append(Drive(rows[test_id], one.failed, complete and (drawn or one.drawn)))
-    return [*found, *(Drive(rows[one.test_id], one.failed, complete and one.drawn) for one in left.values())]
+            ordered.append(Drive(rows[test_id], one.failed, complete and (drawn or one.drawn)))
+    return [*ordered, *(Drive(rows[one.test_id], one.failed, complete and one.drawn) for one in left.values())]

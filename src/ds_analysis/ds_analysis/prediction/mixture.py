@@ -124,10 +124,10 @@ class Prediction:
         return float(self.probabilities(rows).sum()), low, high
 
     def _with_outcomes(self, probabilities: Array, rows: Indices) -> Array:
-        known = np.full(self.tests, np.nan)
-        known[[drive.row for drive in self.drives]] = [drive.failed for drive in self.drives]
-        driven = ~np.isnan(known[rows])
-        probabilities[..., driven] = known[rows][driven]
+        outcomes = np.full(self.tests, np.nan)
+        outcomes[[drive.row for drive in self.drives]] = [drive.failed for drive in self.drives]
+        driven = ~np.isnan(outcomes[rows])
+        probabilities[..., driven] = outcomes[rows][driven]
         return probabilities
 
 
@@ -146,9 +146,9 @@ def predict(table: OutcomeTable) -> Prediction:
         OutcomeTableError: too few tests, or a sibling without a verdict.
     """
     columns = [table.column(name) for name in table.siblings]
-    known = np.column_stack([table.known(name) for name in table.siblings])
+    driven = np.column_stack([table.known(name) for name in table.siblings])
     failed = np.column_stack([table.failed(name) for name in table.siblings])
-    tests = known.any(axis=1)
+    tests = driven.any(axis=1)
     if reason := too_few(table):
         raise OutcomeTableError(reason)
     for name in table.siblings:
@@ -160,7 +160,7 @@ def predict(table: OutcomeTable) -> Prediction:
     outcomes = SiblingOutcomes(
         features=(table.features[:, used] - table.features[tests][:, used].mean(axis=0)) / scale[used],
         failed=failed,
-        known=known,
+        known=driven,
         margins=np.log(np.maximum(table.lateral[:, columns], 1e-3 * limits) / limits),
     )
     return Prediction(tests=len(table), experts=tuple(experts_of(outcomes)), prior=_prior_of(outcomes))

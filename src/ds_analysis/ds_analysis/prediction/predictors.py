@@ -171,13 +171,13 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
     weights = scores.family_weights(kept.families, RESAMPLES, _SEED)
     baseline = scores.brier(predicted[FEATURES], truth, weights)
     few = min(truth.sum(), len(truth) - truth.sum()) < FEWEST_OF_EACH_KIND
-    found = []
+    scored = []
     for name, probability in predicted.items():
         squared = scores.brier(probability, truth, weights)
         other = None if name == FEATURES else squared - baseline
         ends = None if other is None else scores.interval_of(other)
         low, high = ends or (0.0, 0.0)
-        found.append(
+        scored.append(
             PredictorScore(
                 predictor=name,
                 brier=float(squared[0]),
@@ -201,7 +201,7 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
         tests=len(rows),
         families=len(np.unique(kept.families)),
         failures=int(truth.sum()),
-        scores=found,
+        scores=scored,
         reliability=_reliability(model, truth),
     )
 
@@ -222,7 +222,7 @@ def merged(driven: list[Array]) -> dict[str, Array]:
     return {name: operator.combine(np.array(driven), weights) for name, operator in OPERATORS.items()}
 
 
-def comparison_tables(found: PredictorComparison) -> list[Table]:
+def comparison_tables(comparison: PredictorComparison) -> list[Table]:
     """Tabulate a comparison: scores, then reliability."""
     names = ("predictor", "Brier", "95 %", "minus features alone", "95 % of it", "AUC-PRC", "verdict")
     text = {"predictor", "verdict"}
@@ -230,10 +230,10 @@ def comparison_tables(found: PredictorComparison) -> list[Table]:
     return [
         Table(
             name="predictors",
-            title=f"Failures on {found.twin} predicted without driving it: {found.failures} of {found.tests} tests, "
-            f"{found.families} families",
+            title=f"Failures on {comparison.twin} predicted without driving it: {comparison.failures} of "
+            f"{comparison.tests} tests, {comparison.families} families",
             columns=[Column(name, "text" if name in text else "number") for name in names],
-            rows=[tuple(asdict(one).values()) for one in found.scores],
+            rows=[tuple(asdict(one).values()) for one in comparison.scores],
             notes=[
                 "A predictor adds to the features alone if the 95 % interval of the difference lies below 0; intervals "
                 f"resample whole families of tests. With fewer than {FEWEST_OF_EACH_KIND} tests that fail, or that do "
@@ -242,8 +242,8 @@ def comparison_tables(found: PredictorComparison) -> list[Table]:
         ),
         Table(
             name="predictor_reliability",
-            title=f"Predicted probabilities and failures on {found.twin}",
+            title=f"Predicted probabilities and failures on {comparison.twin}",
             columns=[Column(name, "count" if name == "tests" else "number") for name in bins],
-            rows=list(found.reliability),
+            rows=list(comparison.reliability),
         ),
     ]

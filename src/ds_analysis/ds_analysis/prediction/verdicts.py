@@ -179,9 +179,9 @@ def _judge_cell(
     tests = draws.shape[1]
     if not tests:
         return CellVerdict(cell=cell, tests=0, driven=0)
-    known = np.hstack((draws, np.repeat(outcomes[None], len(draws), axis=0)))
-    weights = rng.standard_exponential(known.shape)
-    rates = (weights * known).sum(axis=1) / weights.sum(axis=1)
+    states = np.hstack((draws, np.repeat(outcomes[None], len(draws), axis=0)))
+    weights = rng.standard_exponential(states.shape)
+    rates = (weights * states).sum(axis=1) / weights.sum(axis=1)
     low, high = np.quantile(rates, (0.05, 0.95))
     return CellVerdict(
         cell=cell,
@@ -193,29 +193,29 @@ def _judge_cell(
     )
 
 
-def cell_table(found: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
+def cell_table(verdicts: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
     """Tabulate the cells that have tests.
 
     Args:
-        found: verdicts.
-        labels: of every cell of `found`, one per axis.
+        verdicts: verdict of every cell.
+        labels: of every cell of `verdicts`, one per axis.
     """
     return Table(
         name="cell_verdicts",
         title="Predicted failures per cell",
         columns=[
-            *(Column(feature.name) for feature in found.features),
+            *(Column(feature.name) for feature in verdicts.features),
             *styled("count", "tests", "driven"),
             *styled("number", "failure rate", "90 %"),
             Column("verdict"),
         ],
         rows=[
             (*label, one.tests, one.driven, one.rate, one.interval, one.verdict)
-            for one, label in zip(found.cells, labels, strict=True)
+            for one, label in zip(verdicts.cells, labels, strict=True)
             if one.tests
         ],
         notes=[
-            f"A cell fails if more than {found.tolerated:.0%} of tests like its own would fail, and is safe if fewer "
-            f"would; either is meant to be wrong at most {ERROR_RATE:.0%} of the time. Otherwise it is disputed."
+            f"A cell fails if more than {verdicts.tolerated:.0%} of tests like its own would fail, and is safe if "
+            f"fewer would; either is meant to be wrong at most {ERROR_RATE:.0%} of the time. Otherwise it is disputed."
         ],
     )

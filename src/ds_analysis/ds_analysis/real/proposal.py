@@ -68,13 +68,13 @@ class Proposed(BaseModel):
 
     def in_order(self) -> list[tuple[str, bool]]:
         """Tests in the order in which the car was to drive them, each once, and whether they were drawn by a round."""
-        found: dict[str, bool] = {}
+        tests: dict[str, bool] = {}
         for k, rows in enumerate(self.rounds):
             for test_id in self.before[k] if k < len(self.before) else []:
-                found.setdefault(test_id, False)
+                tests.setdefault(test_id, False)
             for row in rows:
-                found.setdefault(row.test_id, row.gain is None if row.drawn is None else row.drawn)
-        return list(found.items())
+                tests.setdefault(row.test_id, row.gain is None if row.drawn is None else row.drawn)
+        return list(tests.items())
 
 
 def read_proposed(folder: Path) -> Proposed:
@@ -177,16 +177,16 @@ def propose(
         BudgetError: fewer tests are left.
         RecordError: another scale was proposed before, or the file of proposals is damaged.
     """
-    known = read_proposed(folder)
-    if known.scale is not None and scale not in (None, known.scale):
+    proposed = read_proposed(folder)
+    if proposed.scale is not None and scale not in (None, proposed.scale):
         raise RecordError(
-            f"drives of a car of 1:{known.scale:g} were proposed before, not 1:{scale:g}: keep the scale, or copy the "
-            "folder for another car"
+            f"drives of a car of 1:{proposed.scale:g} were proposed before, not 1:{scale:g}: keep the scale, or copy "
+            "the folder for another car"
         )
-    scale = known.scale or (scale or SCALE if isinstance(table, RoadTable) else 1.0)
-    population = known.population or [table.test_ids[row] for row in candidates_of(table)]
+    scale = proposed.scale or (scale or SCALE if isinstance(table, RoadTable) else 1.0)
+    population = proposed.population or [table.test_ids[row] for row in candidates_of(table)]
     order = np.random.default_rng([_SEED, zlib.crc32("\n".join(population).encode())]).permutation(len(population))
-    taken = {*driven, *known.tests}
+    taken = {*driven, *proposed.tests}
     place = table.rows
     left = [population[k] for k in order if population[k] not in taken and population[k] in place]
     if drives > len(left):
@@ -198,9 +198,9 @@ def propose(
         ranked = sorted(left, key=lambda test_id: float(probabilities[place[test_id]]))
         left = [min(group, key=left.index) for group in np.array_split(ranked, drives)]
     proposals = [_proposed(table, prediction, place[test_id], scale, drawn=not spread) for test_id in left[:drives]]
-    document = known.model_dump(exclude_defaults=True)
+    document = proposed.model_dump(exclude_defaults=True)
     rounds = [*document.get("rounds", []), [one.document() for one in proposals]]
-    before = [*known.before, [test_id for test_id in driven if test_id not in known.tests]]
+    before = [*proposed.before, [test_id for test_id in driven if test_id not in proposed.tests]]
     content = {"scale": scale, "population": population, "rounds": rounds, "before": before}
     write_json(folder / FOLDER / PROPOSAL, content)
     return proposals

@@ -178,13 +178,13 @@ def _some(names: Collection[str]) -> str:
     return ", ".join(shown) + (f" and {len(names) - len(shown)} more" if len(names) > len(shown) else "")
 
 
-def added(known: Sequence[RealDrive], new: Sequence[RealDrive]) -> list[RealDrive]:
+def added(drives: Sequence[RealDrive], new: Sequence[RealDrive]) -> list[RealDrive]:
     """Add drives to those that are kept; one that is kept already stays as it is.
 
     Raises:
         RecordError: a test has two different outcomes.
     """
-    drive_of_test = {drive.test_id: drive for drive in known}
+    drive_of_test = {drive.test_id: drive for drive in drives}
     for drive in new:
         before = drive_of_test.setdefault(drive.test_id, drive)
         laterals = {before.max_lateral_position, drive.max_lateral_position} - {None}

@@ -86,11 +86,11 @@ def factors_named(names: Sequence[str]) -> list[Factor]:
         ConditionsError: a name is no condition, has no harder end, or is given twice.
     """
     factors = all_factors()
-    known = list(dict.fromkeys(factor.name for factor in factors))
+    all_names = list(dict.fromkeys(factor.name for factor in factors))
     for name in names:
         check_known(name)
-        if name not in known:
-            raise ConditionsError(f"condition {name!r} has no harder end: expected some of {', '.join(known)}")
+        if name not in all_names:
+            raise ConditionsError(f"condition {name!r} has no harder end: expected some of {', '.join(all_names)}")
         if list(names).count(name) > 1:
             raise ConditionsError(f"condition {name!r} is named twice: name each once")
     return [factor for factor in factors if factor.name in names]

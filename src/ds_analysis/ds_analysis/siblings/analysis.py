@@ -102,14 +102,14 @@ def analyse(table: RoadTable, about: Sequence[SimulatorName], *, repeats: int = 
     )
 
 
-def analysis_tables(found: SiblingAnalysis) -> list[Table]:
+def analysis_tables(analysis: SiblingAnalysis) -> list[Table]:
     """Tabulate an analysis, in the order of its attributes."""
     return [
-        _departure_table(found.departures),
-        _nesting_table(found.nesting),
-        _baseline_table(found.baselines),
-        _residual_table(found.residuals),
-        _information_table(found.information),
+        _departure_table(analysis.departures),
+        _nesting_table(analysis.nesting),
+        _baseline_table(analysis.baselines),
+        _residual_table(analysis.residuals),
+        _information_table(analysis.information),
     ]
 
 

@@ -115,7 +115,7 @@ def _place_residuals(table: RoadTable) -> dict[str, list[Array]]:
         lane_curvature(road.lane_centre, np.arange(1.0, count + 1.0) * GRID)
         for road, count in zip(table.roads, longest, strict=True)
     ]
-    found: dict[str, list[Array]] = {}
+    by_simulator: dict[str, list[Array]] = {}
     for name in table.simulators:
         profiles = table.profiles[name]
         residuals = [np.empty(0)] * len(profiles)
@@ -130,8 +130,8 @@ def _place_residuals(table: RoadTable) -> dict[str, list[Array]]:
             predicted = np.split(_isotonic(x, y, at), np.cumsum([len(profiles[k]) for k in test])[:-1])
             for k, expected in zip(test, predicted, strict=True):
                 residuals[k] = profiles[k] - expected
-        found[name] = residuals
-    return found
+        by_simulator[name] = residuals
+    return by_simulator
 
 
 def _parts(families: Indices) -> list[tuple[Indices, Indices]]:

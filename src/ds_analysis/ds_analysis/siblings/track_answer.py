@@ -43,8 +43,8 @@ class TrackAnswer:
 
     def failures(self, driver: DriverName, simulator: SimulatorName) -> tuple[int, int]:
         """Roads on which a driver fails, and roads with a verdict."""
-        known = [one for one in self.drives[driver, simulator] if one is not None]
-        return sum(one.outcome.is_failure for one in known), len(known)
+        judged = [one for one in self.drives[driver, simulator] if one is not None]
+        return sum(one.outcome.is_failure for one in judged), len(judged)
 
     @property
     def verdict(self) -> str:
