@@ -55,4 +55,4 @@ def message_builder(namespace: str) -> MessageBuilder:
 
 def frame_times(run: RunRecord) -> NDArray[np.int64]:
     """Time of each frame of a run, (n,), ns since its start."""
-    return np.array([round(seen.time * 1e9) for seen in run.observations], np.int64)
+    return np.array([round(observation.time * 1e9) for observation in run.observations], np.int64)
