@@ -156,7 +156,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
             texts = [name for name in schema.names if _is_text(schema.field(name))]
             # A dictionary of a few bytes may stand for terabytes, so it is measured before it is expanded.
             parquet = pq.ParquetFile(file, metadata=about, read_dictionary=texts)
-            left, found = LARGEST_TABLE, []
+            left, parts = LARGEST_TABLE, []
             for name in names:
                 column = parquet.read([name], use_threads=False).column(0)
                 if pa.types.is_dictionary(column.type):
@@ -165,8 +165,8 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
                         raise too_large(f"{LARGEST_TABLE // 2**20} MiB of values")
                     column = column.cast(column.type.value_type)
                 left -= 0 if name in texts else column.nbytes
-                found.append(column)
-            table = pa.table(found, names=names).replace_schema_metadata(schema.metadata)
+                parts.append(column)
+            table = pa.table(parts, names=names).replace_schema_metadata(schema.metadata)
             table.validate(full=True)
             return table
     except (FileError, FileNotFoundError, PermissionError):

@@ -100,8 +100,8 @@ def load_yaml(text: str | bytes, *, limits: YamlLimits = DEFAULT_LIMITS, unique_
         raise BoundedYamlError(f"not UTF-8 text (byte {error.start})") from None
     if len(text) > limits.size:
         raise BoundedYamlError(f"longer than {limits.size / 2**20:g} MiB, the limit for such a text")
-    if found := _CONTROL.search(text):
-        raise BoundedYamlError(f"the character {found.group()!r} at position {found.start()} is not text")
+    if control := _CONTROL.search(text):
+        raise BoundedYamlError(f"the character {control.group()!r} at position {control.start()} is not text")
     try:
         _check(text, limits)
         loader = _Unique(text) if unique_keys else _Json(text)

@@ -55,7 +55,7 @@ def ds_command(*words: object) -> str:
 
 def as_typed(commands: str) -> str:
     """Commands of a page, which begin with `ds`, as they are typed where `ds` was started."""
-    return re.sub(r"(^|&& )ds ", lambda found: f"{found[1]}{ds_command()} ", commands)
+    return re.sub(r"(^|&& )ds ", lambda match: f"{match[1]}{ds_command()} ", commands)
 
 
 _LEFT_OUT = ("dask", "gym")

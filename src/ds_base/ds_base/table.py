@@ -90,11 +90,11 @@ class Table:
         name = column if column in names else column.removeprefix("-")
         if name not in names:
             raise TableError(f"no column {column!r:.60} to sort by: expected one of {', '.join(names)}")
-        place, found = names.index(name), []
+        place, ordered = names.index(name), []
         for missing in (False, True):
             part = [row for row in self.rows if (row[place] is None) is missing]
-            found += part if missing else sorted(part, key=lambda row: row[place], reverse=name != column)  # type: ignore[arg-type,return-value]
-        return replace(self, rows=found)
+            ordered += part if missing else sorted(part, key=lambda row: row[place], reverse=name != column)  # type: ignore[arg-type,return-value]
+        return replace(self, rows=ordered)
 
     def texts(self) -> list[list[str]]:
         """Format the rows for reading."""

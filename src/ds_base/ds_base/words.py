@@ -33,7 +33,7 @@ def multiple(ratio: float) -> str:
     return f"{Decimal(f'{ratio:.3g}'):,f} times"
 
 
-def did_you_mean(typed: str, known: Iterable[str]) -> str:
+def did_you_mean(typed: str, names: Iterable[str]) -> str:
     """End of a message about a name that is none: `, did you mean 'dave2'?`, or nothing if no known one is near."""
-    near = get_close_matches(typed.lower(), list(known), 1)
+    near = get_close_matches(typed.lower(), list(names), 1)
     return f", did you mean {near[0]!r}?" if near else ""
