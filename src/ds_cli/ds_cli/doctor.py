@@ -216,15 +216,15 @@ def check_system(
     ]
 
 
-def check_ros(root: Path, found: Mapping[str, tuple[str, str]]) -> list[Check]:
+def check_ros(root: Path, modules: Mapping[str, tuple[str, str]]) -> list[Check]:
     """Check ROS and the workspace.
 
     Args:
         root: the repository.
-        found: what `look_up` found, with `rclpy` and `ds-interfaces` in it.
+        modules: what `look_up` found, with `rclpy` and `ds-interfaces` in it.
     """
-    version, problem = found["rclpy"]
-    own_interfaces, reason = found["ds-interfaces"]
+    version, problem = modules["rclpy"]
+    own_interfaces, reason = modules["ds-interfaces"]
     built = (root / "ros_ws/install/setup.bash").is_file()
     advice = f"{_SET_UP}; then use ./ds, or: source ros_ws/install/setup.bash"
     return [
@@ -233,32 +233,32 @@ def check_ros(root: Path, found: Mapping[str, tuple[str, str]]) -> list[Check]:
     ]
 
 
-def check_libraries(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) -> list[Check]:
+def check_libraries(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]) -> list[Check]:
     """Check that each library is there and has the pinned version.
 
     Args:
         pins: distribution and version, as pinned.
-        found: distribution, and its version or why it cannot be used.
+        modules: distribution, and its version or why it cannot be used.
     """
     checks = []
     for name, pinned in pins.items():
-        version, problem = found[name]
+        version, problem = modules[name]
         if not problem and version.partition("+")[0] != pinned:
             problem = f"{version} is installed, {pinned} is pinned"
         checks.append(_check(name, not problem, version, problem, _INSTALL))
     return checks
 
 
-def check_extras(pins: Mapping[str, str], found: Mapping[str, tuple[str, str]]) -> list[Check]:
+def check_extras(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]) -> list[Check]:
     """Check the optional libraries: they may be absent, but not of another version.
 
     Args:
         pins: distribution and version, as pinned.
-        found: distribution, and its version or why it cannot be used.
+        modules: distribution, and its version or why it cannot be used.
     """
     checks = []
     for name, pinned in pins.items():
-        version, problem = found[name]
+        version, problem = modules[name]
         file, purpose = EXTRAS[name]
         detail = f"not installed; optional, for {purpose}" if problem else version
         wrong = f"{version} is installed, {pinned} is pinned"
@@ -420,8 +420,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if healthy else 1
 
 
-def _check(name: str, ok: bool, found: str, problem: str, fix: str) -> Check:
-    return Check(name, ok, found if ok else problem, "" if ok else fix)
+def _check(name: str, ok: bool, state: str, problem: str, fix: str) -> Check:
+    return Check(name, ok, state if ok else problem, "" if ok else fix)
 
 
 def _apt(package: str) -> str:

@@ -221,14 +221,14 @@ def _translation(request: DriveOptions) -> Translation | None:
     return None if request.attach else translation_of(request.driver, request.sim)
 
 
-def _keep_bag(request: DriveOptions, run: RunRecord, whose: str, *, seen: bool) -> None:
+def _keep_bag(request: DriveOptions, run: RunRecord, whose: str, *, as_driven: bool) -> None:
     """Write the bag, with the recorded images or those of a re-simulation."""
     from ds_bags.layout import image_spool_path
     from ds_bags.run_writer import write_bag
 
     bag, about, translate = request.bag, {"driver": whose}, _translation(request)
     assert bag is not None
-    if not seen:
+    if not as_driven:
         write_bag(bag, request.namespace, request.sim, run, about, request.level, translate=translate)
         return
     from ds_bags.ros.image_recorder import with_images
@@ -353,10 +353,10 @@ def drive_command(
     _check(request)
     started = time.monotonic()
     try:
-        run, seen = _run(request)
+        run, as_driven = _run(request)
         whose = "attached" if attach else str(network)
         if bag is not None:
-            _keep_bag(request, run, whose, seen=seen)
+            _keep_bag(request, run, whose, as_driven=as_driven)
         if video is not None:
             say(f"rendering {video}")
             # The images went to the driver alone; the same commands show them again.

@@ -152,8 +152,8 @@ def evaluate_command(
     Example: ds evaluate out
     """
     if folder is not None:
-        if given := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
-            raise typer.BadParameter(f"--{given[0]} is the campaign's: leave it out, or leave out {folder}")
+        if options := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
+            raise typer.BadParameter(f"--{options[0]} is the campaign's: leave it out, or leave out {folder}")
         from ds_base.folder_files import locked, make_folder
 
         if out is not None:

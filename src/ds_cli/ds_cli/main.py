@@ -52,8 +52,8 @@ def answer_without_libraries(arguments: Sequence[str]) -> int | None:
 def version() -> str:
     """The version in this checkout's pyproject.toml, or that of the installed package."""
     project = doctor.repository() / "pyproject.toml"
-    if project.is_file() and (found := re.search(r'^version = "(.*)"$', project.read_text("utf-8"), re.MULTILINE)):
-        return found[1]
+    if project.is_file() and (match := re.search(r'^version = "(.*)"$', project.read_text("utf-8"), re.MULTILINE)):
+        return match[1]
     from importlib.metadata import PackageNotFoundError
     from importlib.metadata import version as installed
 

@@ -168,7 +168,7 @@ def maps_command(
         with closing(open_store(folder)) as store:
             data = read_campaign(store)
         every = maps_of(data, features=named)
-    if named is not None and not any(made.cells or made.excluded for made in every.values()):
+    if named is not None and not any(drawn.cells or drawn.excluded for drawn in every.values()):
         raise ConfigError(
             f"no test in {folder} has a cell over {','.join(named)}: expected other --axes, or tests driven"
         )

@@ -157,9 +157,9 @@ def train_command(
     try:
         train(data, out, plan, ScreenProgress(), trusted=trust or [])
     except KeyboardInterrupt:
-        known = (out / "checkpoint.pt").is_file()
+        resumed = (out / "checkpoint.pt").is_file()
         raise Interrupted(
-            f"the finished epochs are kept in {out}; the same command continues" if known else ""
+            f"the finished epochs are kept in {out}; the same command continues" if resumed else ""
         ) from None
     file = out / f"{network}.safetensors"
     print(file)

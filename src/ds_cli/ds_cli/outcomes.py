@@ -56,15 +56,15 @@ def outcomes_import_command(
     from ds_base.left_out import LeftOut
 
     notes = ImportNotes(rows=LeftOut("rows", strict))
-    known = _guessed(tables, out) if columns is None else read_columns(columns)
-    study = import_outcomes(tables, known, notes)
+    description = _guessed(tables, out) if columns is None else read_columns(columns)
+    study = import_outcomes(tables, description, notes)
     for line in (notes.rows.line(), notes.columns.line(), *notes.features):
         if line:
             say(printable(line, 2000))
     study.table()
     make_folder(out)
     path = write_study(out, study)
-    found = study.flakiness()
+    flakiness = study.flakiness()
     document = {
         "study": str(path),
         "features": list(study.features),
@@ -75,7 +75,7 @@ def outcomes_import_command(
         "car": study.car,
         "simulators": {
             name: {"tests": tests, "drives": drives, "failed": failed, "flaky": flaky}
-            for name, (tests, drives, failed, flaky) in found.items()
+            for name, (tests, drives, failed, flaky) in flakiness.items()
         },
     }
 
@@ -83,14 +83,14 @@ def outcomes_import_command(
 
     def show() -> None:
         table = Table("simulator", "tests", "drives", "failed", "tests whose repeats disagree")
-        for name, (tests, drives, failed, flaky) in found.items():
+        for name, (tests, drives, failed, flaky) in flakiness.items():
             shown = "" if flaky is None else f"{flaky:.0%}"
             table.add_row(f"{name}{roles.get(name, '')}", str(tests), str(drives), f"{failed:.0%}", shown)
         Console().print(table)
         print(f"features: {', '.join(study.features)}")
         if len(study.simulators) - (study.twin is not None) < 2:
             print("warning: only one sibling: what it says counts half, as no other simulator confirms it")
-        few = [f"{name} ({tests})" for name, (tests, *_) in found.items() if tests < FEWEST_TESTS]
+        few = [f"{name} ({tests})" for name, (tests, *_) in flakiness.items() if tests < FEWEST_TESTS]
         if few:
             print(f"fewer than {FEWEST_TESTS} tests: {', '.join(few)}; they count where they were driven")
         print(path)

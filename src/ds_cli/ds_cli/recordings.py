@@ -87,21 +87,21 @@ def recording_test_command(
     )
     asked = TrackTest(recording=recording, out=out, driver=network, roads=roads, crop_top=crop_top)
     try:
-        found = run_track_test(asked, settings, Callbacks(listen=ScreenListener), lambda: ScreenProgress(every=EVERY))
+        answer = run_track_test(asked, settings, Callbacks(listen=ScreenListener), lambda: ScreenProgress(every=EVERY))
     except (KeyboardInterrupt, Stopped):
         raise Interrupted(f"what is finished is in {out}: the same command goes on") from None
 
     def show() -> None:
-        for caution in found.cautions:
+        for caution in answer.cautions:
             print(f"- {caution}")
-        print(found.sentence)
+        print(answer.sentence)
         print(out / PAGE)
 
-    failures, judged = found.failures(network, found.recording)
+    failures, judged = answer.failures(network, answer.recording)
     unmet = [f"{network} fails on {failures} of {judged} roads"] if fail_on and failures else []
     more = f"recording@{asked.located},bullet,softbody"
     then = ds_command("siblings", "compare", "--file", out / ROADS, "--driver", network, "--sims", more)
-    end(Result(document=found.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then), as_json)
+    end(Result(document=answer.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then), as_json)
 
 
 @recording_app.command("locate")
@@ -132,17 +132,17 @@ def locate_command(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
     try:
-        found, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
+        located, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
     except KeyboardInterrupt:
         raise Interrupted(f"what is finished is in {out}: the same command goes on") from None
-    document = found.about | {"out": str(out), "page": str(page)}
+    document = located.about | {"out": str(out), "page": str(page)}
 
     def show() -> None:
-        about = found.about
+        about = located.about
         loop = (
-            f"a closed track of {found.track.length:.1f} m"
+            f"a closed track of {located.track.length:.1f} m"
             if about["closed"]
-            else f"{found.track.length:.1f} m of road"
+            else f"{located.track.length:.1f} m of road"
         )
         print(f"{about['located']:.1%} of {about['frames']} images located, on {loop}, camera {about['calibration']}")
         if about["odometry"]:
@@ -169,25 +169,25 @@ def calibrate_command(
     from ds_recording.chessboard import calibrate, images_of, parse_board
     from ds_recording.floor_camera import write_camera
 
-    found = calibrate(images_of(images), parse_board(squares), size)
-    camera = found.camera
+    calibration = calibrate(images_of(images), parse_board(squares), size)
+    camera = calibration.camera
     write_camera(out, camera)
     document = {
         "file": str(out),
         "focal_px": camera.focal_px,
         "focal_std": camera.focal_std,
         "distortion_model": camera.lens.model,
-        "rms_px": found.rms_px,
-        "held_out_px": found.held_out_px,
-        "bias_px": found.bias_px,
-        "boards": found.boards,
+        "rms_px": calibration.rms_px,
+        "held_out_px": calibration.held_out_px,
+        "bias_px": calibration.bias_px,
+        "boards": calibration.boards,
     }
 
     def show() -> None:
         across, down = camera.focal_px
         print(f"focal lengths {across:.1f} across and {down:.1f} down, +- {camera.focal_std:.1f} px")
-        lens, error = camera.lens.model, found.held_out_px
-        print(f"{lens}, {found.boards} boards; corners of held-out ones are {error:.2f} px off")
+        lens, error = camera.lens.model, calibration.held_out_px
+        print(f"{lens}, {calibration.boards} boards; corners of held-out ones are {error:.2f} px off")
         print(f"{out}: --camera of `ds recording`")
 
     answer(Result(document=document, show=show, next=ds_command("recording", "locate", "--help")), as_json)

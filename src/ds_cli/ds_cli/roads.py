@@ -110,14 +110,14 @@ def road_check_command(
     def show() -> None:
         table = Table("road", "valid", "length, m", "curvature, 1/m", "turns", "turns as in maxitwo", "reason")
         for index, row in enumerate(document):
-            known = row["length"] is not None
+            measured = row["length"] is not None
             table.add_row(
                 str(index),
                 "yes" if row["valid"] else "no",
-                f"{row['length']:.1f}" if known else "",
-                f"{row['curvature']:.4f}" if known else "",
-                str(row["turns_count"]) if known else "",
-                str(row["turns_count_maxitwo"]) if known else "",
+                f"{row['length']:.1f}" if measured else "",
+                f"{row['curvature']:.4f}" if measured else "",
+                str(row["turns_count"]) if measured else "",
+                str(row["turns_count_maxitwo"]) if measured else "",
                 row["reason"],
             )
         Console().print(table)

@@ -153,7 +153,7 @@ def _write(
     roads: Sequence[Road],
     runs: dict[SimulatorName, list[DrivenRoad]],
     table: RoadTable,
-    found: SiblingAnalysis,
+    analysis: SiblingAnalysis,
 ) -> None:
     """Write siblings.json, roads.json, tables and pictures."""
     import ds_road
@@ -168,11 +168,11 @@ def _write(
 
     write_json(out / SIBLINGS, {"version": SIBLINGS_VERSION, **document})
     ds_road.write_roads(list(roads), out / "roads.json")
-    write_tables(analysis_tables(found), out)
+    write_tables(analysis_tables(analysis), out)
     judged = table.judged()
     if len(judged):
-        write_whole(out / "failures.png", png(draw_failures(judged, found.feature, out / "failures")))
-        matrix = draw_matrix(judged, found.feature, out / "who_fails_where")
+        write_whole(out / "failures.png", png(draw_failures(judged, analysis.feature, out / "failures")))
+        matrix = draw_matrix(judged, analysis.feature, out / "who_fails_where")
         write_whole(out / "who_fails_where.png", png(matrix))
     for rank, index in enumerate(most_different(table, PICTURED)):
         paths = {name: of[index].path for name, of in runs.items()}
@@ -190,7 +190,7 @@ def _simulator_table(document: dict[str, Any]) -> Table:
 
 
 def _write_all_tables(
-    out: Path, document: dict[str, Any], pairs: Sequence[PairComparison], found: SiblingAnalysis
+    out: Path, document: dict[str, Any], pairs: Sequence[PairComparison], analysis: SiblingAnalysis
 ) -> None:
     """Write every table and sentence as text for people."""
     from ds_analysis.paper.simulator_agreement import APART
@@ -210,9 +210,9 @@ def _write_all_tables(
         console.print(_simulator_table(document), distances)
         for reason in sorted({pair.reason for pair in pairs if pair.reason}):
             console.print(f"kappa undefined: {reason}")
-        for one in analysis_tables(found):
+        for one in analysis_tables(analysis):
             one.show(console)
-        for sentence in found.sentences:
+        for sentence in analysis.sentences:
             console.print(sentence)
 
 

@@ -57,10 +57,10 @@ def twin_fit_command(
     from ds_twin_donkey.parameter_file import document_of, write_parameters
 
     recorded = [read_log(path) for path in logs]
-    known = read_start(start) if start else None
-    begin = known.parameters if known else None
-    if known and known.taken:
-        say(f"taken from {start}: {', '.join(known.taken)}")
+    initial = read_start(start) if start else None
+    begin = initial.parameters if initial else None
+    if initial and initial.taken:
+        say(f"taken from {start}: {', '.join(initial.taken)}")
     drives = [drive for log in recorded for drive in log.drives]
     located = all(log.kind == "located" for log in recorded)
     settings = LOCATED if located else FitSettings()
@@ -70,18 +70,18 @@ def twin_fit_command(
     kept = Kept(state)
     try:
         if located:
-            found, mounting = fit_located(drives, begin, settings, ScreenProgress(), kept)
+            fitted, mounting = fit_located(drives, begin, settings, ScreenProgress(), kept)
         else:
-            found = fit(drives, begin, settings, ScreenProgress(), kept)
+            fitted = fit(drives, begin, settings, ScreenProgress(), kept)
     except KeyboardInterrupt:
         raise Interrupted(f"the same command goes on from {state}" if state.exists() else "") from None
-    for name, ratio in found.misfit.items():
+    for name, ratio in fitted.misfit.items():
         if ratio > MISFIT:
             say(
                 f"warning: {name}: the residuals are {ratio:.1f} times the noise of the drives: "
                 "the model does not follow them, and the intervals are too narrow"
             )
-    document = document_of(found, recorded)
+    document = document_of(fitted, recorded)
     if mounting is not None:
         document["poses"] = {"forward_m": round(mounting.forward, 4), "yaw_rad": round(mounting.yaw, 4)}
         say(
@@ -91,7 +91,7 @@ def twin_fit_command(
     write_parameters(out, document)
     kept.forget()
     picture = out.parent / "fit.png"
-    draw_fit(found, picture)
+    draw_fit(fitted, picture)
     document |= {"file": str(out), "picture": str(picture)}
 
     def show() -> None:

@@ -256,8 +256,8 @@ def completion(arguments: Sequence[str], program: Path | None) -> int:
         print(_COMPLETION_HELP)
         return 0
     if len(arguments) != 1 or arguments[0] not in SCRIPTS:
-        given = " ".join(arguments) or "no shell"
-        print(f"error: ds completion: {given}, expected one of {', '.join(SCRIPTS)}", file=sys.stderr)
+        shell = " ".join(arguments) or "no shell"
+        print(f"error: ds completion: {shell}, expected one of {', '.join(SCRIPTS)}", file=sys.stderr)
         return 2
     print(SCRIPTS[arguments[0]].replace("DS 2>", f"{shlex.quote(str(program)) if program else 'ds'} 2>"), end="")
     return 0

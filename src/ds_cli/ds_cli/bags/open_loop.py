@@ -98,8 +98,8 @@ def bag_drive(
         if out is not None:
             print(f"{out / 'errors.png'}\n{out / 'answers.csv'}")
 
-    known = "dave2" if driver == "attached" else driver
-    return Result(document=document, show=show, next=ds_command("check", known))
+    network = "dave2" if driver == "attached" else driver
+    return Result(document=document, show=show, next=ds_command("check", network))
 
 
 def _network(driver: DriverName) -> Answer:

@@ -93,7 +93,7 @@ class Driving:
     def _prepared(self, tests: GivenTests) -> GivenTests:
         return replace(tests, settings=self.with_engine(tests.settings))
 
-    def _drive(self, act: Callable[..., Comparison], *given: object, **options: object) -> Comparison:
+    def _drive(self, act: Callable[..., Comparison], *arguments: object, **options: object) -> Comparison:
         from ds_base.folder_files import make_folder
         from ds_cli.progress import ScreenListener
         from ds_orchestrator.engines.drive_tests import Callbacks
@@ -102,7 +102,7 @@ class Driving:
         make_folder(self.out / self.label)
         with stopped_in(self.out):
             callbacks = Callbacks(listen=ScreenListener)
-            return act(*given, out=self.out, label=self.label, callbacks=callbacks, **options)
+            return act(*arguments, out=self.out, label=self.label, callbacks=callbacks, **options)
 
 
 @dataclass(frozen=True)

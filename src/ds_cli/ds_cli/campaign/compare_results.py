@@ -99,7 +99,13 @@ MOST_COLUMNS = 14
 
 
 def write_comparison(
-    found: Comparison, out: Path, unmet: Sequence[str], following: str, *, junit: Path | None, markdown: Path | None
+    comparison: Comparison,
+    out: Path,
+    unmet: Sequence[str],
+    following: str,
+    *,
+    junit: Path | None,
+    markdown: Path | None,
 ) -> Result:
     """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows.
 
@@ -121,28 +127,28 @@ def write_comparison(
     from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
 
-    road_files = write_roads(found, out / "worse")
+    road_files = write_roads(comparison, out / "worse")
     document = {
         "version": 1,
-        **document_of(found, road_files),
+        **document_of(comparison, road_files),
         "unmet": list(unmet),
         "page": str(out / "comparison.html"),
     }
     write_json(out / "comparison.json", document)
-    write_whole(out / "comparison.md", markdown_of(found, road_files, unmet))
-    write_tables([simulator_table(found), cell_table(found), drive_table(found)], out / "tables")
-    write_comparison_page(found, out / "comparison.html", road_files, unmet)
+    write_whole(out / "comparison.md", markdown_of(comparison, road_files, unmet))
+    write_tables([simulator_table(comparison), cell_table(comparison), drive_table(comparison)], out / "tables")
+    write_comparison_page(comparison, out / "comparison.html", road_files, unmet)
     if junit is not None:
-        name = f"{found.candidate.driver} against {found.reference.driver}"
-        write_whole(junit, junit_of(name, cases_of(found)))
+        name = f"{comparison.candidate.driver} against {comparison.reference.driver}"
+        write_whole(junit, junit_of(name, cases_of(comparison)))
     if markdown is not None:
-        write_whole(markdown, markdown_of(found, road_files, unmet))
+        write_whole(markdown, markdown_of(comparison, road_files, unmet))
 
     def show() -> None:
         console = Console()
-        simulator_table(found).show(console)
-        grids = [grid for grid in grids_of(found) if len(grid.columns) <= MOST_COLUMNS]
-        cells = cell_table(found, most=MOST_ROWS)
+        simulator_table(comparison).show(console)
+        grids = [grid for grid in grids_of(comparison) if len(grid.columns) <= MOST_COLUMNS]
+        cells = cell_table(comparison, most=MOST_ROWS)
         for grid in grids:
             print(f"{grid.title}: tests that newly fail (+) and that are fixed (−), of all")
             console.print(_difference_grid(grid))
@@ -150,32 +156,34 @@ def write_comparison(
             print(cells.notes[0])
         elif cells.rows:
             cells.show(console)
-        worse = drive_table(found, most=MOST_ROWS)
+        worse = drive_table(comparison, most=MOST_ROWS)
         if worse.rows:
             worse.show(console)
         for command in again[:MOST_ROWS]:
             print(as_typed(command))
-        for line in (*sentences_of(found), *cautions_of(found)):
+        for line in (*sentences_of(comparison), *cautions_of(comparison)):
             print(line)
-        print(answer_of(found))
+        print(answer_of(comparison))
         print(out / "comparison.html")
 
     again = [
-        command_of(drive, found.candidate.driver, road_files[drive.test.name])
-        for drive in found.newly_failing
+        command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
+        for drive in comparison.newly_failing
         if drive.test.name in road_files
     ]
-    return Result(document=document, show=show, error=bool(found.left_out), unmet=unmet, next=[*again, following][0])
+    return Result(
+        document=document, show=show, error=bool(comparison.left_out), unmet=unmet, next=[*again, following][0]
+    )
 
 
-def write_roads(found: Comparison, folder: Path) -> dict[str, str]:
+def write_roads(comparison: Comparison, folder: Path) -> dict[str, str]:
     """Write a road file for every test that newly fails, as `ds drive --road` takes it; test -> file."""
     from ds_base.atomic_files import write_whole
     from ds_road import road_to_json
     from ds_sim.conditions.text import format_conditions
 
     files = {}
-    for drive in found.newly_failing:
+    for drive in comparison.newly_failing:
         scenario = drive.test.scenario
         if scenario is None:
             continue

@@ -40,10 +40,10 @@ def status(folder: Path) -> Result:
     for (simulator, outcome), number in counted.items():
         counts[simulator][outcome] = number
     driving = [stage.expected for stage in stages if stage.failures is not None]
-    known = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
+    drives = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
     document: dict[str, Any] = {
         "executions": executions,
-        "executions_in_all": known,
+        "executions_in_all": drives,
         "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
         "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in searches],
         "outcomes": counts,

@@ -94,8 +94,8 @@ def campaign(
         with listener:
             outcome = run_campaign(config, out, listener, attach=attach, cluster=cluster)
     except (KeyboardInterrupt, Stopped):
-        known = (out / "campaign.sqlite").is_file()
-        raise Interrupted(_kept(out, listener.done) if known else "") from None
+        resumed = (out / "campaign.sqlite").is_file()
+        raise Interrupted(_kept(out, listener.done) if resumed else "") from None
     say(f"finished in {duration(time.monotonic() - started)}")
     with closing(open_store(out)) as store:
         for habit in driver_habits(store):

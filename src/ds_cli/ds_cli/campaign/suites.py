@@ -163,19 +163,21 @@ def suite_run_command(
     for last in [*sizes, len(tests.tests)]:
         some = tests.model_copy(update={"tests": tests.tests[:last]})
         with stopped_in(out):
-            found, executions = run_suite(
+            comparison, executions = run_suite(
                 some, settings, candidate, out / "drives", Callbacks(listen=ScreenListener), source=source
             )
-        if last in sizes and lost_by(criteria, found, tests):
+        if last in sizes and lost_by(criteria, comparison, tests):
             say(f"ended after {last} of {len(tests.tests)} tests: a pass criterion cannot be met any more")
             break
-    if update is not None and not found.left_out:
+    if update is not None and not comparison.left_out:
         write_suite(with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {network}")
     following = ds_command("test", network)
-    result = write_comparison(found, out, unmet_by(criteria, found), following, junit=junit, markdown=markdown)
+    result = write_comparison(
+        comparison, out, unmet_by(criteria, comparison), following, junit=junit, markdown=markdown
+    )
     if videos is not None:
-        lost = [one for one in found.drives if one.candidate.outcome.is_failure]
+        lost = [one for one in comparison.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
         write_failure_videos(network, failed, videos)
     end(result, as_json)

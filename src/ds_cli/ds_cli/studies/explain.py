@@ -77,8 +77,10 @@ def explain_command(
         data = read_campaign(store)
         if test is not None or groups:  # something is driven, and so made
             check_trust(data.config, trust or ())
-        found = groups_of(reasons_of(data))
-        experiments = experiments_on(data, found, groups) if test is None else [experiment_on(data, test, sim, against)]
+        failure_groups = groups_of(reasons_of(data))
+        experiments = (
+            experiments_on(data, failure_groups, groups) if test is None else [experiment_on(data, test, sim, against)]
+        )
         failed = {(e.test_id, e.simulator): e for e in data.executions}
         reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
     without = "local" if engine == "auto" else engine
@@ -92,9 +94,9 @@ def explain_command(
         with stopped_in(drives if out is not None else None):
             driven = drive_experiments(experiments, settings, drives, callbacks)
     explained = [one.explained(driven) for one in experiments]
-    tables = [*([groups_table(found)] if test is None else []), *(one.table() for one in explained)]
+    tables = [*([groups_table(failure_groups)] if test is None else []), *(one.table() for one in explained)]
     document = {
-        "groups": [{"kind": kind, "failures": len(of), "where": where(of)} for kind, of in found.items()],
+        "groups": [{"kind": kind, "failures": len(of), "where": where(of)} for kind, of in failure_groups.items()],
         "tests": [{"reason": why._asdict(), **one.document()} for why, one in zip(reasons, explained, strict=True)],
     }
     if out is not None:

@@ -112,7 +112,7 @@ def sensitivity_command(
         if page is not None:
             say(f"live in a browser: {page.path}")
         with stopped_in(folder):
-            found = analyse_sensitivity(
+            result = analyse_sensitivity(
                 settings,
                 factors,
                 roads=roads,
@@ -122,23 +122,23 @@ def sensitivity_command(
                 folder=folder,
                 gates=gates,
                 progress=ScreenProgress(),
-                watch=page.write if page else lambda found: None,
+                watch=page.write if page else lambda result: None,
             )
-        document = {"seed": seed, "segments": segments, "levels": levels, **found.document()}
+        document = {"seed": seed, "segments": segments, "levels": levels, **result.document()}
         if out is not None:
             write_json(out / "sensitivity.json", document)
-            write_tables([found.table(), found.long_table()], out)
-            write_whole(out / "sensitivity.png", png(draw_sensitivity(found, out / "sensitivity")))
+            write_tables([result.table(), result.long_table()], out)
+            write_whole(out / "sensitivity.png", png(draw_sensitivity(result, out / "sensitivity")))
 
         def show() -> None:
-            found.table().show(Console())
-            for line in found.errors:
+            result.table().show(Console())
+            for line in result.errors:
                 print(f"error: {line}")
             if page is not None:
                 print(page.path)
 
         following = ds_command("test", driver, *(("--sensitivity", out) if out else ()))
-        return found, Result(document=document, show=show, error=bool(found.errors), next=following)
+        return result, Result(document=document, show=show, error=bool(result.errors), next=following)
 
     if len(drivers) == 1:
         end(analyse(drivers[0], out, gates)[1], as_json)
@@ -146,4 +146,7 @@ def sensitivity_command(
     with TemporaryDirectory(prefix="ds_gates_") as shared:
         gates = gates or (out or Path(shared)) / "gates"
         analyses = [analyse(name, out and out / label_of_driver(str(name)), gates) for name in drivers]
-    end(of_networks(networks_table([found for found, _ in analyses]), [one for _, one in analyses], out, sort), as_json)
+    end(
+        of_networks(networks_table([result for result, _ in analyses]), [one for _, one in analyses], out, sort),
+        as_json,
+    )
