@@ -223,7 +223,10 @@ def _continued(plan: TrainingPlan, generators: Mapping[str, str]) -> nn.Module:
     if architecture_of(plan.start) != plan.network:
         raise TrainingError(f"{plan.start} is no {plan.network}: leave out --network, or choose another --from")
     if generators_in(plan.start) != generators:
-        kinds = [("translated" if found else "plain") for found in (generators_in(plan.start), generators)]
+        kinds = [
+            ("translated" if generators_there else "plain")
+            for generators_there in (generators_in(plan.start), generators)
+        ]
         raise TrainingError(
             f"{plan.start} sees {kinds[0]} images, and the data set has {kinds[1]} ones, or of other generators: "
             "expected the same, see docs/sim2real.md"

@@ -39,7 +39,7 @@ def make_driver(driver: DriverName | str, spec: SimulatorSpec) -> Driver:
     from ds_driver.networks.network_driver import NetworkDriver
 
     network = NetworkDriver(driver)
-    return lambda seen: network.command(Frame.of(seen, spec))
+    return lambda observation: network.command(Frame.of(observation, spec))
 
 
 def drive_road(
@@ -133,15 +133,15 @@ class InterleavedDrives:
             idle.append(simulator)
             raise
 
-    def _started(self, made: Simulator, request: DriveRequest) -> _Drive:
-        network, spec = None if request.driver == AUTOPILOT else self._network, made.spec
+    def _started(self, simulator: Simulator, request: DriveRequest) -> _Drive:
+        network, spec = None if request.driver == AUTOPILOT else self._network, simulator.spec
         crop = Crop(spec.crop_top, spec.crop_bottom)
         rows: tuple[int, int] | None = ROWS_SEEN
         if network is not None:
             rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
-        _draw_seen_rows(made, rows, probed=request.probed)
+        _draw_seen_rows(simulator, rows, probed=request.probed)
         autopilot = make_driver(AUTOPILOT, spec) if network is None else None
-        return _Drive(made, autopilot, request.scenario, probed=request.probed)
+        return _Drive(simulator, autopilot, request.scenario, probed=request.probed)
 
     def step(self) -> list[tuple[int, RunRecord]]:
         """Advance every drive by one frame; return keys and records of those that have ended."""

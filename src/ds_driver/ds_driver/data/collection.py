@@ -142,7 +142,7 @@ def collect(
     simulators: list[SimulatorName],
     folder: Path,
     progress: Progress,
-    given: Sequence[GivenRoad] | None = None,
+    roads: Sequence[GivenRoad] | None = None,
 ) -> None:
     """Drive every road; skip drives whose file exists, so a stopped collection resumes.
 
@@ -151,29 +151,29 @@ def collect(
         simulators: names of the simulators.
         folder: folder of the data set, created if missing.
         progress: counts the drives.
-        given: roads to drive instead of random ones; a direction in which one is not valid is left out, and so is a
+        roads: roads to drive instead of random ones; a direction in which one is not valid is left out, and so is a
             simulator that cannot realise its conditions.
 
     Raises:
         ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
     """
-    names = {} if given is None else {"given": [one.name for one in given]}
+    names = {} if roads is None else {"given": [one.name for one in roads]}
     keep_plan(folder, {**asdict(plan), **names})
-    if given is None:
-        given = [GivenRoad(r, r.road_id) for r in roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)]
+    if roads is None:
+        roads = [GivenRoad(r, r.road_id) for r in roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)]
     jobs = [
         job
-        for index, one in enumerate(given)
+        for index, one in enumerate(roads)
         for direction in DIRECTIONS
         for name in simulators
         if (job := _Job(drive_path(folder, name, one.name, direction), name, one, direction, index)).road.validity.valid
         and set(one.conditions.changed) <= set(spec_of(name).conditions)
     ]
     missing = [job for job in jobs if not job.path.exists()]
-    known = len(jobs) - len(missing)
+    collected = len(jobs) - len(missing)
     progress.start(len(jobs))
-    if known:
-        progress.advance(known, f"{known} drives are there already")
+    if collected:
+        progress.advance(collected, f"{collected} drives are there already")
     for line in map_in_processes(partial(_collect, plan), missing):
         progress.advance(line=line)
 

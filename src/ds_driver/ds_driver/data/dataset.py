@@ -197,7 +197,7 @@ def read_drive(file: Path) -> pa.Table:
     return table.select(_READ)
 
 
-def _is_like(found: pa.DataType, expected: pa.DataType) -> bool:
+def _is_like(actual: pa.DataType, expected: pa.DataType) -> bool:
     """Check the type of a column, of any width, as pandas and others write wider types."""
     kinds = (
         (pa.types.is_binary, pa.types.is_large_binary),
@@ -205,16 +205,18 @@ def _is_like(found: pa.DataType, expected: pa.DataType) -> bool:
         (pa.types.is_floating,),
         (pa.types.is_integer,),
     )
-    return any(any(is_kind(found) for is_kind in kind) and any(is_kind(expected) for is_kind in kind) for kind in kinds)
+    return any(
+        any(is_kind(actual) for is_kind in kind) and any(is_kind(expected) for is_kind in kind) for kind in kinds
+    )
 
 
-def _check_schema(file: Path, found: pa.Schema) -> None:
+def _check_schema(file: Path, schema: pa.Schema) -> None:
     """Check columns and types."""
     for name in ("image", "steering", "simulator", "road_id"):
-        if found.names.count(name) != 1:
+        if schema.names.count(name) != 1:
             raise DatasetError(f"{file} has no column {name}: collect it again")
-    for field in found:
-        if found.names.count(field.name) != 1 or field.name not in SCHEMA.names:
+    for field in schema:
+        if schema.names.count(field.name) != 1 or field.name not in SCHEMA.names:
             raise DatasetError(f"{file} has an unknown column {field.name!r:.60}: collect it again")
         expected = SCHEMA.field(field.name).type
         if not _is_like(field.type, expected):

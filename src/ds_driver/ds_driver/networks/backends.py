@@ -139,12 +139,12 @@ def onnx_runner(content: bytes, where: str) -> Runner:
     inputs = session.get_inputs()
     kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
 
-    def compute(*given: NDArray[Any]) -> list[NDArray[np.float32]]:
+    def compute(*arrays: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
-            feed = {one.name: np.ascontiguousarray(array) for one, array in zip(inputs, given, strict=True)}
+            feed = {one.name: np.ascontiguousarray(array) for one, array in zip(inputs, arrays, strict=True)}
             outputs = session.run(None, feed)
         except Exception as error:
-            raise BackendError(f"the network rejects {shape_and_type(*given)}: {last_line(error)}") from None
+            raise BackendError(f"the network rejects {shape_and_type(*arrays)}: {last_line(error)}") from None
         return [np.asarray(part, np.float32) for part in outputs]
 
     return Runner(

@@ -187,8 +187,8 @@ class DescribedNetworkPilot(Pilot):
         names = self._runner.outputs
         if isinstance(wanted, str):
             if wanted not in names:
-                known = ", ".join(name for name in names if name) or "none has a name, give its position"
-                raise DriverError(f"there is no output {wanted!r} for {what}: expected one of {known}")
+                choices = ", ".join(name for name in names if name) or "none has a name, give its position"
+                raise DriverError(f"there is no output {wanted!r} for {what}: expected one of {choices}")
             return outputs[names.index(wanted)]
         if wanted >= len(outputs):
             raise DriverError(f"no output {wanted} for {what}: the network has {len(outputs)}, counted from 0")
@@ -225,21 +225,21 @@ def _places(
     Raises:
         DriverError: file and description have other inputs.
     """
-    known = [one.name for one in inputs]
+    names_in_file = [one.name for one in inputs]
     count = len(inputs) or 1 + len(described.inputs)
 
     def place_of(key: int | str) -> int:
-        if isinstance(key, str) and key in known:
-            return known.index(key)
+        if isinstance(key, str) and key in names_in_file:
+            return names_in_file.index(key)
         if isinstance(key, int) and key < count:
             return key
-        expected = ", ".join(filter(None, known)) or f"its position, 0 to {count - 1}"
+        expected = ", ".join(filter(None, names_in_file)) or f"its position, 0 to {count - 1}"
         raise DriverError(f"{name} has no input {key!r}: expected {expected}")
 
     input_at = {place_of(key): one for key, one in described.inputs.items()}
     free = [place for place in range(count) if place not in input_at]
     if len(free) != 1:
-        named = ", ".join(one or f"number {place}" for place, one in enumerate(known))
+        named = ", ".join(one or f"number {place}" for place, one in enumerate(names_in_file))
         raise DriverError(
             f"{name} has {count} inputs ({named}), its description gives {1 + len(described.inputs)}: `input` is the "
             "image, and each other one stands in `inputs`, as `h: {state: OUTPUT}` or `speed: {value: speed}`"
@@ -249,18 +249,18 @@ def _places(
         try:
             shapes[place] = one, one.shape_in(inputs[place].shape if inputs else None)
         except ValueError as error:
-            raise DriverError(f"{name}, input {known[place] if known else place}: {error}") from None
+            raise DriverError(f"{name}, input {names_in_file[place] if names_in_file else place}: {error}") from None
         expected = inputs[place].shape if inputs else None
         if expected is not None and not _fits(expected, shapes[place][1]):
             raise DriverError(
-                f"{name} expects {sizes(expected)} as input {known[place] or place}, its description gives "
+                f"{name} expects {sizes(expected)} as input {names_in_file[place] or place}, its description gives "
                 f"{sizes(shapes[place][1])}: correct shape"
             )
     return free[0], shapes
 
 
-def _fits(expected: Sequence[int | None], given: Sequence[int]) -> bool:
-    return len(expected) == len(given) and all(a in (None, b) for a, b in zip(expected, given, strict=True))
+def _fits(expected: Sequence[int | None], shape: Sequence[int]) -> bool:
+    return len(expected) == len(shape) and all(a in (None, b) for a, b in zip(expected, shape, strict=True))
 
 
 def sizes(shape: Sequence[int | None]) -> str:

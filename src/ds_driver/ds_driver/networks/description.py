@@ -148,10 +148,10 @@ class OutputSpec(_Strict):
         """
         if self.unit == "share":
             return value
-        known = _known(vehicle, f"steering in {self.unit}")
+        geometry = _known(vehicle, f"steering in {self.unit}")
         if self.unit == "curvature":
-            return known.steering_of(known.angle_of_curvature(-value))
-        return known.steering_of(-(math.radians(value) if self.unit == "degrees" else value) / self.ratio)
+            return geometry.steering_of(geometry.angle_of_curvature(-value))
+        return geometry.steering_of(-(math.radians(value) if self.unit == "degrees" else value) / self.ratio)
 
 
 class PathSpec(_Strict):
@@ -194,12 +194,12 @@ class PathSpec(_Strict):
         Raises:
             DriverError: the vehicle is unknown.
         """
-        known = _known(vehicle, "a path")
+        geometry = _known(vehicle, "a path")
         waypoints = numbers[self.index : self.numbers].astype(np.float64).reshape(-1, 2) * self.scale
         forward = self.axes.index("forward")
         left = waypoints[:, 1 - forward] * (-1.0 if "right" in self.axes else 1.0)
         path = np.column_stack([waypoints[:, forward] + self.ahead, left])
-        return known.steering_of(known.angle_of_curvature(pursuit_curvature(path, self.lookahead or math.inf)))
+        return geometry.steering_of(geometry.angle_of_curvature(pursuit_curvature(path, self.lookahead or math.inf)))
 
 
 def _known(vehicle: Geometry | None, what: str) -> Geometry:

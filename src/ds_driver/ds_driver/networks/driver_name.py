@@ -88,8 +88,10 @@ class DriverName:
     @property
     def has_weights(self) -> bool:
         """Whether it is a network of this project's architectures, which every backend computes."""
-        known = self.network in {**NETWORKS, **shipped_networks(), **dict.fromkeys(APART)} or self.file_type == WEIGHTS
-        return known and self.description is None
+        has_architecture = (
+            self.network in {**NETWORKS, **shipped_networks(), **dict.fromkeys(APART)} or self.file_type == WEIGHTS
+        )
+        return has_architecture and self.description is None
 
     @property
     def python_class(self) -> str:

@@ -99,14 +99,14 @@ class RunMemory:
 
     def __init__(
         self,
-        given: Mapping[int, tuple[GivenInput, tuple[int, ...]]],
+        inputs: Mapping[int, tuple[GivenInput, tuple[int, ...]]],
         *,
         frames: int = 1,
         stride: int = 1,
         newest_first: bool = False,
         axis: int | None = None,
     ) -> None:
-        self._given = given
+        self._given = inputs
         self._frames, self._stride, self._newest_first, self._axis = frames, stride, newest_first, axis
         self.start()
 

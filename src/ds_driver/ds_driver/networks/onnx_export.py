@@ -47,16 +47,18 @@ class OnnxGraph:
         value = self.node("Sub", [value, self.constant(np.float32(1.0))])
         return self.node("Transpose", [value], perm=[0, 3, 1, 2])
 
-    def file(self, name: str, given: tuple[str, int, Sequence[Any]], result: tuple[str, int, Sequence[Any]]) -> bytes:
+    def file(
+        self, name: str, argument: tuple[str, int, Sequence[Any]], result: tuple[str, int, Sequence[Any]]
+    ) -> bytes:
         """Return the content of an ONNX file; the last node computes the result.
 
-        `given` and `result` are name, element type and shape of the input and of the output.
+        `argument` and `result` are name, element type and shape of the input and of the output.
         """
         self._nodes[-1].output[0] = result[0]
         graph = helper.make_graph(
             self._nodes,
             name,
-            [helper.make_tensor_value_info(*given)],
+            [helper.make_tensor_value_info(*argument)],
             [helper.make_tensor_value_info(*result)],
             self._constants,
         )

@@ -52,13 +52,13 @@ class Frame:
     vehicle: Geometry | None = None
 
     @classmethod
-    def of(cls, seen: Observation, spec: SimulatorSpec) -> Frame:
+    def of(cls, observation: Observation, spec: SimulatorSpec) -> Frame:
         """Return what a driver gets of an observation on a simulator."""
         return cls(
-            image=seen.image,
-            speed=seen.vehicle.speed,
+            image=observation.image,
+            speed=observation.vehicle.speed,
             crop=Crop(spec.crop_top, spec.crop_bottom),
-            step=seen.step,
+            step=observation.step,
             simulator=spec.name,
             vehicle=Geometry.of(spec),
         )

@@ -51,15 +51,15 @@ class AutopilotNode(Node):
         purpose = "for the autopilot's gains (not needed if the gains are parameters)"
         self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
         self._simulators, answers = [], AnswerDiagnostics(self)
-        for index, (namespace, given) in enumerate(zip(self._namespaces, self._given, strict=True)):
-            asks = ASK in given.values()
+        for index, (namespace, geometry) in enumerate(zip(self._namespaces, self._given, strict=True)):
+            asks = ASK in geometry.values()
             on_start = partial(self._info.ask, index) if asks else None
             client = SimulatorClient(self, namespace, VehicleState, answers, on_start)
             self._simulators.append(client)
             if asks:
                 self._info.ask(index)
             else:
-                self._use(index, AutopilotGains(**given), "from parameters")
+                self._use(index, AutopilotGains(**geometry), "from parameters")
         names = ", ".join(filter(None, self._namespaces)) or self.get_namespace()
         self.get_logger().info(f"the autopilot drives {names}")
 
@@ -68,8 +68,8 @@ class AutopilotNode(Node):
         return ROWS_SEEN
 
     def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
-        given = {name: value for name, value in self._given[index].items() if value != ASK}
-        self._use(index, replace(gains_of(info), **given), f"from {info.name}")
+        overrides = {name: value for name, value in self._given[index].items() if value != ASK}
+        self._use(index, replace(gains_of(info), **overrides), f"from {info.name}")
 
     def _use(self, index: int, gains: AutopilotGains, source: str) -> None:
         """Drive a simulator with the given gains, and log them when they change."""

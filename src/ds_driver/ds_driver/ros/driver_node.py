@@ -126,8 +126,8 @@ class DriverNode(Node):
     def _answer(self, index: int, frame: Frame) -> Command:
         started = time.perf_counter()
         image = pixels_of(frame.image)
-        known = frame.wheelbase > 0.0 and frame.max_steering_angle > 0.0
-        vehicle = Geometry(frame.wheelbase, frame.max_steering_angle) if known else None
+        has_geometry = frame.wheelbase > 0.0 and frame.max_steering_angle > 0.0
+        vehicle = Geometry(frame.wheelbase, frame.max_steering_angle) if has_geometry else None
         if self._translated is None:
             crop, simulator = self._crop_for(index, frame), None
         else:
@@ -141,11 +141,11 @@ class DriverNode(Node):
 
     def _crop_for(self, index: int, frame: Frame) -> Crop:
         """Choose the crop at the first frame of each run, and log it when it changes."""
-        known = self._crops[index]
-        if known is not None and frame.step > 0:
-            return known
+        cached = self._crops[index]
+        if cached is not None and frame.step > 0:
+            return cached
         crop = self._crop_of(index, frame.crop_top, frame.crop_bottom)
-        if crop != known:
+        if crop != cached:
             name = self._namespaces[index] or self.get_namespace()
             rows = f"{crop.top} rows cut off at the top, {crop.bottom} at the bottom"
             source = "as it says" if SIMULATORS in self._given[index] else "from parameters"
@@ -156,7 +156,7 @@ class DriverNode(Node):
     def _crop_of(self, index: int, top: int, bottom: int) -> Crop:
         """Return the crop of the parameters, or where they leave it to the simulator, its own."""
         pairs = zip(self._given[index], (top, bottom), strict=True)
-        return Crop(*(reported if given == SIMULATORS else given for given, reported in pairs))
+        return Crop(*(reported if rows == SIMULATORS else rows for rows, reported in pairs))
 
     def rows_seen(self, spec: SimulatorSpec) -> tuple[int, int] | None:
         """Return the rows that the network sees in images of its own namespace's simulator, as `Pilot.rows_seen`."""

@@ -46,9 +46,9 @@ class GeneratorSet:
         label = label_of(simulator)
         if label not in self._loaded:
             if label not in self.files:
-                known = f"those of {', '.join(self.files)}" if self.files else "none"
+                names = f"those of {', '.join(self.files)}" if self.files else "none"
                 raise DriverError(
-                    f"{self.name} has no generator for images of {simulator}, it has {known}: train one with `ds "
+                    f"{self.name} has no generator for images of {simulator}, it has {names}: train one with `ds "
                     f"sim2real train --sim {simulator}`, or leave out {simulator}"
                 )
             path = self.files[label]
@@ -91,9 +91,9 @@ def open_set(name: str) -> GeneratorSet:
     folder = sets.get(name, Path(name))
     files = _files_in(folder)
     if not files:
-        known = f"a shipped one ({', '.join(sets)}), or " if sets else ""
+        shipped = f"a shipped one ({', '.join(sets)}), or " if sets else ""
         raise DriverError(
-            f"no generators in {name!r}: expected {known}a folder with files such as {next(iter(SIMULATORS))}"
+            f"no generators in {name!r}: expected {shipped}a folder with files such as {next(iter(SIMULATORS))}"
             ".safetensors, checkpoints of `ds sim2real train`"
         )
     return GeneratorSet(name, files)

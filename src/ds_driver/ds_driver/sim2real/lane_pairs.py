@@ -110,11 +110,13 @@ def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> 
     """
     shapes = [lane_shapes(images) for images in (simulated, photographs)]
     visible = [np.flatnonzero(np.isfinite(part).all(axis=1)) for part in shapes]
-    for name, found, images in zip(("simulated images", "photographs"), visible, (simulated, photographs), strict=True):
-        if len(found) < FEWEST:
+    for name, with_lines, images in zip(
+        ("simulated images", "photographs"), visible, (simulated, photographs), strict=True
+    ):
+        if len(with_lines) < FEWEST:
             raise Sim2RealError(
-                f"{len(found)} of {len(images)} {name} show both lines of the lane, expected at least {FEWEST}: take "
-                "more photographs from the right lane"
+                f"{len(with_lines)} of {len(images)} {name} show both lines of the lane, expected at least {FEWEST}: "
+                "take more photographs from the right lane"
             )
     tree = KDTree(shapes[1][visible[1]])
     distance, nearest = tree.query(shapes[0][visible[0]], k=min(NEIGHBOURS, len(visible[1])))

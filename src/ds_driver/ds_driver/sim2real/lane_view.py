@@ -230,7 +230,7 @@ def _medians(columns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Median column of a line in each row, from (images, rows); NaN in rows that seldom show it."""
     counts = np.isfinite(columns).sum(axis=0)
     often = counts >= max(2, 0.4 * counts.max())
-    return np.array([np.nanmedian(columns[:, row]) if seen else np.nan for row, seen in enumerate(often)])
+    return np.array([np.nanmedian(columns[:, row]) if is_often else np.nan for row, is_often in enumerate(often)])
 
 
 def _fit(columns: NDArray[np.float64], row_medians: NDArray[np.float64]) -> tuple[float, float]:
@@ -312,12 +312,12 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
     return best
 
 
-def _borders(wanted: NDArray[np.float64], found: NDArray[np.float64]) -> tuple[float, float] | None:
+def _borders(wanted: NDArray[np.float64], measured: NDArray[np.float64]) -> tuple[float, float] | None:
     """Left border and width, px, by least squares of found = left + width * wanted; None if too little is known."""
-    both = np.isfinite(wanted) & np.isfinite(found)
+    both = np.isfinite(wanted) & np.isfinite(measured)
     if (both.sum(axis=0) < LEAST_HEIGHTS).any():
         return None
-    x, y = wanted[both], found[both]
+    x, y = wanted[both], measured[both]
     spread = x - x.mean()
     width = float(spread @ y / (spread @ spread))
     return (float(y.mean() - width * x.mean()), width) if width > 0.0 else None

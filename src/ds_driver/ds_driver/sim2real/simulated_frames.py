@@ -55,10 +55,10 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
     roads = sim2real_roads(settings)
     ids = {road.road_id for road in roads}
     for folder in data_sets:
-        known = road_ids(folder)
-        if ids & known:
+        ids_there = road_ids(folder)
+        if ids & ids_there:
             raise Sim2RealError(
-                f"{len(ids & known)} of the roads are in {folder}, too, expected new ones: choose another --seed"
+                f"{len(ids & ids_there)} of the roads are in {folder}, too, expected new ones: choose another --seed"
             )
 
 
@@ -90,13 +90,13 @@ def simulated_frames(
 def _read(file: Path, identity: str, roads: int) -> SimulatedFrames:
     try:
         with open_regular(file) as content, np.load(content, allow_pickle=False) as stored:
-            found = str(stored["identity"])
+            identity_there = str(stored["identity"])
             images, drives = stored["images"], stored["drives"]
             if drives.shape != images.shape[:1] or drives.dtype != np.int32 or images.dtype != np.uint8:
                 raise ValueError("its arrays do not belong together")
     except Exception as error:  # damaged files make the reader raise arbitrary errors
         raise Sim2RealError(f"{file} cannot be read ({type(error).__name__}): delete it and train again") from None
-    if found != identity:
+    if identity_there != identity:
         raise Sim2RealError(f"{file} has other simulated drives: choose another --out, or delete the folder")
     return SimulatedFrames(images=images, held_out=drives >= _first_held_out(roads))
 

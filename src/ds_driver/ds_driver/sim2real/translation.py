@@ -69,8 +69,8 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
     simulator = translator.generator.simulator
     files = sorted((folder / simulator).glob("*.parquet"))
     if not files:
-        known = sorted({path.parent.name for path in folder.glob("*/*.parquet")})
-        has = f"it has those of {', '.join(known)}" if known else "it has none at all"
+        names = sorted({path.parent.name for path in folder.glob("*/*.parquet")})
+        has = f"it has those of {', '.join(names)}" if names else "it has none at all"
         raise Sim2RealError(f"{folder} has no drives of {simulator}, whose images the generator translates: {has}")
     target = out / simulator
     _claim(target / IMPORTED, translator)
@@ -115,8 +115,8 @@ def _translator(generator: Path, backend: str) -> Translator:
 def _facts(manifest: Path) -> dict[str, Any]:
     """Return how a data set was collected; its counts are those of the whole, of which not all may be translated."""
     try:
-        known = read_json(manifest)
-        return {name: value for name, value in known.items() if name not in ("images", "steering_bins", "steering")}
+        facts = read_json(manifest)
+        return {name: value for name, value in facts.items() if name not in ("images", "steering_bins", "steering")}
     except (ValueError, AttributeError):
         raise Sim2RealError(f"{manifest} is damaged: collect the data set again, the drives are kept") from None
 
