@@ -406,15 +406,15 @@ def rebase_paths(raw: Any, start: Path, end: Path) -> Any:
 
     if not isinstance(raw, dict):
         return raw
-    found = {key: simulator(value) if key == "twin" else value for key, value in raw.items()}
+    moved = {key: simulator(value) if key == "twin" else value for key, value in raw.items()}
     driver, generators, siblings = raw.get("driver"), raw.get("sim2real"), raw.get("siblings")
     if isinstance(driver, str) and (name := DriverName.parse(driver)) != (there := name.moved(start, end)):
-        found["driver"] = str(there)
+        moved["driver"] = str(there)
     if isinstance(generators, str):
-        found["sim2real"] = DriverName("", generators).moved(start, end).generators
+        moved["sim2real"] = DriverName("", generators).moved(start, end).generators
     if isinstance(siblings, list):
-        found["siblings"] = [simulator(name) for name in siblings]
-    return found
+        moved["siblings"] = [simulator(name) for name in siblings]
+    return moved
 
 
 def parse_config(raw: object, source: str, *, received: bool = False) -> CampaignConfig:

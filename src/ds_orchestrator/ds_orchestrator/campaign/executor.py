@@ -201,20 +201,20 @@ class Executor:
         A test by which no network can be judged there is not driven: its gate is returned.
         """
         self._check_stop()
-        known = self._store.execution(test.test_id, simulator) or self._store.gate(test.test_id, simulator)
-        if isinstance(known, Execution) or (known is not None and not known.is_valid):
-            self._listener.finished(test, simulator, known, fresh=False)
-            return known
-        found: Execution | Gate | None = None
+        stored = self._store.execution(test.test_id, simulator) or self._store.gate(test.test_id, simulator)
+        if isinstance(stored, Execution) or (stored is not None and not stored.is_valid):
+            self._listener.finished(test, simulator, stored, fresh=False)
+            return stored
+        outcome: Execution | Gate | None = None
         try:
-            found = self._outcome(test, simulator)
+            outcome = self._outcome(test, simulator)
         except NoOutcomeError as error:
             self._count_unlucky(test, simulator, error.run)
         else:
             with self._lock:
                 self._unlucky[simulator] = 0
-        self._listener.finished(test, simulator, found, fresh=True)
-        return found
+        self._listener.finished(test, simulator, outcome, fresh=True)
+        return outcome
 
     def _outcome(self, test: Test, simulator: SimulatorName) -> Execution | Gate:
         """Drive a test; returns its gate if no network can be judged by it there."""
@@ -236,9 +236,9 @@ class Executor:
         """
         if self._settings.gates == "none" or (test.conditions.is_default and self._settings.gates != "all"):
             return None
-        known = self._store.gate(test.test_id, simulator)
-        if known is not None:
-            return known
+        stored = self._store.gate(test.test_id, simulator)
+        if stored is not None:
+            return stored
         try:
             spec_of(simulator).check(test.conditions)
         except NotApplicableError as error:

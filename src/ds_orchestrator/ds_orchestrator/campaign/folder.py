@@ -145,8 +145,8 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> Dr
 
     if settings.driver != AUTOPILOT:
         weights = driver_sha256(settings.driver)
-        known = store.notes()
-        driver = on_backend(settings.driver, known.get(BACKEND, BACKEND_BEFORE if DRIVER_SHA256 in known else ""))
+        notes = store.notes()
+        driver = on_backend(settings.driver, notes.get(BACKEND, BACKEND_BEFORE if DRIVER_SHA256 in notes else ""))
         if driver != settings.driver:
             store.note(BACKEND, driver.backend)
         if store.note(DRIVER_SHA256, weights) != weights:
@@ -157,11 +157,11 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> Dr
     for name, version in versions().items():
         if store.note(f"version {name}", version) != version:
             store.note(f"version {name}, later", version)
-    known = store.notes()
+    notes = store.notes()
     for name in settings.simulators:
         if "@" in name:
             key, content = f"car {name}", str(make_simulator(name).spec.extra.get("car", ""))
-            if known.get(key, content) != content:
+            if notes.get(key, content) != content:
                 raise ConfigError(
                     f"{name}: the file has changed since the campaign began: restore it, or choose another --out"
                 )

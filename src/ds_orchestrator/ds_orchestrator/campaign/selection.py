@@ -48,8 +48,8 @@ def roads_of(
     if simulator is not None and simulator not in config.simulators:
         raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")
     if test is not None and test not in {t.test_id for t in tests}:
-        known = ", ".join(t.test_id for t in tests[:2]) or "(it has no tests yet)"
-        raise ConfigError(f"{folder} has no test {test!r}: expected an id such as {known}")
+        examples = ", ".join(t.test_id for t in tests[:2]) or "(it has no tests yet)"
+        raise ConfigError(f"{folder} has no test {test!r}: expected an id such as {examples}")
     wanted = None if cell is None else _cell_named(cell, [feature_of(name) for name in config.features], cells)
     outcomes: dict[str, dict[str, Any]] = {t.test_id: {} for t in tests}
     failures: set[tuple[str, str]] = set()
@@ -61,7 +61,7 @@ def roads_of(
     for (test_id, name), gate in data.gates.items():
         if not gate.is_valid:
             excluded.setdefault(test_id, {})[name] = gate.state.value
-    found = []
+    roads = []
     for one in tests:
         driven = outcomes[one.test_id]
         counted = [simulator] if simulator is not None else list(driven)
@@ -73,7 +73,7 @@ def roads_of(
         ):
             continue
         road = road_to_json(one.road)
-        found.append(
+        roads.append(
             {
                 **(road if isinstance(road, dict) else {"control_points": road}),
                 "test_id": one.test_id,
@@ -84,7 +84,7 @@ def roads_of(
                 **({"excluded": excluded[one.test_id]} if one.test_id in excluded else {}),
             }
         )
-    return found
+    return roads
 
 
 def _cell_named(text: str, features: Sequence[Feature], cells: Mapping[str, Cell]) -> Cell:

@@ -121,8 +121,8 @@ class Tally:
                     expected = None if self.migrating is None else self.migrating.get(origin, 0)
                     groups = [(origin, run, target) for run in runs]
                     stages.append(self._stage(f"{role}: {origin} to {target}", groups, expected))
-        made = ((name, self.results.get(name) == self.result_count) for name in STAGES)
-        return [*stages, *(Stage(name=name, done=int(done), expected=1) for name, done in made)]
+        results = ((name, self.results.get(name) == self.result_count) for name in STAGES)
+        return [*stages, *(Stage(name=name, done=int(done), expected=1) for name, done in results)]
 
     def _stage(self, name: str, groups: Sequence[Group], expected: int | None) -> Stage:
         drives = [self.drives.get(group, FailureCount(0, 0)) for group in groups]

@@ -54,9 +54,9 @@ def template(
     """
     if size not in SIZES:
         raise ConfigError(f"size {size!r:.60}: expected one of {', '.join(SIZES)}")
-    search, given = SIZES[size], angles or {}
-    largest = given.get("max_angle", search.max_angle)
-    smallest = given.get("min_angle", min(search.min_angle, largest))
+    search, limits = SIZES[size], angles or {}
+    largest = limits.get("max_angle", search.max_angle)
+    smallest = limits.get("min_angle", min(search.min_angle, largest))
     text = _TEXT.format(
         driver=_scalar(driver),
         siblings=f"[{', '.join(map(_scalar, siblings))}]",

@@ -171,9 +171,9 @@ def _read(store: Store, work: Mapping[SimulatorName, Sequence[Test]]) -> DriveRe
     wanted = {(test.test_id, name) for name, tests in work.items() for test in tests}
     executions = {(one.test_id, one.simulator): one for one in store.executions()}
     last = {(test, name): Unfinished(Outcome[outcome], message) for test, name, _, outcome, message in store.errors()}
-    found = DriveResults(
+    results = DriveResults(
         executions={key: one for key, one in executions.items() if key in wanted and one.outcome.is_verdict},
         gates={key: gate for key, gate in store.gates().items() if key in wanted},
     )
-    missing = wanted - set(executions) - found.excluded
-    return replace(found, errors={key: last.get(key, Unfinished()) for key in missing})
+    missing = wanted - set(executions) - results.excluded
+    return replace(results, errors={key: last.get(key, Unfinished()) for key in missing})

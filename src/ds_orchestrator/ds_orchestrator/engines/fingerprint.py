@@ -39,21 +39,21 @@ def fingerprint(backend: str, simulators: Collection[SimulatorName]) -> dict[str
         backend: `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
         simulators: names of the simulators.
     """
-    known = versions()
+    installed_versions = versions()
     libraries = [*LIBRARIES, *(name for name, of in BACKENDS.items() if backend.startswith(of))]
     return {
         "code of Digital Siblings": code_sha256()[:12],
-        "python": ".".join(known["python"].split(".")[:2]),
-        **{name: known[name] for name in libraries},
+        "python": ".".join(installed_versions["python"].split(".")[:2]),
+        **{name: installed_versions[name] for name in libraries},
         **{name: value for simulator in simulators for name, value in _of_simulator(simulator).items()},
-        "machine": known["machine"],
+        "machine": installed_versions["machine"],
         PROCESSOR_FEATURES: _processor_features(backend),
     }
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
     """Describe in one line what differs; "" if nothing does."""
-    found = []
+    lines = []
     for name in here:
         mine, other = here[name], there.get(name, "unknown")
         if mine == other:
@@ -62,10 +62,10 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> str:
             ours, theirs = set(mine.split()), set(other.split())
             missing = [f"without {' '.join(sorted(ours - theirs))}"] if ours - theirs else []
             extra = [f"with {' '.join(sorted(theirs - ours))}"] if theirs - ours else []
-            found.append(f"{name} {' and '.join(missing + extra)}")
+            lines.append(f"{name} {' and '.join(missing + extra)}")
         else:
-            found.append(f"{name} {other} there, {mine} here")
-    return "; ".join(found)
+            lines.append(f"{name} {other} there, {mine} here")
+    return "; ".join(lines)
 
 
 def _of_simulator(name: SimulatorName) -> dict[str, str]:
@@ -102,7 +102,7 @@ def _processor_features(backend: str, cpuinfo: Path = CPUINFO) -> str:
     flags = processor_flags(cpuinfo)
     if not flags:
         return platform.processor() or "unknown"
-    found = {flag for flag in flags if flag.startswith(_FEATURES)}
+    features = {flag for flag in flags if flag.startswith(_FEATURES)}
     if backend in ("", "onnx"):
-        found = found & _FLOATING_POINT or found  # all of another architecture's
-    return " ".join(sorted(found))
+        features = features & _FLOATING_POINT or features  # all of another architecture's
+    return " ".join(sorted(features))

@@ -135,9 +135,9 @@ class GraphClient:
             GraphError: a namespace holds another simulator, or does not answer.
         """
         for name, namespace in self._namespaces.items():
-            found, expected = self.info(name).name, spec_of(name).name
-            if found != expected:
-                raise GraphError(f"{namespace} is {found}, expected {expected}: start it under another namespace")
+            actual, expected = self.info(name).name, spec_of(name).name
+            if actual != expected:
+                raise GraphError(f"{namespace} is {actual}, expected {expected}: start it under another namespace")
 
     def info(self, simulator: SimulatorName) -> GetSimulatorInfo.Response:
         """Ask a simulator's node for its description.
@@ -207,8 +207,8 @@ class GraphClient:
         """Name of the process with a simulator's node; the supervisor need not run it."""
         namespace = self._namespaces[simulator]
         together = closed_loop_process_name(namespace)
-        known = () if self._supervisor is None else self._supervisor.names
-        return together if together in known else simulator_process_name(namespace)
+        processes = () if self._supervisor is None else self._supervisor.names
+        return together if together in processes else simulator_process_name(namespace)
 
     def _driver_of(self, simulator: SimulatorName) -> str:
         """Name of the process with a simulator's driver; the supervisor need not run it."""
@@ -400,8 +400,8 @@ class _Simulator:
     def other_clients(self) -> list[str]:
         """Names of other nodes with a client of the simulator's action."""
         own = self._node.get_fully_qualified_name()
-        found = self._node.get_subscriptions_info_by_topic(f"{self.namespace}/{FEEDBACK}")
-        return [name for name in names_of(found) if name != own]
+        subscriptions = self._node.get_subscriptions_info_by_topic(f"{self.namespace}/{FEEDBACK}")
+        return [name for name in names_of(subscriptions) if name != own]
 
     def missing(self) -> str:
         """Describe in one line what is missing for a run; "" if nothing is."""

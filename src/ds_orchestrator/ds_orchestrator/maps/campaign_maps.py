@@ -168,8 +168,8 @@ def build_maps(
     if not without:
         return maps
     return {
-        map_id: replace(made, excluded=_excluded(map_id, siblings, tests, cells, migrated, without))
-        for map_id, made in maps.items()
+        map_id: replace(feature_map, excluded=_excluded(map_id, siblings, tests, cells, migrated, without))
+        for map_id, feature_map in maps.items()
     }
 
 
@@ -182,11 +182,11 @@ def _excluded(
     without: Collection[tuple[str, str]],
 ) -> dict[Cell, int]:
     """Count the tests of a map that the gates exclude on its simulator, by cell; in a merged map, on any sibling."""
-    found: Counter[Cell] = Counter()
+    counts: Counter[Cell] = Counter()
     for test in tests:
         on = siblings if map_id.kind == "merged" else [map_id.simulator]
         driven = [name for name in on if name == test.sibling or test.test_id in migrated]
         in_map = map_id.kind not in ("search", "migration") or test.sibling == map_id.origin
         if in_map and test.test_id in cells and any((test.test_id, name) in without for name in driven):
-            found[cells[test.test_id]] += 1
-    return dict(sorted(found.items()))
+            counts[cells[test.test_id]] += 1
+    return dict(sorted(counts.items()))

@@ -424,7 +424,7 @@ def search_of(name: str) -> type[Search]:
         return SEARCHES[name]
     if not is_extension(name):
         raise ExtensionError(f"unknown search {name!r}: expected one of {', '.join(SEARCHES)}, or module:Class")
-    found = load_extension(name, type, "search")
-    if not issubclass(found, Search):
+    extension = load_extension(name, type, "search")
+    if not issubclass(extension, Search):
         raise ExtensionError(f"search {name} is no subclass of ds_orchestrator.Search")
-    return found
+    return extension

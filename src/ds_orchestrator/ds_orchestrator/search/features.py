@@ -277,20 +277,20 @@ def feature_of(name: str) -> Feature:
         'minimum radius, feet'
     """
     base, plain = base_of(name), name.partition(":")[0]
-    known = [*FEATURES, *installed("features")]
-    if base not in known and plain in known:
+    names = [*FEATURES, *installed("features")]
+    if base not in names and plain in names:
         raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {plain}:20")
     width = int(name[len(base) + 1 :] or 1)
     if width < 1:
         raise FeatureError(f"feature {name!r}: expected a whole number of bins, at least 1, as in {base}:20")
     if base in FEATURES:
         feature = FEATURES[base]
-    elif base in known:
+    elif base in names:
         feature = load_installed(base, "features", Feature, "feature")
     elif is_extension(base):
         feature = load_extension(base, Feature, "feature")
     else:
-        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(known)}, or module:NAME")
+        raise FeatureError(f"unknown feature {name!r}: expected one of {', '.join(names)}, or module:NAME")
     return replace(feature, name=name, bins=replace(feature.bins, width=width))
 
 

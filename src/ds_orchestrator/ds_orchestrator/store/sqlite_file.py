@@ -175,11 +175,11 @@ class SqliteFile:
     def _connect(self, flags: str) -> sqlite3.Connection:
         name = quote(os.fsencode(self.path.absolute()))
         try:
-            found = sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
+            connection = sqlite3.connect(f"file:{name}{flags}", uri=True, check_same_thread=False, isolation_level=None)
         except sqlite3.Error as error:
             raise self._refusal(error) from None
-        found.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
-        return found
+        connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_VALUE)
+        return connection
 
     def _begin(self, facts: Mapping[str, str]) -> None:
         """Write tables, version and facts, all or nothing."""

@@ -110,9 +110,9 @@ class Store:
         """
         row = row_of(test)
         self._insert("INSERT OR IGNORE INTO tests", row)
-        known = self._file.ask("SELECT road_id, conditions FROM tests WHERE test_id=?", (test.test_id,))[0]
-        if known != (row.road_id, row.conditions):
-            what = "another road" if known[0] != row.road_id else "other conditions"
+        stored = self._file.ask("SELECT road_id, conditions FROM tests WHERE test_id=?", (test.test_id,))[0]
+        if stored != (row.road_id, row.conditions):
+            what = "another road" if stored[0] != row.road_id else "other conditions"
             raise StoreError(
                 f"test {test.test_id} has {what} than when this campaign started: resume with the version of ds that "
                 "started it, or choose another --out"
@@ -245,9 +245,9 @@ class Store:
             read()
         named = [("tests", "sibling", siblings), ("executions", "simulator", simulators)]
         named.append(("gates", "simulator", simulators))
-        for table, column, known in named:
+        for table, column, names in named:
             for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
-                if name not in known:
+                if name not in names:
                     raise self._file.damaged(f"{table} of {name!r:.60}, a simulator that is not in its configuration")
         if self._file.ask("SELECT 1 FROM tests WHERE run >= ? OR number >= ? LIMIT 1", (runs, budget)):
             raise self._file.damaged("tests with a run or number beyond its configuration")
@@ -268,8 +268,8 @@ class Store:
 
     def execution(self, test_id: str, simulator: SimulatorName) -> Execution | None:
         """The execution of a test on one simulator, or None if there is none yet."""
-        found = self._executions("WHERE test_id=? AND simulator=?", (test_id, simulator))
-        return found[0] if found else None
+        executions = self._executions("WHERE test_id=? AND simulator=?", (test_id, simulator))
+        return executions[0] if executions else None
 
     def executions(self, *, after: int = 0) -> list[Execution]:
         """Executions, ordered by simulator and test.
@@ -290,13 +290,13 @@ class Store:
 
     def test_of_row(self, row: int) -> str | None:
         """Id of the test in a row, or None if there is none; tests that are taken back leave their rows to others."""
-        found = self._file.ask("SELECT test_id FROM tests WHERE rowid=?", (row,))
-        return str(found[0][0]) if found else None
+        rows = self._file.ask("SELECT test_id FROM tests WHERE rowid=?", (row,))
+        return str(rows[0][0]) if rows else None
 
     def latest_executions(self) -> dict[str, str]:
         """Simulator -> test whose execution there was stored last."""
-        found = self._file.ask("SELECT simulator, test_id, max(rowid) FROM executions GROUP BY simulator")
-        return {str(simulator): str(test_id) for simulator, test_id, _ in found}
+        rows = self._file.ask("SELECT simulator, test_id, max(rowid) FROM executions GROUP BY simulator")
+        return {str(simulator): str(test_id) for simulator, test_id, _ in rows}
 
     def count_tests(self) -> int:
         """Number of tests."""
@@ -338,12 +338,12 @@ class Store:
 
     def count_excluded(self) -> dict[tuple[SimulatorName, int, SimulatorName], int]:
         """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
-        found = self._file.ask(
+        rows = self._file.ask(
             "SELECT sibling, run, simulator, count(*) FROM gates JOIN tests USING (test_id) WHERE state != ? "
             "GROUP BY sibling, run, simulator",
             (GateState.VALID.value,),
         )
-        return {(sibling, run, simulator): count for sibling, run, simulator, count in found}
+        return {(sibling, run, simulator): count for sibling, run, simulator, count in rows}
 
     def count_tests_by_sibling(self) -> dict[str, int]:
         """Sibling -> number of tests that its searches generated."""
@@ -371,13 +371,13 @@ class Store:
 
 def seconds_of(notes: Mapping[str, str]) -> dict[str, float]:
     """Read stage -> seconds from a store's notes; longest first."""
-    found = {key.removeprefix(_SECONDS): float(value) for key, value in notes.items() if key.startswith(_SECONDS)}
-    return dict(sorted(found.items(), key=lambda item: -item[1]))
+    seconds = {key.removeprefix(_SECONDS): float(value) for key, value in notes.items() if key.startswith(_SECONDS)}
+    return dict(sorted(seconds.items(), key=lambda item: -item[1]))
 
 
-def _differences(known: str, given: str) -> str:
+def _differences(stored: str, asked: str) -> str:
     """Describe the keys in which two configurations, as JSON text, differ, with both values."""
-    old, new = _flat(load_json(known)), _flat(load_json(given))
+    old, new = _flat(load_json(stored)), _flat(load_json(asked))
     unset = "the default"
     keys = [key for key in new | old if old.get(key) != new.get(key)]
     return "; ".join(f"{key}: {old.get(key, unset)} there, {new.get(key, unset)} now" for key in keys)
