@@ -81,13 +81,13 @@ def parse_board(squares: str) -> tuple[int, int]:
 
 def images_of(paths: Sequence[Path]) -> list[Path]:
     """Images, and those in folders, in order."""
-    found: list[Path] = []
+    files: list[Path] = []
     for path in paths:
         if path.is_dir():
-            found += sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+            files += sorted(p for p in path.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
         else:
-            found.append(path)
-    return found[:MOST_IMAGES]
+            files.append(path)
+    return files[:MOST_IMAGES]
 
 
 class _Fit(NamedTuple):
@@ -104,8 +104,8 @@ class _Fit(NamedTuple):
             cv2.error: the lens maps the corners to no direction.
         """
         if self.model == "equidistant":
-            seen = cv2.fisheye.undistortPoints(places, self.matrix, self.lens)
-            _, turn, shift = cv2.solvePnP(grid, seen, np.eye(3), np.zeros(4))
+            slopes = cv2.fisheye.undistortPoints(places, self.matrix, self.lens)
+            _, turn, shift = cv2.solvePnP(grid, slopes, np.eye(3), np.zeros(4))
             back, _ = cv2.fisheye.projectPoints(grid[:, None].astype(np.float64), turn, shift, self.matrix, self.lens)
         else:
             _, turn, shift = cv2.solvePnP(grid, places, self.matrix, self.lens)
@@ -185,8 +185,8 @@ def _find_boards(paths: Sequence[Path], corners: tuple[int, int]) -> tuple[list[
         if boards and image.shape[:2] != shape:
             raise RecordingError(f"{path}: another size than the photographs before: take all with the same settings")
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        found, places = cv2.findChessboardCornersSB(grey, corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if found:
+        has_board, places = cv2.findChessboardCornersSB(grey, corners, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        if has_board:
             boards.append(places.reshape(-1, 1, 2).astype(np.float32))
             shape = image.shape[:2]
     if len(boards) < LEAST_BOARDS:

@@ -99,10 +99,10 @@ def _joined(lines: list[LinePoints], poses: Array, at: int) -> tuple[Array, NDAr
         world = np.stack((cos * x - sin * y + poses[other, 0], sin * x + cos * y + poses[other, 1]), axis=1)
         points.append(moved(world, back))
         white.append(lines[other].white[near])
-    found, colour = np.concatenate(points), np.concatenate(white)
-    kept = np.flatnonzero(np.abs(found[:, 0]) < REACH)
+    positions, colour = np.concatenate(points), np.concatenate(white)
+    kept = np.flatnonzero(np.abs(positions[:, 0]) < REACH)
     kept = kept[np.linspace(0, len(kept) - 1, 160).astype(int)] if len(kept) > 160 else kept
-    return found[kept], colour[kept]
+    return positions[kept], colour[kept]
 
 
 def candidate_shapes(points: Array, white: NDArray[np.bool_]) -> Array:
@@ -128,27 +128,27 @@ def candidate_shapes(points: Array, white: NDArray[np.bool_]) -> Array:
     # A straight road ahead of a car along it is the likeliest; neighbours share a vote that falls between them.
     votes[:, 1:-1] += 0.5 * (votes[:, :-2] + votes[:, 2:])
     votes -= 0.01 * len(points) * (np.abs(headings) / 0.5 + np.abs(curvatures) / 0.5)[:, None]
-    found = []
+    shapes = []
     left_votes = votes.copy()
     for _ in range(BEST):
         row, column = np.unravel_index(int(left_votes.argmax()), votes.shape)
         if votes[row, column] < LEAST_VOTES:
             break
-        found.append((_OFFSETS[column], headings[row], curvatures[row], votes[row, column]))
+        shapes.append((_OFFSETS[column], headings[row], curvatures[row], votes[row, column]))
         close = (np.abs(headings - headings[row]) < 0.15) & (np.abs(curvatures - curvatures[row]) < 0.25)
         left_votes[close, max(column - 2, 0) : column + 3] = -np.inf
-    return np.array(found) if found else np.zeros((0, 4))
+    return np.array(shapes) if shapes else np.zeros((0, 4))
 
 
 def _sequence(candidates: list[Array], poses: Array) -> list[Array | None]:
     """Most likely candidate of each moment, as a sequence; None where there is none."""
-    known = [i for i, found in enumerate(candidates) if len(found)]
+    with_shapes = [i for i, shapes in enumerate(candidates) if len(shapes)]
     chosen: list[Array | None] = [None] * len(candidates)
-    if not known:
+    if not with_shapes:
         return chosen
-    scores = [_merit(candidates[known[0]])]
+    scores = [_merit(candidates[with_shapes[0]])]
     origins = []
-    for before, after in pairwise(known):
+    for before, after in pairwise(with_shapes):
         first, second = candidates[before], candidates[after]
         step = moved(poses[after : after + 1, :2], poses[before])
         ahead = arc_offsets(step, first[:, 1], first[:, 2])[:, 0]
@@ -162,15 +162,15 @@ def _sequence(candidates: list[Array], poses: Array) -> list[Array | None]:
         origins.append(total.argmax(axis=0))
         scores.append(total.max(axis=0) + _merit(second))
     index = int(scores[-1].argmax())
-    for place in range(len(known) - 1, -1, -1):
-        chosen[known[place]] = candidates[known[place]][index]
+    for place in range(len(with_shapes) - 1, -1, -1):
+        chosen[with_shapes[place]] = candidates[with_shapes[place]][index]
         if place:
             index = int(origins[place - 1][index])
     return chosen
 
 
-def _merit(found: Array) -> Array:
-    return np.asarray(found[:, 3] / max(float(found[:, 3].max()), 30.0))
+def _merit(shapes: Array) -> Array:
+    return np.asarray(shapes[:, 3] / max(float(shapes[:, 3].max()), 30.0))
 
 
 def _smooth(centres: Array, directions: Array) -> Array | None:

@@ -117,10 +117,10 @@ class FloorCamera:
             pixels: columns and rows, (n, 2).
         """
         height, pitch = self._mount
-        rays, known = self.rays(pixels)
+        rays, inside = self.rays(pixels)
         cos, sin = math.cos(pitch), math.sin(pitch)
         descent = sin + rays[:, 1] * cos
-        valid = np.logical_and(known, descent > _FLATTEST)
+        valid = np.logical_and(inside, descent > _FLATTEST)
         reach = height / np.where(valid, descent, 1.0)
         return np.stack((reach * (cos - rays[:, 1] * sin) + self.forward_m, -reach * rays[:, 0]), axis=1), valid
 
@@ -133,11 +133,11 @@ class FloorCamera:
         height, pitch = self._mount
         cos, sin = math.cos(pitch), math.sin(pitch)
         ahead = points[:, 0] - self.forward_m
-        seen = np.stack((-points[:, 1], height * cos - ahead * sin, height * sin + ahead * cos), axis=1)
-        inside = np.hypot(seen[:, 0], seen[:, 1]) < self.lens.reach * np.maximum(seen[:, 2], 1e-6)
-        valid = np.logical_and(seen[:, 2] > 1e-6, inside)
-        depth = np.where(valid, seen[:, 2], 1.0)
-        columns, rows, _ = self.pixels(seen[:, 0] / depth, seen[:, 1] / depth)
+        in_camera = np.stack((-points[:, 1], height * cos - ahead * sin, height * sin + ahead * cos), axis=1)
+        inside = np.hypot(in_camera[:, 0], in_camera[:, 1]) < self.lens.reach * np.maximum(in_camera[:, 2], 1e-6)
+        valid = np.logical_and(in_camera[:, 2] > 1e-6, inside)
+        depth = np.where(valid, in_camera[:, 2], 1.0)
+        columns, rows, _ = self.pixels(in_camera[:, 0] / depth, in_camera[:, 1] / depth)
         return np.where(valid[:, None], np.stack((columns, rows), axis=1), np.nan), valid
 
 
@@ -238,7 +238,7 @@ def _of_former_version(content: Mapping[str, Any]) -> dict[str, Any]:
 
 def _of_kalibr(camera: Mapping[str, Any]) -> dict[str, Any]:
     lists = (camera.get(name) for name in ("intrinsics", "resolution", "distortion_coeffs"))
-    intrinsics, resolution, coefficients = (found if isinstance(found, list) else [] for found in lists)
+    intrinsics, resolution, coefficients = (entry if isinstance(entry, list) else [] for entry in lists)
     fx, fy, cx, cy = [*intrinsics, *[None] * 4][:4]
     model = camera.get("distortion_model") if camera.get("camera_model") == "pinhole" else camera.get("camera_model")
     return {
@@ -251,11 +251,11 @@ def _of_kalibr(camera: Mapping[str, Any]) -> dict[str, Any]:
 
 def _data(path: Path, content: Mapping[str, Any], name: str, sizes: Sequence[int]) -> list[float]:
     """Numbers of a matrix; those of a list without rows and columns, too."""
-    found = content.get(name)
-    data = found.get("data") if isinstance(found, dict) else found
+    entry = content.get(name)
+    data = entry.get("data") if isinstance(entry, dict) else entry
     if not isinstance(data, list) or len(data) not in sizes:
         expected = " or ".join(map(str, sizes))
-        raise RecordingError(f"{path}: {name} is {abbreviated(found)}, expected data of {expected} numbers: correct it")
+        raise RecordingError(f"{path}: {name} is {abbreviated(entry)}, expected data of {expected} numbers: correct it")
     return [_number(path, name, value, -1e6, 1e6) for value in data]
 
 

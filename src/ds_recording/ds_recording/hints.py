@@ -116,13 +116,13 @@ class _Turns:
         ahead, right, up = np.cos(heights) * np.cos(angles), -np.cos(heights) * np.sin(angles), np.sin(heights)
         depth = np.maximum(ahead * math.cos(pitch) - up * math.sin(pitch), 1e-3)
         down = -(up * math.cos(pitch) + ahead * math.sin(pitch)) / depth
-        columns, rows, known = camera.pixels(right / depth, down)
+        columns, rows, in_image = camera.pixels(right / depth, down)
         inside = (
-            known & (columns >= 0) & (columns <= camera.width_px - 1) & (rows >= 0) & (rows <= camera.height_px - 1)
+            in_image & (columns >= 0) & (columns <= camera.width_px - 1) & (rows >= 0) & (rows <= camera.height_px - 1)
         )
-        seen = inside.all(axis=1)
-        self._map = columns[seen].astype(np.float32), rows[seen].astype(np.float32)
-        self._usable = seen.sum() >= LEAST_ROWS and angles.shape[1] >= LEAST_COLUMNS + 2 * self._most
+        whole_rows = inside.all(axis=1)
+        self._map = columns[whole_rows].astype(np.float32), rows[whole_rows].astype(np.float32)
+        self._usable = whole_rows.sum() >= LEAST_ROWS and angles.shape[1] >= LEAST_COLUMNS + 2 * self._most
         self._previous: NDArray[np.float32] | None = None
 
     def see(self, grey: NDArray[np.uint8]) -> Hint:
@@ -150,8 +150,8 @@ class _Turns:
 
     def _strip(self, grey: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Changes of brightness from column to column, over angles to the right and above the horizon."""
-        seen = cv2.GaussianBlur(cv2.remap(grey, *self._map, cv2.INTER_LINEAR).astype(np.float32), (3, 3), 0.8)
-        return np.asarray(cv2.Sobel(seen, cv2.CV_32F, 1, 0, ksize=3, scale=0.25))
+        strip = cv2.GaussianBlur(cv2.remap(grey, *self._map, cv2.INTER_LINEAR).astype(np.float32), (3, 3), 0.8)
+        return np.asarray(cv2.Sobel(strip, cv2.CV_32F, 1, 0, ksize=3, scale=0.25))
 
     def _turn(self, before: NDArray[np.float32], after: NDArray[np.float32]) -> tuple[float, float]:
         """Best correlation of the middle of a strip with the next one, and the turn to the left, rad."""
@@ -197,18 +197,18 @@ class _Ways:
         """Pixels of cells, (far to near, left to right), in axes turned back by `turn`, and which are well inside."""
         cos, sin = math.cos(turn), math.sin(turn)
         x, y = self._grid.T
-        pixels, seen = self._camera.project(np.stack((cos * x + sin * y, cos * y - sin * x), axis=1))
+        pixels, visible = self._camera.project(np.stack((cos * x + sin * y, cos * y - sin * x), axis=1))
         last = np.array([self._camera.width_px - 2, self._camera.height_px - 2])
-        seen &= ((pixels >= 1) & (pixels <= last)).all(axis=1)
-        where = np.where(seen[:, None], pixels, -10.0).astype(np.float32).reshape(*self._shape, 2)
-        inside = cv2.erode(seen.reshape(self._shape).astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0)
+        visible &= ((pixels >= 1) & (pixels <= last)).all(axis=1)
+        where = np.where(visible[:, None], pixels, -10.0).astype(np.float32).reshape(*self._shape, 2)
+        inside = cv2.erode(visible.reshape(self._shape).astype(np.uint8), np.ones((5, 5), np.uint8), borderValue=0)
         return where, np.asarray(inside, np.uint8)
 
 
 def _changes(grey: NDArray[np.uint8], where: NDArray[np.float32], inside: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Changes of brightness along the way, of the floor seen from above."""
-    found = cv2.GaussianBlur(cv2.remap(grey, where, None, cv2.INTER_LINEAR).astype(np.float32), (5, 5), 1.2)
-    change = cv2.Sobel(found, cv2.CV_32F, 0, 1, ksize=3, scale=0.25).clip(-BRIGHTEST, BRIGHTEST)
+    warped = cv2.GaussianBlur(cv2.remap(grey, where, None, cv2.INTER_LINEAR).astype(np.float32), (5, 5), 1.2)
+    change = cv2.Sobel(warped, cv2.CV_32F, 0, 1, ksize=3, scale=0.25).clip(-BRIGHTEST, BRIGHTEST)
     return np.asarray(change * inside, np.float32)
 
 

@@ -80,14 +80,14 @@ class Lens:
         """Slopes right and down of the rays through places, (n, 2), and which of them the model covers."""
         p1, p2 = self._tangential
         distorted, radius = self._radii
-        found, plain = places.copy(), places
+        slopes, plain = places.copy(), places
         for _ in range(4 if p1 or p2 else 1):
             if p1 or p2:
-                x, y = found.T
+                x, y = slopes.T
                 square = x * x + y * y
                 plain = places - np.stack(
                     (2 * p1 * x * y + p2 * (square + 2 * x * x), p1 * (square + 2 * y * y) + 2 * p2 * x * y), axis=1
                 )
             length = np.hypot(*plain.T)
-            found = plain * (np.interp(length, distorted, radius) / np.maximum(length, 1e-12))[:, None]
-        return found, np.hypot(*plain.T) < distorted[-1]
+            slopes = plain * (np.interp(length, distorted, radius) / np.maximum(length, 1e-12))[:, None]
+        return slopes, np.hypot(*plain.T) < distorted[-1]

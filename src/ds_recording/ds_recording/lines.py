@@ -68,16 +68,16 @@ def line_pixels(
     bright = palest > np.quantile(palest[max(first_row, 0) :], 0.75) + BRIGHTER
     parts = []
     for white, mask in ((False, lines.yellow), (True, lines.white & bright)):
-        seen = mask.copy()
-        seen[: max(first_row, 0)] = False
-        across, upright = _runs(seen), _runs(seen.T)
-        lengths = [_lengths(seen.shape, across), _lengths(seen.T.shape, upright).T]
+        visible = mask.copy()
+        visible[: max(first_row, 0)] = False
+        across, upright = _runs(visible), _runs(visible.T)
+        lengths = [_lengths(visible.shape, across), _lengths(visible.T.shape, upright).T]
         for runs, own, other, turned in (
             (across, lengths[0], lengths[1], False),
             (upright, lengths[1], lengths[0], True),
         ):
             line, begin, end = runs
-            inside = (begin > 0) & (end < seen.shape[0 if turned else 1])
+            inside = (begin > 0) & (end < visible.shape[0 if turned else 1])
             middle = (begin + end - 1) / 2.0
             at = (middle.astype(int), line) if turned else (line, middle.astype(int))
             # Of the two directions, that which crosses the line sooner; a row where both are equal.
@@ -85,18 +85,18 @@ def line_pixels(
             one, low, high = line[square].astype(float), begin[square] - 0.5, end[square] - 0.5
             places = [np.stack((one, v) if turned else (v, one), axis=1) for v in (middle[square], low, high)]
             parts.append((places[0], np.stack(places[1:], axis=1), np.full(len(one), white)))
-    found = [np.concatenate([part[i] for part in parts]) for i in range(3)]
-    return found[0], found[1], found[2]
+    joined = [np.concatenate([part[i] for part in parts]) for i in range(3)]
+    return joined[0], joined[1], joined[2]
 
 
-def points_on_floor(found: tuple[Array, Array, NDArray[np.bool_]], camera: FloorCamera) -> LinePoints:
+def points_on_floor(pixels_of_lines: tuple[Array, Array, NDArray[np.bool_]], camera: FloorCamera) -> LinePoints:
     """Place lines on the floor, and leave out what is too wide for a line or too far away.
 
     Args:
-        found: from `line_pixels`.
+        pixels_of_lines: from `line_pixels`.
         camera: with lane widths as the unit of length.
     """
-    pixels, ends, white = found
+    pixels, ends, white = pixels_of_lines
     if not len(pixels):
         return LinePoints(np.zeros((0, 2)), white, np.zeros((0, 2, 2)), pixels)
     floor, valid = camera.floor(pixels)

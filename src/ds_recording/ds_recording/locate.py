@@ -71,8 +71,8 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
         progress: counts the images.
     """
     images, seconds = views.images, views.seconds
-    seen = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
-    finder, before = MotionFinder(seen), HintFinder(seen)
+    scaled = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
+    finder, before = MotionFinder(scaled), HintFinder(scaled)
     hints: list[Hint] = []
     lines: list[LinePoints] = []
     motions: list[Motion | None] = []
@@ -80,7 +80,7 @@ def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progr
     for index, image in enumerate(images):
         hints.append(before.see(image))
         motions.append(finder.see(image, float(seconds[index] - seconds[index - 1]) if index else 0.0, hints[-1]))
-        lines.append(points_on_floor(line_pixels(image, int(seen.horizon_row) + 1, views.centre), seen))
+        lines.append(points_on_floor(line_pixels(image, int(scaled.horizon_row) + 1, views.centre), scaled))
         progress.advance(line="images looked at")
     return Evidence(times=seconds, lines=lines, motions=motions, hints=hints, steering=views.steering)
 
@@ -102,13 +102,13 @@ def with_odometry(
     """
     pairs = list(zip(evidence.motions, evidence.hints, strict=True))[1:]
     unknown = np.full(3, np.nan)
-    seen = np.array([hint.of(unknown) if motion is None else motion.step for motion, hint in pairs])
+    steps = np.array([hint.of(unknown) if motion is None else motion.step for motion, hint in pairs])
     stds = np.array([hint.std if motion is None else np.sqrt(np.diag(motion.covariance)) for motion, hint in pairs])
-    checked = check(views.odometry, evidence.times, seen, stds, lane_width)
+    checked = check(views.odometry, evidence.times, steps, stds, lane_width)
     if all(source.reason for source in checked):
         return evidence, checked
-    known = hints_of(checked, len(views.images), lane_width)
-    hints = [hint.fused(other) for hint, other in zip(evidence.hints, known, strict=True)]
+    odometry_hints = hints_of(checked, len(views.images), lane_width)
+    hints = [hint.fused(other) for hint, other in zip(evidence.hints, odometry_hints, strict=True)]
     images = views.images
     finder = MotionFinder(camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width))
     motions: list[Motion | None] = []
@@ -127,15 +127,17 @@ def check_motion(evidence: Evidence) -> None:
     Raises:
         RecordingError: with the reason and the share of images that failed.
     """
-    seen = [motion for motion in evidence.motions[1:] if motion is not None]
-    known = [m is not None or h.std[0] < np.inf for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)]
-    moving = float(np.mean(known))
+    motions = [motion for motion in evidence.motions[1:] if motion is not None]
+    has_motion = [
+        m is not None or h.std[0] < np.inf for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)
+    ]
+    moving = float(np.mean(has_motion))
     if moving < LEAST_MOTION:
         raise RecordingError(
             f"between {1.0 - moving:.0%} of neighbouring images no common motion of the floor is seen, expected at "
             f"most {1.0 - LEAST_MOTION:.0%}: they are shuffled, missing, or show no floor: record without dropping any"
         )
-    still = float(np.mean([np.hypot(*motion.step[:2]) < STANDING for motion in seen]))
+    still = float(np.mean([np.hypot(*motion.step[:2]) < STANDING for motion in motions]))
     if still > 0.9:
         raise RecordingError(f"nothing moves in {still:.0%} of the images: record the car while it drives")
 

@@ -89,13 +89,13 @@ class MotionFinder:
             guesses += [np.array([speed * min(seconds, 0.3), 0.0, 0.0]) for speed in SPEEDS]
         self._images += 1
         guesses = [hint.of(guess) for guess in guesses]
-        tried = [found for guess in guesses if (found := self._between(before, grey, guess, hint)) is not None]
-        found = max(tried, key=lambda motion: motion.corners, default=None)
+        tried = [fitted for guess in guesses if (fitted := self._between(before, grey, guess, hint)) is not None]
+        fitted = max(tried, key=lambda motion: motion.corners, default=None)
         # Lost, or just found: the next image is searched anew.
-        self._lost = found is None or (self._lost and self._images % 4 != 0)
-        if found is not None:
-            self._step = found.step / seconds
-        return found
+        self._lost = fitted is None or (self._lost and self._images % 4 != 0)
+        if fitted is not None:
+            self._step = fitted.step / seconds
+        return fitted
 
     def _between(self, before: NDArray[np.uint8], after: NDArray[np.uint8], guess: Array, hint: Hint) -> Motion | None:
         corners = cv2.goodFeaturesToTrack(before, CORNERS, 0.005, 3, mask=self._mask, blockSize=5)
@@ -105,7 +105,7 @@ class MotionFinder:
         floor, _ = self._camera.floor(start.astype(float))
         tensor = cv2.cornerEigenValsAndVecs(before, WINDOW, 3)[start[:, 1].astype(int), start[:, 0].astype(int)]
         precision = _precision(tensor.astype(float))
-        found: Motion | None = None
+        best: Motion | None = None
         # Coarsely, then from where the first motion puts the corners: in the large windows of a pyramid what is near
         # is held back by what is far.
         for levels in (2, 0):
@@ -117,13 +117,13 @@ class MotionFinder:
             kept = (there.ravel() > 0) & (again.ravel() > 0) & (np.hypot(*(back - start).T) < 0.7)
             if kept.sum() < LEAST_POINTS:
                 return None
-            found = self._fit(floor[kept], end[kept].astype(float), precision[kept], guess, hint)
-            if found is None:
+            best = self._fit(floor[kept], end[kept].astype(float), precision[kept], guess, hint)
+            if best is None:
                 return None
-            guess = found.step
-        return found
+            guess = best.step
+        return best
 
-    def _fit(self, floor: Array, seen: Array, precision: Array, guess: Array, hint: Hint) -> Motion | None:
+    def _fit(self, floor: Array, places: Array, precision: Array, guess: Array, hint: Hint) -> Motion | None:
         """Robust Gauss-Newton over three numbers, in pixels of the second image."""
         step = guess.copy()
         weights = np.ones(len(floor))
@@ -134,7 +134,7 @@ class MotionFinder:
                 [(self._camera.project(moved(floor, step + e))[0] - pixels) / 1e-4 for e in 1e-4 * np.eye(3)], axis=2
             )
             valid &= np.isfinite(slopes).all(axis=(1, 2))
-            off = np.einsum("nij,nj->ni", precision, np.where(valid[:, None], seen - pixels, 0.0))
+            off = np.einsum("nij,nj->ni", precision, np.where(valid[:, None], places - pixels, 0.0))
             slopes = np.einsum("nij,njk->nik", precision, np.where(valid[:, None, None], slopes, 0.0))
             size = np.hypot(*off.T)
             # Annealed Geman-McClure: from all points to those within the gate.

@@ -51,8 +51,8 @@ def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
     rows, columns = views.images[0].shape[:2]
     chosen = np.linspace(0, len(views.images) - 1, IMAGES + 2)[1:-1].round().astype(int).tolist()
     lines = [line_pixels(views.images[index], rows // 3, views.centre) for index in chosen]
-    found = mounted(camera.resized(columns, rows).scaled(1.0 / lane_width), lines)
-    return replace(camera, height_m=(found.height_m or 1.0) * lane_width, pitch_rad=found.pitch_rad)
+    mounted_camera = mounted(camera.resized(columns, rows).scaled(1.0 / lane_width), lines)
+    return replace(camera, height_m=(mounted_camera.height_m or 1.0) * lane_width, pitch_rad=mounted_camera.pitch_rad)
 
 
 def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
@@ -68,21 +68,21 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
     Raises:
         RecordingError: the lines fit no mounting.
     """
-    lines = [found for found in lines if (~found[2]).sum() >= 4 and found[2].sum() >= 4]
+    lines = [of_image for of_image in lines if (~of_image[2]).sum() >= 4 and of_image[2].sum() >= 4]
     if len(lines) < LEAST_IMAGES:
         raise RecordingError(
             f"only {len(lines)} of the chosen images show coloured and white lines, expected {LEAST_IMAGES}: measure "
             "height and pitch of the camera, and write them into its file"
         )
     best: tuple[float, FloorCamera, list[Array]] | None = None
-    total = sum(min(len(found[0]), MOST) for found in lines)
+    total = sum(min(len(of_image[0]), MOST) for of_image in lines)
     for horizon in HORIZONS:
         pitch = math.atan((camera.centre_y_px - horizon * camera.height_px) / camera.focal_px[1])
         for height in HEIGHTS:
             tried = replace(camera, height_m=camera.height_m or height, pitch_rad=camera.pitch_rad or pitch)
             shapes, votes = [], 0.0
-            for found in lines:
-                points = points_on_floor(found, tried)
+            for of_image in lines:
+                points = points_on_floor(of_image, tried)
                 near = points.floor[:, 0] < FAR
                 shape = candidate_shapes(points.floor[near], points.white[near])[:1]
                 shapes.append(shape[0, :3] if len(shape) else np.zeros(3))
@@ -99,19 +99,19 @@ def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
 
 
 def _refined(
-    camera: FloorCamera, lines: Sequence[Found], shapes: Array, known: tuple[float | None, float | None]
+    camera: FloorCamera, lines: Sequence[Found], shapes: Array, fixed: tuple[float | None, float | None]
 ) -> FloorCamera:
     """Least squares over height, pitch and the shape of the road in every image."""
-    counts = [min(len(found[0]), MOST) for found in lines]
-    chosen = [np.linspace(0, len(found[0]) - 1, n).astype(int) for found, n in zip(lines, counts, strict=True)]
-    pixels = np.concatenate([found[0][index] for found, index in zip(lines, chosen, strict=True)])
-    white = np.concatenate([found[2][index] for found, index in zip(lines, chosen, strict=True)])
+    counts = [min(len(points[0]), MOST) for points in lines]
+    chosen = [np.linspace(0, len(points[0]) - 1, n).astype(int) for points, n in zip(lines, counts, strict=True)]
+    pixels = np.concatenate([points[0][index] for points, index in zip(lines, chosen, strict=True)])
+    white = np.concatenate([points[2][index] for points, index in zip(lines, chosen, strict=True)])
     image = np.repeat(np.arange(len(lines)), counts)
 
     def at(values: Array) -> FloorCamera:
-        height = known[0] or math.exp(float(np.clip(values[0], -4.0, 4.0)))
+        height = fixed[0] or math.exp(float(np.clip(values[0], -4.0, 4.0)))
         return replace(
-            camera, height_m=height, pitch_rad=float(np.clip(values[1], -0.3, 1.3)) if known[1] is None else known[1]
+            camera, height_m=height, pitch_rad=float(np.clip(values[1], -0.3, 1.3)) if fixed[1] is None else fixed[1]
         )
 
     def errors(values: Array) -> Array:

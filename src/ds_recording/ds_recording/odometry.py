@@ -98,9 +98,9 @@ class Source:
         step = np.diff(np.stack([np.interp(seconds, self.times, v) for v in np.atleast_2d(self.values.T)]), axis=1)
         after = np.clip(np.searchsorted(self.times, seconds), 1, len(self.times) - 1)
         long = np.concatenate(([False], np.diff(self.times) > GAP))
-        known = (seconds >= self.times[0]) & (seconds <= self.times[-1]) & ~long[after]
-        known = known[1:] & known[:-1] & (np.diff(np.cumsum(long)[after]) == 0)
-        return np.where(known, step[0] if len(step) == 1 else np.hypot(*step), np.nan)
+        covered = (seconds >= self.times[0]) & (seconds <= self.times[-1]) & ~long[after]
+        covered = covered[1:] & covered[:-1] & (np.diff(np.cumsum(long)[after]) == 0)
+        return np.where(covered, step[0] if len(step) == 1 else np.hypot(*step), np.nan)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,13 +163,13 @@ def read_sources(recording: Recording, start: float, wanted: str | None = None) 
     if wanted == "none" or (wanted is None and recording.kind not in ("tub", "bag")):
         return []
     read = _tub_sources if recording.kind == "tub" else _bag_sources
-    found = list(read(recording, start, wanted))
-    if wanted is not None and not found:
+    readings = list(read(recording, start, wanted))
+    if wanted is not None and not readings:
         raise RecordingError(
             f"{recording.path}: --odometry {abbreviated(wanted)}: expected a field ({', '.join(SPEEDS)}, "
             f"{', '.join(name for name, _ in GYROSCOPES)}) of a tub, or a topic of {ODOMETRY}, {IMU} or {POSE}"
         )
-    return found
+    return readings
 
 
 def _rate(name: str, device: str, part: int, times: Array, rates: Array) -> Source:
@@ -185,8 +185,8 @@ def _rate(name: str, device: str, part: int, times: Array, rates: Array) -> Sour
 def _sound(times: Array, values: Array, largest: float) -> tuple[Array, Array]:
     """Rows that are numbers, of possible size and later than those before."""
     rows = values if values.ndim == 2 else values[:, None]
-    known = np.isfinite(times) & np.isfinite(rows).all(axis=1) & (np.abs(rows) <= largest).all(axis=1)
-    times, values = times[known], values[known]
+    usable = np.isfinite(times) & np.isfinite(rows).all(axis=1) & (np.abs(rows) <= largest).all(axis=1)
+    times, values = times[usable], values[usable]
     later = np.concatenate(([True], times[1:] > np.maximum.accumulate(times)[:-1]))[: len(times)]
     return times[later], values[later]
 
@@ -235,8 +235,8 @@ def _numbers(message: Any, *paths: str) -> list[float]:
 
 def _of_pose(pose: Any) -> tuple[float, ...]:
     x, y, *q = _numbers(pose, "position.x", "position.y", *(f"orientation.{axis}" for axis in "xyzw"))
-    known = abs(sum(v * v for v in q) - 1.0) < 0.1
-    yaw = math.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)) if known else math.nan
+    is_unit = abs(sum(v * v for v in q) - 1.0) < 0.1
+    yaw = math.atan2(2.0 * (q[3] * q[2] + q[0] * q[1]), 1.0 - 2.0 * (q[1] ** 2 + q[2] ** 2)) if is_unit else math.nan
     return x, y, yaw
 
 
@@ -260,20 +260,20 @@ _IN_MESSAGE: dict[str, Callable[[Any], tuple[float, ...]]] = {ODOMETRY: _of_odom
 """Speed, yaw rate, x, y and yaw in a message; NaN where it has none."""
 
 
-def check(sources: Sequence[Source], seconds: Array, seen: Array, stds: Array, lane_width: float) -> list[Checked]:
+def check(sources: Sequence[Source], seconds: Array, by_camera: Array, stds: Array, lane_width: float) -> list[Checked]:
     """Compare sources with what images say; of each part the best one is used.
 
     Args:
         sources: of the recording.
         seconds: times of the images, (n,).
-        seen: motion of the car between images, lane widths, lane widths, rad, (n - 1, 3); NaN where it is not seen.
+        by_camera: motion of the car between images, lane widths, lane widths, rad, (n - 1, 3); NaN where unseen.
         stds: standard deviations of it, (n - 1, 3).
         lane_width: m.
     """
     units = np.array([lane_width, lane_width, 1.0])
-    seen, stds = seen * units, stds * units
+    by_camera, stds = by_camera * units, stds * units
     every = [
-        min((_checked(s, seconds, seen[:, s.part], stds[:, s.part], d) for d in DELAYS), key=lambda c: c.left)
+        min((_checked(s, seconds, by_camera[:, s.part], stds[:, s.part], d) for d in DELAYS), key=lambda c: c.left)
         for s in sources
     ]
     best: dict[tuple[str, int], Checked] = {}
@@ -286,9 +286,9 @@ def check(sources: Sequence[Source], seconds: Array, seen: Array, stds: Array, l
     return list(best.values())
 
 
-def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: float) -> Checked:
+def _checked(source: Source, seconds: Array, by_camera: Array, stds: Array, delay: float) -> Checked:
     steps, dt = source.steps(seconds - delay), np.diff(seconds)
-    both = np.isfinite(steps) & np.isfinite(seen)
+    both = np.isfinite(steps) & np.isfinite(by_camera)
     nothing = np.full(len(steps), np.nan)
     if both.sum() < LEAST_STEPS:
         return Checked(source=source, steps=nothing, reason="it hangs, or has hardly any values while there are images")
@@ -299,7 +299,7 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
         return np.convolve(np.where(both, values, 0.0), np.ones(count), "same") / np.maximum(weights, 1.0)
 
     turn = source.part == TURN
-    x, y, t = (together(values)[both] for values in (steps, seen, dt))
+    x, y, t = (together(values)[both] for values in (steps, by_camera, dt))
     columns = np.stack((x, t) if turn else (x,), axis=1)
     start, unit = np.linalg.lstsq(columns, y, rcond=None)[0], 0.2 * max(float(y.std()), 1e-6)
     fit = least_squares(lambda p: (columns @ p - y) / unit, start, loss="cauchy")
@@ -309,7 +309,7 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
         steps = steps + bias * dt
     else:
         bias, steps = 0.0, steps * scale
-    error = seen - steps
+    error = by_camera - steps
     off = together(error)
     agree = np.abs(off) <= CONTRADICTS * max(_deviation(off[both]), 1e-9)
     deviation = float(np.sqrt(np.mean(off[both & agree] ** 2)))
@@ -324,7 +324,9 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
         reason = f"it {'turns' if turn else 'drives'} the other way than the images: turn it around, or negate it"
     elif turn and not TURN_SCALE[0] < scale < TURN_SCALE[1]:
         reason = f"the images turn {multiple(scale)} as much: another axis or unit"
-    elif not turn and not left <= MOST_LEFT and len(close := _close(steps / scale, seen)) > LEAST_CLOSE * both.sum():
+    elif (
+        not turn and not left <= MOST_LEFT and len(close := _close(steps / scale, by_camera)) > LEAST_CLOSE * both.sum()
+    ):
         # Images that lose the floor show too short a way, so most of them may be wrong where the encoder is right.
         steps = steps / scale * (scale := float(np.median(close)))
         agree, std = np.full(len(steps), True), float(np.std(close)) * float(np.median(np.abs(y)))
@@ -336,10 +338,10 @@ def _checked(source: Source, seconds: Array, seen: Array, stds: Array, delay: fl
                    left=left, steps=np.where(agree, steps, np.nan), reason=reason)  # fmt: skip
 
 
-def _close(steps: Array, seen: Array) -> Array:
+def _close(steps: Array, by_camera: Array) -> Array:
     """Ways in images over those of an encoder in metres, around the most frequent of these ratios."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = np.sort((seen / steps)[np.abs(seen / steps - 1.0) < SURPRISE + CLOSE])
+        ratios = np.sort((by_camera / steps)[np.abs(by_camera / steps - 1.0) < SURPRISE + CLOSE])
     if not len(ratios):
         return ratios
     within = np.searchsorted(ratios, ratios + CLOSE) - np.searchsorted(ratios, ratios - CLOSE)
@@ -352,23 +354,23 @@ def _deviation(errors: Array) -> float:
     return 1.4826 * float(np.median(np.abs(errors)))
 
 
-def hints_of(found: Sequence[Checked], frames: int, lane_width: float) -> list[Hint]:
+def hints_of(sources: Sequence[Checked], frames: int, lane_width: float) -> list[Hint]:
     """What the used sources say about the motion to each image, in the images' scale."""
     step, std = np.zeros((frames, 3)), np.full((frames, 3), np.inf)
-    for checked in (c for c in found if not c.reason):
+    for checked in (c for c in sources if not c.reason):
         unit, part = (1.0 if checked.source.part == TURN else lane_width), checked.source.part
-        known = np.isfinite(checked.steps)
-        step[1:, part] = np.where(known, checked.steps, 0.0) / unit
-        std[1:, part] = np.where(known, checked.std / unit, np.inf)
+        finite = np.isfinite(checked.steps)
+        step[1:, part] = np.where(finite, checked.steps, 0.0) / unit
+        std[1:, part] = np.where(finite, checked.std / unit, np.inf)
     return [Hint(*pair) if np.isfinite(pair[1]).any() else NOTHING for pair in zip(step, std, strict=True)]
 
 
-def stretch(found: Sequence[Checked]) -> float:
+def stretch(sources: Sequence[Checked]) -> float:
     """Factor on the ways in images, from an encoder's metre and theirs by inverse variance.
 
     1 if none is used, or if they differ by more than is no surprise: then the encoder is not calibrated.
     """
-    scales = [c.scale for c in found if not c.reason and c.source.part == AHEAD]
+    scales = [c.scale for c in sources if not c.reason and c.source.part == AHEAD]
     if not scales or abs(scales[0] - 1.0) > SURPRISE:
         return 1.0
     share = IMAGE_STD**2 / (SCALE_STD**2 + IMAGE_STD**2)

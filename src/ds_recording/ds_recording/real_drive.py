@@ -115,12 +115,12 @@ def _said(seconds: float) -> str:
 
 def _values(bag: BagReader, topic: str) -> Iterator[float]:
     name, _, path = topic.partition(":")
-    found = [connection for connection in bag.connections if connection.topic == name]
-    if not found:
-        known = ", ".join(sorted({connection.topic for connection in bag.connections}))
-        raise RecordingError(f"{bag.path} has no topic {name!r:.80}, expected one of {known}")
+    connections = [connection for connection in bag.connections if connection.topic == name]
+    if not connections:
+        topics = ", ".join(sorted({connection.topic for connection in bag.connections}))
+        raise RecordingError(f"{bag.path} has no topic {name!r:.80}, expected one of {topics}")
     some = False
-    for connection, _, raw in bag.messages(found):
+    for connection, _, raw in bag.messages(connections):
         try:
             value = float(reduce(getattr, path.split("."), bag.message(connection, raw)))
         except (AttributeError, TypeError, ValueError):
@@ -134,14 +134,14 @@ def _values(bag: BagReader, topic: str) -> Iterator[float]:
 
 def _poses(bag: BagReader, topic: str | None) -> Array:
     """(n, 3) x, y and yaw of the odometry."""
-    found = [one for one in bag.of_type(ODOMETRY) if topic in (None, one.topic)]
-    if len({one.topic for one in found}) != 1:
-        known = ", ".join(sorted({one.topic for one in bag.of_type(ODOMETRY)})) or "none"
+    connections = [one for one in bag.of_type(ODOMETRY) if topic in (None, one.topic)]
+    if len({one.topic for one in connections}) != 1:
+        topics = ", ".join(sorted({one.topic for one in bag.of_type(ODOMETRY)})) or "none"
         raise RecordingError(
-            f"{bag.path}: name one topic of odometry (it has {known}) or of a lateral position: --topic"
+            f"{bag.path}: name one topic of odometry (it has {topics}) or of a lateral position: --topic"
         )
     poses = []
-    for _, _, message in bag.decoded(found):
+    for _, _, message in bag.decoded(connections):
         pose = message.pose.pose
         q = pose.orientation
         yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y**2 + q.z**2))

@@ -100,9 +100,9 @@ def read_views(
             rows.append((frame.index, frame.seconds))
             sizes.add((frame.image.shape[1], frame.image.shape[0]))
             if len(sizes) > 1 or not SIZES[0] <= min(min(sizes)) <= max(max(sizes)) <= SIZES[1]:
-                found = " and ".join(f"{w} x {h}" for w, h in sorted(sizes))
+                sizes_in_words = " and ".join(f"{w} x {h}" for w, h in sorted(sizes))
                 expected = f"expected one size, of {SIZES[0]} to {SIZES[1]} px a side"
-                raise RecordingError(f"{path}: images of {found} px: {expected}")
+                raise RecordingError(f"{path}: images of {sizes_in_words} px: {expected}")
     seconds = np.array([row[1] for row in rows])
     first, end = longest_stretch(path, seconds, total)
     kept: list[NDArray[np.uint8]] = []

@@ -163,11 +163,13 @@ class Smoother:
         self._steering: Steering | None = None
         self._seconds = np.diff(evidence.times)
         pairs = list(zip(evidence.motions, evidence.hints, strict=True))
-        seen = [i for i, (motion, hint) in enumerate(pairs) if i and (motion or np.isfinite(hint.std).any())]
-        self._seen = np.array(seen, dtype=np.int64)
-        known = [(motion.step, motion.covariance) if motion else (hint.step, hint.covariance) for motion, hint in pairs]
-        self._steps = np.array([known[i][0] for i in seen]).reshape(-1, 3)
-        spread = np.array([known[i][1] for i in seen]).reshape(-1, 3, 3) * MOTION_FACTOR**2
+        with_motion = [i for i, (motion, hint) in enumerate(pairs) if i and (motion or np.isfinite(hint.std).any())]
+        self._seen = np.array(with_motion, dtype=np.int64)
+        measured = [
+            (motion.step, motion.covariance) if motion else (hint.step, hint.covariance) for motion, hint in pairs
+        ]
+        self._steps = np.array([measured[i][0] for i in with_motion]).reshape(-1, 3)
+        spread = np.array([measured[i][1] for i in with_motion]).reshape(-1, 3, 3) * MOTION_FACTOR**2
         spread = spread + np.diag(np.square(MOTION_FLOOR))
         self._whitening = np.linalg.inv(np.linalg.cholesky(spread))
 
@@ -435,7 +437,7 @@ class Smoother:
         """Standard deviations of offset and relative heading, from columns of the covariance matrix."""
         count, knots = self._count, 3 * self._count
         length = self._track.lengths[self._pieces]
-        found = [np.zeros(count), np.zeros(count)]
+        deviations = [np.zeros(count), np.zeros(count)]
         for first in range(0, count, 256):
             frames = np.arange(first, min(first + 256, count))
             here = np.arange(len(frames))
@@ -451,5 +453,5 @@ class Smoother:
                     wanted[3 * frames + 2, here] = 1.0
                     wanted[knots + piece, here] += 1.0 / length[frames]
                     wanted[knots + self._next(piece), here] -= 1.0 / length[frames]
-                found[kind][frames] = np.sqrt(np.maximum((wanted * multiply(wanted)).sum(axis=0), 0.0))
-        return found[0], found[1]
+                deviations[kind][frames] = np.sqrt(np.maximum((wanted * multiply(wanted)).sum(axis=0), 0.0))
+        return deviations[0], deviations[1]

@@ -54,15 +54,15 @@ def follow_steering(times: Array, steering: Array, speeds: Array, yaw_rates: Arr
     Returns:
         The best fit; None where the steering explains too little.
     """
-    known = np.isfinite(steering)
-    if known.sum() < LEAST_FRAMES or float(np.std(steering[known])) < 1e-3:
+    recorded = np.isfinite(steering)
+    if recorded.sum() < LEAST_FRAMES or float(np.std(steering[recorded])) < 1e-3:
         return None
     middle = 0.5 * (times[1:] + times[:-1])
     best: Steering | None = None
     for delay in DELAYS:
         for lag in LAGS:
-            command = _lagged(times, np.where(known, steering, 0.0), middle - delay, lag)
-            used = (speeds > LEAST_SPEED) & (middle - delay > times[0]) & known[1:] & known[:-1]
+            command = _lagged(times, np.where(recorded, steering, 0.0), middle - delay, lag)
+            used = (speeds > LEAST_SPEED) & (middle - delay > times[0]) & recorded[1:] & recorded[:-1]
             if used.sum() < LEAST_FRAMES:
                 continue
             rows = np.stack((command[used] * speeds[used], speeds[used]), axis=1)

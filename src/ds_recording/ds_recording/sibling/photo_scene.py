@@ -92,9 +92,9 @@ class PhotoScene(RenderedScene):
         camera = drive.camera
         columns, rows = network_grid(camera.width_px, camera.height_px)
         grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-        seen, self._inside_lens = camera.rays(grid)
+        rays, self._inside_lens = camera.rays(grid)
         # As the optical axis of the photographs has them, whatever part of the image a network sees.
-        self._rays = np.concatenate((seen.T, np.ones((1, len(seen))))).reshape(3, IMAGE_HEIGHT, IMAGE_WIDTH)
+        self._rays = np.concatenate((rays.T, np.ones((1, len(rays))))).reshape(3, IMAGE_HEIGHT, IMAGE_WIDTH)
         self._rays = self._rays.astype(np.float32)  # half the time; rounds a pixel by 1e-4
         self._mount = CameraSpec(
             horizontal_fov=1.0, height=self._spec.height, forward=self._spec.forward, pitch=camera.pitch_rad or 0.0
@@ -129,9 +129,9 @@ class PhotoScene(RenderedScene):
         for index in (first, *others):
             columns, lines, shown = self._seen_from(index, directions[:, missing], nearness[missing], position)
             # What the nearest photograph does not show keeps what is on its border, unless another one shows it.
-            found = missing if index == first else missing[shown]
+            hidden = missing if index == first else missing[shown]
             chosen = slice(None) if index == first else shown
-            part[found] = _sampled(self._photograph(index), columns[chosen], lines[chosen])
+            part[hidden] = _sampled(self._photograph(index), columns[chosen], lines[chosen])
             missing = missing[~shown]
             if not missing.size:
                 break
@@ -181,10 +181,10 @@ class PhotoScene(RenderedScene):
         front = depth > _NEAR
         depth = np.where(front, depth, 1.0)
         camera = self._drive.camera
-        columns, rows, known = camera.pixels(across / depth, down / depth)
+        columns, rows, inside = camera.pixels(across / depth, down / depth)
         within = (columns >= -0.5) & (columns <= camera.width_px - 0.5)
         within &= (rows >= -0.5) & (rows <= camera.height_px - 0.5)
-        return columns, rows, front & known & within
+        return columns, rows, front & inside & within
 
 
 def _sampled(photograph: NDArray[np.uint8], columns: Array, rows: Array) -> NDArray[np.uint8]:
