@@ -73,8 +73,8 @@ def write_all(
     from ds_report.sections import answer_section, further_map, merge_tables, sibling_section
 
     report, listener = folder / "report.html", listener or Listener()
-    count, made = store.count_results(), store.results()
-    if not again and all(made.get(stage) == count for stage in STAGES) and report.exists():
+    count, results = store.count_results(), store.results()
+    if not again and all(results.get(stage) == count for stage in STAGES) and report.exists():
         return report
     data = data or read_campaign(store)
     if len(data.tests) <= SHOWN_TESTS:  # a larger report shows a part of the drives, and depends on no others

@@ -94,8 +94,8 @@ def plan_pictures(
         replays: largest number of pictures in all replays.
     """
     driven = {e.test_id for e in executions}
-    known = [test for test in tests if test.test_id in driven and test.test_id in cells]
-    ranked = worst_first(known, executions)
+    placed = [test for test in tests if test.test_id in driven and test.test_id in cells]
+    ranked = worst_first(placed, executions)
     of_test: dict[str, list[Execution]] = {}
     for execution in executions:
         if len(execution.trajectory):
@@ -117,7 +117,7 @@ def plan_pictures(
         frames[execution.test_id, execution.simulator] = chosen
     replayed = sum((e.test_id, e.simulator) in frames for e in failed)
 
-    told = telling_tests(known, executions, cells, most=strips)
+    told = telling_tests(placed, executions, cells, most=strips)
     for test in told:
         for execution in of_test.get(test.test_id, []):
             frames.setdefault((execution.test_id, execution.simulator), [])

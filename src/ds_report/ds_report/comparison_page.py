@@ -134,8 +134,8 @@ def _picture(drive: PairedDrive) -> str:
     if drive.test.scenario is None:
         return ""
     paths = {"reference": drive.reference.path, "candidate": drive.candidate.path}
-    known = {name: path for name, path in paths.items() if len(path)}
-    return data_address(draw(drive.test.scenario.road, trajectories=known, size=_SIZE, caption=False))
+    driven = {name: path for name, path in paths.items() if len(path)}
+    return data_address(draw(drive.test.scenario.road, trajectories=driven, size=_SIZE, caption=False))
 
 
 def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str], folder: Path) -> str:

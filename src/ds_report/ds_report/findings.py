@@ -315,10 +315,10 @@ def _conditions(outcomes: RoadOutcomes, but: str = "") -> list[str]:
     named = []
     for name in FIELDS:
         values = {getattr(test.conditions, name) for test in outcomes.tests}
-        known = [value for value in values if value is not None]
-        if values == {getattr(DEFAULT, name)} or not known or name == but:
+        numbers = [value for value in values if value is not None]
+        if values == {getattr(DEFAULT, name)} or not numbers or name == but:
             continue
-        named.append(in_words(name, min(known), max(known)))
+        named.append(in_words(name, min(numbers), max(numbers)))
     return named
 
 

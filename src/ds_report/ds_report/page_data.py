@@ -128,11 +128,11 @@ def simulator_rows(config: CampaignConfig) -> list[dict[str, Any]]:
 
 def _excluded(data: CampaignData) -> dict[str, list[str]]:
     """Test -> for every simulator why it is excluded there, or ""."""
-    found: dict[str, list[str]] = {}
+    reasons: dict[str, list[str]] = {}
     for (test_id, simulator), gate in data.excluded.items():
-        row = found.setdefault(test_id, [""] * len(data.config.simulators))
+        row = reasons.setdefault(test_id, [""] * len(data.config.simulators))
         row[data.config.simulators.index(simulator)] = f"{IN_WORDS[gate.state]}: {gate.message}"
-    return dict(sorted(found.items()))
+    return dict(sorted(reasons.items()))
 
 
 def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:

@@ -66,7 +66,7 @@ def _layout(**more: Any) -> go.Layout:
 
 
 def _axis(title: str = "", **more: Any) -> dict[str, Any]:
-    found = {
+    options = {
         "title": {"text": title, "font": {"size": 12, "color": SOFT}, "standoff": 6},
         "tickfont": {"size": 11, "color": SOFT},
         "fixedrange": True,
@@ -75,7 +75,7 @@ def _axis(title: str = "", **more: Any) -> dict[str, Any]:
         "linecolor": LINE,
         "automargin": True,
     }
-    return {**found, **more}
+    return {**options, **more}
 
 
 def _map_layout(rows: int) -> go.Layout:
@@ -124,13 +124,13 @@ def correlation_chart(
     tentative = any(c.caution for c in correlations)
     figure = go.Figure(layout=_correlation_layout(labels, correlations))
     for axis, value, ends in (("x", "r", "r_interval"), ("x2", "auc", "auc_interval")):
-        known = [(label, c) for label, c in zip(labels, correlations, strict=True) if getattr(c, value) is not None]
-        middles = [getattr(c, value) for _, c in known]
-        intervals = [getattr(c, ends) or (m, m) for (_, c), m in zip(known, middles, strict=True)]
-        some = any(getattr(c, ends) for _, c in known)
+        measured = [(label, c) for label, c in zip(labels, correlations, strict=True) if getattr(c, value) is not None]
+        middles = [getattr(c, value) for _, c in measured]
+        intervals = [getattr(c, ends) or (m, m) for (_, c), m in zip(measured, middles, strict=True)]
+        some = any(getattr(c, ends) for _, c in measured)
         figure.add_scatter(
             x=middles,
-            y=[label for label, _ in known],
+            y=[label for label, _ in measured],
             xaxis=axis,
             error_x={
                 "visible": some,

@@ -132,7 +132,7 @@ def drawn_in(
     width = WIDTH // ACROSS
     height = round(image.shape[0] * width / image.shape[1])
     large = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
-    seen = camera.resized(width, height).scaled(1.0 / lane_width)
+    scaled = camera.resized(width, height).scaled(1.0 / lane_width)
     x, y, yaw = fit.solution.poses[frame]
     start = int(np.searchsorted(track.stations, fit.solution.along[frame] % max(track.length, 1e-9)))
     index = start + np.arange(-10, round(1.3 * SHOWN[1] / 0.1))
@@ -142,7 +142,7 @@ def drawn_in(
         to = track.beside(offset).points[index] - (x, y)
         cos, sin = np.cos(yaw), np.sin(yaw)
         floor = np.stack((cos * to[:, 0] + sin * to[:, 1], cos * to[:, 1] - sin * to[:, 0]), axis=1)
-        pixels, valid = seen.project(floor)
+        pixels, valid = scaled.project(floor)
         valid &= (floor[:, 0] > SHOWN[0]) & (floor[:, 0] < SHOWN[1])
         for i in np.flatnonzero(valid[1:] & valid[:-1]):
             ends = [tuple(int(v) for v in np.clip(16 * pixels[j], -(2**24), 2**24)) for j in (i, i + 1)]

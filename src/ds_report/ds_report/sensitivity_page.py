@@ -26,23 +26,25 @@ class SensitivityPage:
     path: Path
     _pictures: dict[tuple[int, str], CameraPicture] = field(default_factory=dict)
 
-    def write(self, found: Sensitivity) -> None:
+    def write(self, result: Sensitivity) -> None:
         """Write what is known."""
-        pending = sum(one.verdict == "pending" for one in found.thresholds.values())
+        pending = sum(one.verdict == "pending" for one in result.thresholds.values())
         write_page(
             self.path,
             "sensitivity.html.j2",
-            found=found,
-            rows=[(found.factors[k], [found.thresholds[k, name] for name in found.simulators]) for k in found.order],
-            pictures={found.factors[k].title: self._picture(found, k) for k in found.order},
+            found=result,
+            rows=[
+                (result.factors[k], [result.thresholds[k, name] for name in result.simulators]) for k in result.order
+            ],
+            pictures={result.factors[k].title: self._picture(result, k) for k in result.order},
             pending=pending,
-            total=len(found.thresholds),
+            total=len(result.thresholds),
             reload=RELOAD,
         )
 
-    def _picture(self, found: Sensitivity, position: int) -> tuple[str, CameraPicture] | None:
+    def _picture(self, result: Sensitivity, position: int) -> tuple[str, CameraPicture] | None:
         """The view on the simulator that withstands least, at the strength at which its median road fails."""
-        failing = [found.thresholds[position, name] for name in found.simulators]
+        failing = [result.thresholds[position, name] for name in result.simulators]
         failing = [one for one in failing if one.verdict == "fails"]
         if not failing:
             return None
@@ -50,7 +52,7 @@ class SensitivityPage:
         level = worst.fails or 0
         key = (position, f"{worst.simulator} {level}")
         if key not in self._pictures:
-            first = found.roads[worst.simulator][0]
+            first = result.roads[worst.simulator][0]
             scenario = replace(first, conditions=worst.factor.conditions(level))
             (self._pictures[key],) = camera_pictures([worst.simulator], scenario)
         words = in_words(worst.factor.name, worst.factor.value(level))

@@ -20,33 +20,33 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
+def draw_sensitivity(result: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
     """Draw a row for each factor in which something fails or cannot be judged, and name the others below.
 
     A dot marks the strength at which the median road fails on a simulator, and a line spans the roads. A cross marks
     where no driver can be judged. The value is written beside the first failure of a row.
 
     Args:
-        found: the analysis.
+        result: the analysis.
         vector: see `ds_base.figures.draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    colours = colours_of(found.simulators)
+    colours = colours_of(result.simulators)
     withstood = {
-        position: {found.thresholds[position, name].verdict for name in found.simulators}
+        position: {result.thresholds[position, name].verdict for name in result.simulators}
         <= {"completes", "not applicable"}
-        for position in found.order
+        for position in result.order
     }
-    drawn = [position for position in found.order if not withstood[position]]
-    quiet = [found.factors[position].title for position in found.order if withstood[position]]
+    drawn = [position for position in result.order if not withstood[position]]
+    quiet = [result.factors[position].title for position in result.order if withstood[position]]
     lines = wrap("No failure on any simulator, up to: " + ", ".join(quiet), 120) if quiet else []
 
     def draw(figure: Figure) -> None:
         axes = figure.subplots()
         for row, position in enumerate(drawn):
-            thresholds = [found.thresholds[position, name] for name in found.simulators]
+            thresholds = [result.thresholds[position, name] for name in result.simulators]
             first = min((one.fails for one in thresholds if one.fails), default=None)
             for index, one in enumerate(thresholds):
                 at, colour = row + 0.6 * ((index + 0.5) / len(thresholds) - 0.5), colours[one.simulator]
@@ -66,10 +66,10 @@ def draw_sensitivity(found: Sensitivity, vector: Path | None = None) -> NDArray[
         for name, colour in colours.items():
             axes.plot([], [], "o", color=colour, label=f"first fails on {short_name(name)}")
         axes.plot([], [], "x", color="#555555", label="cannot be judged from here")
-        axes.set_yticks(range(len(drawn)), [found.factors[position].title for position in drawn])
+        axes.set_yticks(range(len(drawn)), [result.factors[position].title for position in drawn])
         axes.set(xlim=(0.0, 1.03), ylim=(len(drawn) - 0.5, -0.5))
         axes.set_xticks((0.0, 1.0), ["no change", "hardest value"])
-        axes.set_title(f"Where {found.driver} first fails as a condition gets worse")
+        axes.set_title(f"Where {result.driver} first fails as a condition gets worse")
         axes.set_xlabel("\n".join(lines), loc="left")
         figure.legend(loc="outside upper right", ncols=len(colours) + 1)
 

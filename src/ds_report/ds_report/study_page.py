@@ -41,7 +41,7 @@ def write_study_page(folder: Path, study: Study) -> Path:
             tables = comparison_tables(compare_predictors(table, predict(table)))
         except OutcomeTableError as error:
             unpredicted = str(error)
-    shown = {map_id: made for map_id, made in maps_of_study(study).items() if not map_id.operator}
+    shown = {map_id: feature_map for map_id, feature_map in maps_of_study(study).items() if not map_id.operator}
     bounds = bounds_of(shown.values())
     return write_page(
         folder / PAGE,
@@ -55,8 +55,8 @@ def write_study_page(folder: Path, study: Study) -> Path:
         pairs=pair_table(table),
         maps=[
             (part.title, data_address(draw_map(part, "probability", bounds=bounds)))
-            for made in shown.values()
-            for part in slices_of(made)
+            for feature_map in shown.values()
+            for part in slices_of(feature_map)
         ],
         verdicts="" if car is None else data_address(draw_verdicts(car.verdicts, "Predicted failures on a car")),
         tables=tables,
@@ -73,19 +73,19 @@ def _about_car(car: CarPrediction | None) -> list[str]:
 
 def _where(table: OutcomeTable, name: SimulatorName) -> str:
     """Say on how many tests a simulator fails, and where, if a feature divides them better than chance."""
-    known = table.select(table.known(name))
-    failed = known.failed(name)
-    said = f"{name} fails on {int(failed.sum())} of {len(known)} tests"
-    values = np.concatenate((known.features.T, -known.features.T))
-    families = np.unique(known.families, return_inverse=True)[1]
-    split = choose_split(values, failed, families, np.random.default_rng(SEED)) if len(known) else None
+    judged = table.select(table.known(name))
+    failed = judged.failed(name)
+    said = f"{name} fails on {int(failed.sum())} of {len(judged)} tests"
+    values = np.concatenate((judged.features.T, -judged.features.T))
+    families = np.unique(judged.families, return_inverse=True)[1]
+    split = choose_split(values, failed, families, np.random.default_rng(SEED)) if len(judged) else None
     if split is None or split.apart is None or not split.is_clear:
         return f"{said}; no feature divides them better than chance."
-    from_below, axis = divmod(split.axis, len(known.feature_names))
+    from_below, axis = divmod(split.axis, len(judged.feature_names))
     side = f"{-split.threshold:.3g} or less" if from_below else f"{split.threshold:.3g} or more"
     low, high = (f"{one.failures / one.tests:.0%}" for one in split.apart[::-1])
     beyond, harder = int(failed[split.harder].sum()), int(split.harder.sum())
-    where = f"{beyond} of the {harder} where {known.feature_names[axis]} is {side}"
+    where = f"{beyond} of the {harder} where {judged.feature_names[axis]} is {side}"
     return f"{said}: {where}. On tests that did not choose this threshold, {high} fail beyond it and {low} elsewhere."
 
 

@@ -84,28 +84,28 @@ class CampaignReader:
             except StoreError:
                 self._known = _Known(config=self._known.config)
                 raise
-            known, results, count = self._known, store.results(), store.count_results()
+            campaign, results, count = self._known, store.results(), store.count_results()
             latest = store.latest_executions()
             data = CampaignData(
-                config=known.config,
-                tests=tuple(known.tests.values()),
-                executions=tuple(known.executions.values()),
+                config=campaign.config,
+                tests=tuple(campaign.tests.values()),
+                executions=tuple(campaign.executions.values()),
                 gates=store.gates(),
                 errors=tuple(store.errors()),
                 given_up=frozenset(store.given_up()),
                 results=results,
             )
         # The cells were computed with the trajectories, which are not kept.
-        vars(data)["cells"] = dict(known.cells)
+        vars(data)["cells"] = dict(campaign.cells)
         now = time.time()
         live = read_live(self.folder, now)
-        driven = len(known.executions) + len(data.excluded)
-        complete = known.config.elites_only or driven >= known.config.executions_at_most
+        driven = len(campaign.executions) + len(data.excluded)
+        complete = campaign.config.elites_only or driven >= campaign.config.executions_at_most
         complete = complete and results.get("report") == count
         return Snapshot(
             data=data,
-            cells=dict(known.cells),
-            latest={name: test_id for name, test_id in latest.items() if (test_id, name) in known.executions},
+            cells=dict(campaign.cells),
+            latest={name: test_id for name, test_id in latest.items() if (test_id, name) in campaign.executions},
             live=live,
             complete=complete,
             at=now,
@@ -124,30 +124,30 @@ class CampaignReader:
         return closing(open_store(self.folder))
 
     def _read_new(self, store: Store) -> None:
-        known = self._known
+        campaign = self._known
         last = store.last_rows()
-        same = store.test_of_row(known.rows[0]) == known.last_test and last[1] >= known.rows[1]
-        if not same or store.count_tests() < len(known.tests):
+        same = store.test_of_row(campaign.rows[0]) == campaign.last_test and last[1] >= campaign.rows[1]
+        if not same or store.count_tests() < len(campaign.tests):
             # A stopped search took back its last tests, or the folder was replaced.
-            known = self._known = _Known(config=config_of(store))
-        executions = store.executions(after=known.rows[1])
+            campaign = self._known = _Known(config=config_of(store))
+        executions = store.executions(after=campaign.rows[1])
         # Tests after executions: a test is stored before its executions.
-        known.tests |= {test.test_id: test for test in store.tests(after=known.rows[0])}
+        campaign.tests |= {test.test_id: test for test in store.tests(after=campaign.rows[0])}
         gates = store.gates()
         for execution in executions:
-            test = known.tests.get(execution.test_id)
-            if test is None or execution.simulator not in known.config.simulators:
+            test = campaign.tests.get(execution.test_id)
+            if test is None or execution.simulator not in campaign.config.simulators:
                 raise StoreError(f"{self.folder} has changed while it was read")
-            known.executions[execution.test_id, execution.simulator] = replace(execution, drive=NO_DRIVE)
+            campaign.executions[execution.test_id, execution.simulator] = replace(execution, drive=NO_DRIVE)
             gate = gates.get((execution.test_id, test.sibling))
             cell = cell_of(
                 test.road,
                 execution if execution.simulator == test.sibling else None,
-                features=known.config.features,
-                maxitwo_compatible=known.config.maxitwo_compatible,
+                features=campaign.config.features,
+                maxitwo_compatible=campaign.config.maxitwo_compatible,
                 conditions=test.conditions,
                 visible_contrast=None if gate is None or gate.outcome is None else gate.visible_contrast,
             )
             if cell is not None:
-                known.cells[execution.test_id] = cell
-        known.rows, known.last_test = last, store.test_of_row(last[0])
+                campaign.cells[execution.test_id] = cell
+        campaign.rows, campaign.last_test = last, store.test_of_row(last[0])

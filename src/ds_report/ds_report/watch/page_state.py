@@ -138,14 +138,14 @@ def _axes(snapshot: Snapshot) -> list[dict[str, Any]]:
 
 def _maps(snapshot: Snapshot) -> dict[str, list[list[int]]]:
     """Simulator -> its cells over the first two features: bins, tests, failures."""
-    found: dict[str, dict[tuple[int, int], list[int]]] = {name: {} for name in snapshot.data.config.simulators}
+    tallies: dict[str, dict[tuple[int, int], list[int]]] = {name: {} for name in snapshot.data.config.simulators}
     for execution in snapshot.data.verdicts:
         cell = snapshot.cells.get(execution.test_id)
         if cell is not None:
-            counts = found[execution.simulator].setdefault((cell[0], cell[1]), [0, 0])
+            counts = tallies[execution.simulator].setdefault((cell[0], cell[1]), [0, 0])
             counts[0] += 1
             counts[1] += execution.outcome.is_failure
-    return {name: [[*cell, *counts] for cell, counts in sorted(cells.items())] for name, cells in found.items()}
+    return {name: [[*cell, *counts] for cell, counts in sorted(cells.items())] for name, cells in tallies.items()}
 
 
 def _under_way(drive: LiveDrive, by_road: dict[tuple[str, int], list[Test]], now: float) -> dict[str, Any]:

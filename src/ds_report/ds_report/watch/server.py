@@ -84,13 +84,13 @@ class Watched:
             BusyError: newer questions have taken this one's place.
         """
         loop = asyncio.get_running_loop()
-        found = await loop.run_in_executor(self._reading, self._reader.execution, test_id, simulator)
-        if found is None:
+        drive = await loop.run_in_executor(self._reading, self._reader.execution, test_id, simulator)
+        if drive is None:
             return None
-        key = (test_id, simulator, found[1].trajectory_sha256)
+        key = (test_id, simulator, drive[1].trajectory_sha256)
         rendered = self._rendered.pop(key, None)
         if rendered is None or rendered.cancelled() or (rendered.done() and rendered.exception()):
-            rendered = loop.run_in_executor(self._rendering, self._pictures.render, *found)
+            rendered = loop.run_in_executor(self._rendering, self._pictures.render, *drive)
         self._rendered[key] = rendered  # the newest is the last
         for old in [key for key, one in self._rendered.items() if one.done()][:-_KEPT]:
             del self._rendered[old]
@@ -100,7 +100,7 @@ class Watched:
             pictures = await asyncio.shield(rendered)
         except asyncio.CancelledError:
             raise BusyError from None
-        return {**drive_lines(*found, names=self._reader.config.simulators), "pictures": pictures}
+        return {**drive_lines(*drive, names=self._reader.config.simulators), "pictures": pictures}
 
     def close(self) -> None:
         """Release what renders."""
