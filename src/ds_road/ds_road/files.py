@@ -31,15 +31,15 @@ def road_from_json(raw: Any) -> Road:
     """
     if not isinstance(raw, dict):
         return Road(raw)
-    given = [kind for kind in ("control_points", "road_points") if kind in raw]
-    if len(given) != 1:
-        found = "both" if given else "neither"
-        raise RoadError(f"a road has {found} of control_points and road_points, expected exactly one")
+    kinds = [kind for kind in ("control_points", "road_points") if kind in raw]
+    if len(kinds) != 1:
+        how_many = "both" if kinds else "neither"
+        raise RoadError(f"a road has {how_many} of control_points and road_points, expected exactly one")
     lane_width, lane = raw.get("lane_width", LANE_WIDTH), raw.get("lane", "right")
     maxitwo_compatible = raw.get("maxitwo_compatible", False)
     if not isinstance(maxitwo_compatible, bool):
         raise RoadError(f"maxitwo_compatible is {abbreviated(maxitwo_compatible)}, expected true or false")
-    if given == ["control_points"]:
+    if kinds == ["control_points"]:
         return Road(raw["control_points"], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible, lane=lane)
     if maxitwo_compatible:
         raise RoadError("maxitwo_compatible is true for a road given by road_points, expected control_points")

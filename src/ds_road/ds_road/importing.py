@@ -203,18 +203,18 @@ def _read_sbft(content: bytes, stem: str, left_out: LeftOut) -> list[CentreLine]
         raise RoadError("JSON without tests: expected objects with road_points")
     if len(tests) > MOST_ROADS:
         raise RoadError(f"{len(tests)} tests, expected at most {MOST_ROADS}: divide the file")
-    found = []
+    lines = []
     for index, test in enumerate(tests):
         keys = [test.get(key) for key in ("name", "test_id", "id", "_id")]
         keys = [key.get("$oid") if isinstance(key, dict) else key for key in keys]
-        given = next((key for key in keys if isinstance(key, str | int)), None)
-        name = str(given) if given is not None else stem if len(tests) == 1 else f"{stem}_{index}"
+        written_key = next((key for key in keys if isinstance(key, str | int)), None)
+        name = str(written_key) if written_key is not None else stem if len(tests) == 1 else f"{stem}_{index}"
         left_out.total += 1
         try:
-            found.append(CentreLine.of(name[:200], _sbft_road(test)))
+            lines.append(CentreLine.of(name[:200], _sbft_road(test)))
         except RoadError as error:
             left_out.add(name[:60], RoadError(f"test {index}: {error}") if left_out.strict else error)
-    return found
+    return lines
 
 
 def _sbft_road(test: dict[str, Any]) -> Road:

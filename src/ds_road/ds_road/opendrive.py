@@ -198,10 +198,10 @@ def _polynomial(entries: list[Element], start: str, s: NDArray[np.float64], othe
 
 def _entries(parent: Element, path: str) -> list[Element]:
     """Elements below a parent, no more than a road may have points."""
-    found = parent.findall(path)
-    if len(found) > MAX_POINTS:
-        raise RoadError(f"it has {len(found)} entries of {path}, expected at most {MAX_POINTS}")
-    return found
+    entries = parent.findall(path)
+    if len(entries) > MAX_POINTS:
+        raise RoadError(f"it has {len(entries)} entries of {path}, expected at most {MAX_POINTS}")
+    return entries
 
 
 def number(element: Element, name: str) -> float:

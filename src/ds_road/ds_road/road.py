@@ -157,10 +157,10 @@ class Road:
 
         n is the number of control points, minus one on a maxitwo-compatible road, whose spline ignores the first one.
         """
-        given = np.array(self.control_points)
+        control = np.array(self.control_points)
         if self.sampled:
-            return _read_only(given)
-        return _read_only(catmull_rom(given[1:] if self.maxitwo_compatible else given))
+            return _read_only(control)
+        return _read_only(catmull_rom(control[1:] if self.maxitwo_compatible else control))
 
     @cached_property
     def _right_normals(self) -> NDArray[np.float64]:

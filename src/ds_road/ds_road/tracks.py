@@ -66,12 +66,14 @@ def read_track(content: bytes) -> Track:
     if len(rows) < 2:
         raise RoadError("not a track: expected at least two lines x,y, separated by commas, semicolons or spaces")
     table = np.array(rows)
-    found = {key: next((names.index(name) for name in known if name in names), None) for key, known in NAMES.items()}
+    columns = {
+        key: next((names.index(name) for name in aliases if name in names), None) for key, aliases in NAMES.items()
+    }
     if len(names) != table.shape[1]:  # a remark, not names
-        found = dict.fromkeys(NAMES)
-    x, y = found["x"], found["y"]
+        columns = dict.fromkeys(NAMES)
+    x, y = columns["x"], columns["y"]
     if x is None or y is None:
-        if any(found.values()) or len(names) == table.shape[1] or table.shape[1] < 2:
+        if any(columns.values()) or len(names) == table.shape[1] or table.shape[1] < 2:
             raise RoadError(f"columns {', '.join(names)[:60] or 'without names'}: expected x and y among them")
         x, y = 0, 1
         if table.shape[1] == 3 and not np.ptp(table[:, 1]) and np.ptp(table[:, 2]):
@@ -79,7 +81,7 @@ def read_track(content: bytes) -> Track:
     if not np.isfinite(table[:, [x, y]]).all():
         row = int(np.flatnonzero(~np.isfinite(table[:, [x, y]]).all(axis=1))[0])
         raise RoadError(f"row {row + 1} of the track has no finite x and y: correct or delete it")
-    right, left = found["right"], found["left"]
+    right, left = columns["right"], columns["left"]
     if right is None or left is None:
         return Track(table[:, [x, y]])
     return Track(table[:, [x, y]], table[:, right], table[:, left])
