@@ -89,10 +89,10 @@ class DigitalSiblingsEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.float32]]):
             ds_road.RoadError: the road is not valid.
         """
         super().reset(seed=seed)
-        given = dict(options or {})
-        road, simulator_seed = given.pop("road", None), given.pop("simulator_seed", None)
-        if given:
-            raise ValueError(f"unknown option {', '.join(map(repr, given))}: expected road or simulator_seed")
+        chosen = dict(options or {})
+        road, simulator_seed = chosen.pop("road", None), chosen.pop("simulator_seed", None)
+        if chosen:
+            raise ValueError(f"unknown option {', '.join(map(repr, chosen))}: expected road or simulator_seed")
         if not (road is None or isinstance(road, Road)):
             raise ValueError(f"option road is a {type(road).__name__}, expected a ds_road.Road")
         if not (simulator_seed is None or (isinstance(simulator_seed, int) and simulator_seed >= 0)):
@@ -113,16 +113,16 @@ class DigitalSiblingsEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.float32]]):
         if self._last is None or self._road is None:
             raise SimulatorError("no episode is under way: call reset first")
         before = self._last
-        seen = self._last = self._simulator.step(Command(float(action[0]), float(action[1])))
-        progress = seen.lane.arc_length - before.lane.arc_length
-        centred = 1.0 - abs(seen.lane.lateral_position) / (self._road.lane_width / 2)
-        failed = seen.outcome in (Outcome.OUT_OF_BOUNDS, Outcome.STUCK)
+        observation = self._last = self._simulator.step(Command(float(action[0]), float(action[1])))
+        progress = observation.lane.arc_length - before.lane.arc_length
+        centred = 1.0 - abs(observation.lane.lateral_position) / (self._road.lane_width / 2)
+        failed = observation.outcome in (Outcome.OUT_OF_BOUNDS, Outcome.STUCK)
         return (
-            seen.image.copy(),  # a camera with latency delivers one image several times
+            observation.image.copy(),  # a camera with latency delivers one image several times
             FAILURE_REWARD if failed else progress * centred,
-            failed or seen.outcome is Outcome.COMPLETED,
-            seen.outcome is Outcome.TIMEOUT,
-            self._info(seen),
+            failed or observation.outcome is Outcome.COMPLETED,
+            observation.outcome is Outcome.TIMEOUT,
+            self._info(observation),
         )
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
@@ -136,17 +136,17 @@ class DigitalSiblingsEnv(gymnasium.Env[NDArray[np.uint8], NDArray[np.float32]]):
         self._last = None
         self._simulator.close()
 
-    def _info(self, seen: Observation) -> dict[str, Any]:
+    def _info(self, observation: Observation) -> dict[str, Any]:
         assert self._road is not None
         return {
-            "outcome": seen.outcome.name,
+            "outcome": observation.outcome.name,
             "road_id": self._road.road_id,
             "simulator_seed": self._simulator_seed,
-            "time": seen.time,
-            "speed": seen.vehicle.speed,
-            "lateral_position": seen.lane.lateral_position,
-            "lateral_distance": seen.lane.lateral_distance,
-            "arc_length": seen.lane.arc_length,
+            "time": observation.time,
+            "speed": observation.vehicle.speed,
+            "lateral_position": observation.lane.lateral_position,
+            "lateral_distance": observation.lane.lateral_distance,
+            "arc_length": observation.lane.arc_length,
         }
 
 

@@ -50,8 +50,8 @@ class HybridSimulator(RoadSimulator):
     def __init__(self, names: Mapping[str, str]) -> None:
         if set(names) != set(PARTS):
             raise HybridError(f"parts {', '.join(names) or 'none'}: expected {', '.join(PARTS)}")
-        made = {name: exchangeable(name) for name in sorted(set(names.values()))}
-        camera, look, vehicle, delays = (made[names[part]] for part in PARTS)
+        simulators = {name: exchangeable(name) for name in sorted(set(names.values()))}
+        camera, look, vehicle, delays = (simulators[names[part]] for part in PARTS)
         spec = replace(
             vehicle.spec,
             name=look.spec.name,  # by which a network that translates images knows its generator
@@ -119,10 +119,10 @@ def exchangeable(name: str) -> RoadSimulator:
         HybridError: it is not made of a vehicle and a scene.
         ds_sim.registry.UnknownSimulatorError: there is no such simulator.
     """
-    made: Simulator = make_simulator(name)
-    if not isinstance(made, RoadSimulator):
+    simulator: Simulator = make_simulator(name)
+    if not isinstance(simulator, RoadSimulator):
         raise HybridError(f"{name} is no RoadSimulator, so its parts cannot be exchanged: docs/add_a_simulator.md")
-    return made
+    return simulator
 
 
 def whole_scene(simulator: RoadSimulator) -> bool:

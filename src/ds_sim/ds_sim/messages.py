@@ -85,17 +85,17 @@ class MessageBuilder:
         """The outcome of a run, or RUNNING."""
         return self._make("ds_interfaces/Outcome", value=value)
 
-    def state(self, seen: Observation, header: Any, road_id: str) -> Any:
+    def state(self, observation: Observation, header: Any, road_id: str) -> Any:
         """Vehicle and lane state of one frame."""
-        vehicle, lane = seen.vehicle, seen.lane
+        vehicle, lane = observation.vehicle, observation.lane
         return self._make(
             "ds_interfaces/VehicleState",
             header=header,
-            step=seen.step,
-            simulated_time=seen.time,
+            step=observation.step,
+            simulated_time=observation.time,
             **{name: getattr(vehicle, name) for name in vehicle.__dataclass_fields__},
             **{name: getattr(lane, name) for name in lane.__dataclass_fields__},
-            outcome=self.outcome(int(seen.outcome)),
+            outcome=self.outcome(int(observation.outcome)),
             road_id=road_id,
         )
 

@@ -351,11 +351,11 @@ def spec_of(name: str) -> SimulatorSpec:
         >>> spec_of("donkey").camera.width
         320
     """
-    with closing(make_simulator(name)) as made:
-        return made.spec
+    with closing(make_simulator(name)) as simulator:
+        return simulator.spec
 
 
 def own_road_of(name: str) -> Road | None:
     """The road of a simulator that takes only its own, such as a recorded track; raises as `make_simulator` does."""
-    with closing(make_simulator(name)) as made:
-        return made.own_road
+    with closing(make_simulator(name)) as simulator:
+        return simulator.own_road

@@ -122,9 +122,9 @@ def reference_driver(gains: AutopilotGains) -> Driver:
     It keeps nothing from frame to frame, and shares no code with the autopilot of `ds_driver`.
     """
 
-    def command(seen: Observation) -> Command:
-        kmh = 3.6 * seen.vehicle.speed
-        steering = min(max(-gains.proportional * seen.lane.preview_lateral_position, -1.0), 1.0)
+    def command(observation: Observation) -> Command:
+        kmh = 3.6 * observation.vehicle.speed
+        steering = min(max(-gains.proportional * observation.lane.preview_lateral_position, -1.0), 1.0)
         limit = gains.min_speed if kmh > gains.max_speed else gains.max_speed
         throttle = min(max(1.0 - steering**2 - (kmh / limit) ** 2, 0.0), 1.0)
         return Command(steering, 0.5 if abs(steering) == 1.0 and kmh < 0.36 else throttle)
@@ -151,11 +151,11 @@ def _near(value: float, expected: float, tolerance: float) -> bool:
 
 
 def _constant(steering: float, throttle: float) -> Driver:
-    return lambda seen: Command(steering, throttle)
+    return lambda observation: Command(steering, throttle)
 
 
 def _after_a_second(steering: float) -> Driver:
-    return lambda seen: Command(steering if seen.time > 1.0 else 0.0, 0.5)
+    return lambda observation: Command(steering if observation.time > 1.0 else 0.0, 0.5)
 
 
 def _winding_digest(simulator: Simulator, steps: int = 100) -> str:
@@ -341,10 +341,10 @@ def _image_shows_the_scene(simulator: Simulator) -> None:
     """The paper's scene: bright above the horizon, white edge to the right of the car, yellow line to the left."""
     image = simulator.load(STRAIGHT, seed=1).image
     rows = slice(simulator.spec.crop_top, IMAGE_HEIGHT - simulator.spec.crop_bottom)
-    seen = image[rows].astype(int)
-    red, green, blue = seen[..., 0], seen[..., 1], seen[..., 2]
+    pixels = image[rows].astype(int)
+    red, green, blue = pixels[..., 0], pixels[..., 1], pixels[..., 2]
     yellow = (red - blue > 60) & (green - blue > 40)
-    white = (seen.min(axis=2) > 150) & (seen.max(axis=2) - seen.min(axis=2) < 45)
+    white = (pixels.min(axis=2) > 150) & (pixels.max(axis=2) - pixels.min(axis=2) < 45)
     _expect(yellow.sum() > 50 and white.sum() > 50, "the image shows no yellow or no white line")
     yellow_column, white_column = np.argwhere(yellow)[:, 1].mean(), np.argwhere(white)[:, 1].mean()
     _expect(
@@ -362,9 +362,9 @@ def _drawn_rows_are_the_same(simulator: Simulator) -> None:
     def images(driver: Driver = pilot) -> NDArray[np.uint8]:
         return np.stack([o.image for o in drive(simulator, WINDING, driver, steps=15)])
 
-    def few(seen: Observation) -> Command:
-        simulator.draw_images((seen.step + 1) % 4 == 0)
-        return pilot(seen)
+    def few(observation: Observation) -> Command:
+        simulator.draw_images((observation.step + 1) % 4 == 0)
+        return pilot(observation)
 
     whole = images()
     for top, bottom in ((simulator.spec.crop_top, IMAGE_HEIGHT - simulator.spec.crop_bottom), (61, 62)):
@@ -395,10 +395,10 @@ def _stills_change_nothing(simulator: Simulator) -> None:
     def driven(*, stills: bool) -> tuple[str, NDArray[np.uint8]]:
         taken = []
 
-        def command(seen: Observation) -> Command:
+        def command(observation: Observation) -> Command:
             if stills:
                 taken.append(np.stack((simulator.still(), simulator.still())))
-            return pilot(seen)
+            return pilot(observation)
 
         run = digest(drive(simulator, WINDING, command, steps=15))
         return run, np.array(taken)
@@ -424,8 +424,8 @@ def _reference_driver_completes(simulator: Simulator) -> None:
 
 def _speed_has_a_limit(simulator: Simulator) -> None:
     """The throttle law holds every vehicle at 30 km/h (paper 4.2.4), give or take what a frame's delay adds."""
-    seen = drive(simulator, STRAIGHT, reference_driver(simulator.spec.autopilot))
-    fastest = max(o.vehicle.speed for o in seen)
+    observations = drive(simulator, STRAIGHT, reference_driver(simulator.spec.autopilot))
+    fastest = max(o.vehicle.speed for o in observations)
     _expect(4.0 < fastest < 1.1 * MAX_SPEED, f"top speed is {fastest:.2f} m/s, expected 4 to {1.1 * MAX_SPEED:.2f}")
 
 

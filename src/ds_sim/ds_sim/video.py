@@ -94,7 +94,9 @@ def write_together(path: Path, drives: Sequence[tuple[str, RunRecord, Iterable[O
     Raises:
         VideoError: the video cannot be written.
     """
-    films = [_frames(title, run.road, seen, run.commands, run.conditions) for title, run, seen in drives]
+    films = [
+        _frames(title, run.road, observations, run.commands, run.conditions) for title, run, observations in drives
+    ]
     _write_frames(path, map(np.vstack, _held(films)))
 
 

@@ -171,12 +171,12 @@ def project(
     """
     axes, (x, y, z) = optical_axes(camera, vehicle)
     dx, dy = ground[:, 0] - x, ground[:, 1] - y
-    seen = np.stack([dx * a + dy * b - z * c for a, b, c in axes], axis=1)
-    depths = seen[:, 2]
+    in_camera = np.stack([dx * a + dy * b - z * c for a, b, c in axes], axis=1)
+    depths = in_camera[:, 2]
     pixels = np.full((len(ground), 2), np.nan)
     front = depths > NEAREST
     if front.any():
         distortion = np.array(camera.distortion)
-        found, _ = cv2.projectPoints(seen[front], np.zeros(3), np.zeros(3), camera.intrinsics, distortion)
-        pixels[front] = found[:, 0]
+        projected, _ = cv2.projectPoints(in_camera[front], np.zeros(3), np.zeros(3), camera.intrinsics, distortion)
+        pixels[front] = projected[:, 0]
     return pixels, depths

@@ -50,8 +50,8 @@ class RenderedScene(Scene):
     def __init__(self, camera: CameraSpec) -> None:
         for name, expected in _UNSUPPORTED.items():
             if getattr(camera, name) != expected:
-                found = getattr(camera, name)
-                raise ValueError(f"camera.{name} is {found}, expected {expected}: {type(self).__name__} draws no other")
+                value = getattr(camera, name)
+                raise ValueError(f"camera.{name} is {value}, expected {expected}: {type(self).__name__} draws no other")
         super().__init__(camera)
         self._run_rows = self._rows
         self._view = _View(spec=camera)

@@ -64,19 +64,19 @@ class Sensor:
         spec = self._spec
         delivered = np.empty(scene.shape, np.uint8)
         delivered[: self._rows.start] = delivered[self._rows.stop :] = 0
-        image, seen = delivered[self._rows], scene[self._rows]
+        image, light = delivered[self._rows], scene[self._rows]
         if spec.blur > 0.0:
             first, last = scene_rows(spec, (self._rows.start, self._rows.stop))
             blurred = np.asarray(cv2.GaussianBlur(scene[first:last], (0, 0), spec.blur), np.uint8)
-            seen = blurred[self._rows.start - first : self._rows.stop - first]
+            light = blurred[self._rows.start - first : self._rows.stop - first]
         if not self._is_linear:
-            seen = cv2.LUT(seen, self._response, image)
+            light = cv2.LUT(light, self._response, image)
         if self._noise is not None:
             rows = slice(self._rows.start + row, self._rows.stop + row)
             more, less = (plate[rows, column : column + spec.width] for plate in self._noise)
-            seen = cv2.subtract(cv2.add(seen, more, image), less, image)
-        if seen is not image:
-            image[:] = seen
+            light = cv2.subtract(cv2.add(light, more, image), less, image)
+        if light is not image:
+            image[:] = light
         delivered.setflags(write=False)
         return delivered
 

@@ -25,7 +25,7 @@ def pieces(
     Returns:
         Covered (start, end), in order; neighbours are joined.
     """
-    found: list[tuple[float, float]] = []
+    spans: list[tuple[float, float]] = []
     for start, end in regions:
         count = max(1, round((end - start) / length))
         size = (end - start) / count
@@ -33,9 +33,9 @@ def pieces(
         for rank, cell in enumerate(_spread(rng, count)):
             part = min(max(wanted - rank, 0.0), 1.0)
             if part > 0.0:
-                found.append((start + cell * size, start + (cell + part) * size))
+                spans.append((start + cell * size, start + (cell + part) * size))
     joined: list[tuple[float, float]] = []
-    for start, end in sorted(found):
+    for start, end in sorted(spans):
         if joined and start - joined[-1][1] < 1e-9:
             joined[-1] = (joined[-1][0], end)
         else:

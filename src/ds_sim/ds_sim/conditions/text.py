@@ -129,11 +129,11 @@ def check_known(name: object) -> None:
         return
     typed = str(name)[:40]
     word = typed.lower().replace("-", "_").replace(" ", "_")
-    meant = [known for known, words in _COLLOQUIAL.items() if word in words.split()]
+    meant = [field for field, words in _COLLOQUIAL.items() if word in words.split()]
     meant = (
-        meant or get_close_matches(word, FIELDS, 1) or [known for known in FIELDS if len(word) > 3 and word in known]
+        meant or get_close_matches(word, FIELDS, 1) or [field for field in FIELDS if len(word) > 3 and word in field]
     )
     if not meant:
         raise ConditionsError(f"unknown condition {typed!r}: expected some of {', '.join(FIELDS)}")
-    ranges = " or ".join(f"{known} ({FIELDS[known].allowed})" for known in meant)
+    ranges = " or ".join(f"{field} ({FIELDS[field].allowed})" for field in meant)
     raise ConditionsError(f"unknown condition {typed!r}: did you mean {ranges}?")

@@ -90,12 +90,12 @@ class VisibleContrast:
         first, end = np.searchsorted(self._stations, (arc_length, arc_length + LOOK_AHEAD))
         red, green, blue = np.moveaxis(decode(image).astype(np.float64), -1, 0)
         light = np.asarray(_RED * red + _GREEN * green + _BLUE * blue, np.float32)
-        found = [0.0]
+        contrasts = [0.0]
         for line in self._lines:
             parts, borders = ([project(part[first:end], state, self._camera)[0] for part in some] for some in line)
             wide = _width(*borders) >= LEAST_WIDTH if borders else np.ones(end - first, np.bool_)
-            found.append(self._of_line(parts, wide, light))
-        return max(found)
+            contrasts.append(self._of_line(parts, wide, light))
+        return max(contrasts)
 
     def _of_line(self, pixels: list[_Points], wide: NDArray[np.bool_], light: NDArray[np.float32]) -> float:
         """Contrast of a line against the pavement beside it, over the farthest `WINDOW` that can be measured."""

@@ -63,10 +63,10 @@ def declare(
     try:
         value = node.declare_parameter(name, default, descriptor).value
     except (InvalidParameterTypeException, InvalidParameterValueException):
-        given = node._parameter_overrides[name].value
+        override = node._parameter_overrides[name].value
         wanted = descriptor.additional_constraints or f"{'a list of ' * isinstance(default, list)}{_TYPE_NAMES[kind]}"
-        hint = ", written with a point such as 5.0" if kind is float and isinstance(given, int | list) else ""
-        raise ValueError(f"parameter {name} is {given!r}: expected {wanted}{hint}") from None
+        hint = ", written with a point such as 5.0" if kind is float and isinstance(override, int | list) else ""
+        raise ValueError(f"parameter {name} is {override!r}: expected {wanted}{hint}") from None
     values = value if isinstance(default, list) else [value]
     if length is not None and len(values) != length:
         raise ValueError(f"parameter {name} has {len(values)} entries: give one for each of the {length} namespaces")

@@ -70,8 +70,8 @@ class LoadedRoad:
         if request.default_conditions and request.conditions:
             raise RequestRefused(Reason.BAD_GOAL, "conditions, and default_conditions: expected one of both")
         try:
-            given = request.conditions or request.default_conditions
-            conditions = conditions_from_messages(request.conditions) if given else self._default
+            has_conditions = request.conditions or request.default_conditions
+            conditions = conditions_from_messages(request.conditions) if has_conditions else self._default
             self._spec.check(conditions)
         except ConditionsError as error:
             raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
