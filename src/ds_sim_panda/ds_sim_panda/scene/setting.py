@@ -66,9 +66,9 @@ class Daylight:
         """
         facing = np.maximum(((normals * self.towards_sun).sum(axis=-1) + softness) / (1.0 + softness), 0.0)
         # A surface sees a share of (1 + n_z) / 2 of the sky; the ground returns a tenth of the light to the rest.
-        seen = (1.0 + normals[..., 2]) / 2.0
-        ground = 0.1 * (1.0 - seen)
-        return facing[..., None] * np.array(self.sun) + seen[..., None] * np.array(self.sky) + ground[..., None]
+        sky_share = (1.0 + normals[..., 2]) / 2.0
+        ground = 0.1 * (1.0 - sky_share)
+        return facing[..., None] * np.array(self.sun) + sky_share[..., None] * np.array(self.sky) + ground[..., None]
 
     def shaded(self, depth: float) -> NDArray[np.float64]:
         """Light on level ground from which a share of the luminance is taken, first the sun's, (3,) linear RGB."""

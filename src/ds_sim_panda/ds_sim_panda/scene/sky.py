@@ -87,10 +87,10 @@ def _add_skyline(sky: NDArray[np.float64], elevation: NDArray[np.float64], dayli
     ):
         outline = mean + varies * noise((8, COLUMNS), cells, seed, octaves=4, fade=0.6)[0]
         arrives = math.exp(-HAZE * distance)
-        seen = arrives * colour + (1.0 - arrives) * np.array(HORIZON)
+        shown = arrives * colour + (1.0 - arrives) * np.array(HORIZON)
         pixel = (HIGHEST - LOWEST) / ROWS
         share = np.clip((outline[None] - elevation[:, None]) / pixel + 0.5, 0.0, 1.0)[..., None]
-        sky += share * (seen - sky)
+        sky += share * (shown - sky)
 
 
 def sky_dome() -> Any:

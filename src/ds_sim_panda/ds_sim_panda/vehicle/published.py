@@ -40,11 +40,11 @@ def check_version() -> None:
         ImportError: it is not installed, or not in the version that this project was tested with.
     """
     try:
-        found = metadata.version(PACKAGE)
+        installed = metadata.version(PACKAGE)
     except metadata.PackageNotFoundError:
-        found = "not installed"
-    if found != VERSION:
-        raise ImportError(f"{PACKAGE} is {found}, expected {VERSION}: pip install {PACKAGE}=={VERSION}")
+        installed = "not installed"
+    if installed != VERSION:
+        raise ImportError(f"{PACKAGE} is {installed}, expected {VERSION}: pip install {PACKAGE}=={VERSION}")
 
 
 @cache
@@ -76,8 +76,8 @@ def record(values: Any, **changed: Any) -> Any:
 
 
 def _numbers(values: Any) -> dict[str, Any]:
-    found = {field.name: getattr(values, field.name) for field in dataclasses.fields(values)}
-    nested = {k: _numbers(v) if dataclasses.is_dataclass(v) else v for k, v in found.items() if v is not None}
+    numbers = {field.name: getattr(values, field.name) for field in dataclasses.fields(values)}
+    nested = {k: _numbers(v) if dataclasses.is_dataclass(v) else v for k, v in numbers.items() if v is not None}
     return {name: value for name, value in nested.items() if value != {}}
 
 
