@@ -49,21 +49,21 @@ class _Topics:
         Raises:
             SimulatorError: one does not come in time.
         """
-        deadline, found = self.deadline, []
+        deadline, arrived = self.deadline, []
         for name, inbox, stamp in zip(self._names, self.inboxes, (odometry, image), strict=True):
             received = inbox.wait(stamp, deadline)
             if received is None:
                 raise self.missing(f"stamped {stamp / 1e9:.3f} s or later", name)
-            found.append(received)
-        return found[0], found[1]
+            arrived.append(received)
+        return arrived[0], arrived[1]
 
     def missing(self, what: str, name: str = "") -> SimulatorError:
         silent = [one for one, inbox in zip(self._names, self.inboxes, strict=True) if inbox.newest is None]
         name = name or (silent or list(self._names))[0]
         newest = self.inboxes[self._names.index(name)].newest
-        found = "none came" if newest is None else f"the newest has {newest.stamp / 1e9:.3f} s"
+        state = "none came" if newest is None else f"the newest has {newest.stamp / 1e9:.3f} s"
         return SimulatorError(
-            f"{name}: no message {what} within {self._timeout:g} s, {found}: the simulator hangs, or does not publish "
+            f"{name}: no message {what} within {self._timeout:g} s, {state}: the simulator hangs, or does not publish "
             "at the end of each frame of 1/20 s with stamps of simulated time"
         )
 

@@ -176,8 +176,8 @@ class Link:
             takes = _nodes(self._node.get_subscriptions_info_by_topic(command))
             moves = _nodes(self._node.get_publishers_info_by_topic(odometry))
             services = {f"{name}/get_parameters" for name in takes & moves}
-            if found := services & {name for name, _ in self._node.get_service_names_and_types()}:
-                return min(found)
+            if matching := services & {name for name, _ in self._node.get_service_names_and_types()}:
+                return min(matching)
             self._thread.pause(POLL)
         return ""
 
@@ -190,9 +190,9 @@ class Link:
     def _wait_for(self, topic: str, kind: str, what: str, ends: Callable[[str], list[TopicEndpointInfo]]) -> None:
         """Wait until the simulator's end of a topic has a type."""
         full, deadline = self._node.resolve_topic_name(topic), time.monotonic() + self._settings.timeout
-        while kind not in (found := {one.topic_type for one in ends(full)}):
+        while kind not in (types := {one.topic_type for one in ends(full)}):
             if time.monotonic() > deadline:
-                other = f", but {', '.join(sorted(found))}" if found else ""
+                other = f", but {', '.join(sorted(types))}" if types else ""
                 raise SimulatorError(
                     f"{full}: no {what} of the type {kind} after {self._settings.timeout:g} s{other}: start the "
                     f"simulator in this ROS domain ({self._context.get_domain_id()}), or correct its file"

@@ -56,15 +56,15 @@ class Services:
     def _client(self, name: str, kinds: list[str]) -> tuple[str, Any]:
         deadline = time.monotonic() + self._timeout
         full, kind, client = self._node.resolve_service_name(name), "", None
-        found: list[str] = []
+        types: list[str] = []
         while time.monotonic() < deadline and not (client is not None and client.service_is_ready()):
             if client is None:
-                found = dict(self._node.get_service_names_and_types()).get(full, [])
-                if kind := next((one for one in kinds if one in found), ""):
+                types = dict(self._node.get_service_names_and_types()).get(full, [])
+                if kind := next((one for one in kinds if one in types), ""):
                     client = self._node.create_client(interface(kind), name)
             self._thread.pause(POLL)
         if client is None:
-            offered = f"{full} is of the type {', '.join(found)}" if found else f"there is no service {full}"
+            offered = f"{full} is of the type {', '.join(types)}" if types else f"there is no service {full}"
             raise SimulatorError(
                 f"{offered} after {self._timeout:g} s, expected {' or '.join(kinds)}: start the simulator in this ROS "
                 f"domain ({self._node.context.get_domain_id()}), or correct its file"
