@@ -68,8 +68,8 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
     """
     result = folder / "fog.json"
     if result.is_file() and (folder / "fog.mp4").is_file():
-        known: dict[str, Any] = read_json(result)
-        return known
+        result_before: dict[str, Any] = read_json(result)
+        return result_before
     simulator = make_simulator(TWIN)
     driver, road = make_driver(DRIVER, simulator.spec), _road()
 
@@ -104,14 +104,14 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
     return document
 
 
-def fog_in_words(found: dict[str, Any]) -> str:
+def fog_in_words(fog: dict[str, Any]) -> str:
     """What `drive_into_fog` found, in one sentence."""
-    who = f"{found['driver']} on {found['simulator']}"
-    if not found["completes_clear"]:
+    who = f"{fog['driver']} on {fog['simulator']}"
+    if not fog["completes_clear"]:
         return f"{who} leaves the lane in clear weather already."
-    if found["leaves_at"] is None:
-        return f"{who} completes in clear weather, and in fog down to a visibility of {min(found['tried']):g} m."
-    return f"{who} completes in clear weather; leaves the lane at a visibility of {found['leaves_at']:g} m."
+    if fog["leaves_at"] is None:
+        return f"{who} completes in clear weather, and in fog down to a visibility of {min(fog['tried']):g} m."
+    return f"{who} completes in clear weather; leaves the lane at a visibility of {fog['leaves_at']:g} m."
 
 
 def measure_sensitivity(
@@ -145,9 +145,9 @@ Ranges = Mapping[str, tuple[float, float]]
 """Condition -> smallest and largest value to search."""
 
 
-def searched(found: Sensitivity) -> Ranges:
+def searched(sensitivity: Sensitivity) -> Ranges:
     """Range of the most sensitive condition, as a new campaign takes it."""
-    return dict(islice(ranges_of(found.document()).items(), MOST_SEARCHED))
+    return dict(islice(ranges_of(sensitivity.document()).items(), MOST_SEARCHED))
 
 
 def searched_in_words(ranges: Ranges) -> str:

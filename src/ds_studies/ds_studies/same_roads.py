@@ -35,20 +35,20 @@ def drive_same_roads(
     """
     tests = [Test(f"{road.road_id}-{seed + k}", Scenario(road, seed=seed + k)) for k, road in enumerate(roads)]
     with nullcontext(folder) if folder is not None else TemporaryDirectory(prefix="ds_roads_") as place:
-        found = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), callbacks)
+        results = drive_tests(settings, dict.fromkeys(settings.simulators, tests), Path(place), callbacks)
         return {
             name: [
-                driven_road(found, test, name) or DrivenRoad(road=test.road, outcome=Outcome.SIM_ERROR)
+                driven_road(results, test, name) or DrivenRoad(road=test.road, outcome=Outcome.SIM_ERROR)
                 for test in tests
             ]
             for name in settings.simulators
         }
 
 
-def driven_road(found: DriveResults, test: Test, simulator: SimulatorName) -> DrivenRoad | None:
+def driven_road(results: DriveResults, test: Test, simulator: SimulatorName) -> DrivenRoad | None:
     """What became of a test on a simulator; None if it was not driven, or excluded."""
     key = test.test_id, simulator
-    if key in found.executions:
-        return DrivenRoad.of_execution(test.road, found.executions[key])
-    error = found.errors.get(key, Unfinished()).outcome
+    if key in results.executions:
+        return DrivenRoad.of_execution(test.road, results.executions[key])
+    error = results.errors.get(key, Unfinished()).outcome
     return None if error is None else DrivenRoad(road=test.road, outcome=error)

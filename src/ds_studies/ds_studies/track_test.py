@@ -132,11 +132,11 @@ def locate_recording(of: Recording, folder: Path, progress: Progress = SILENT) -
     """
     camera = read_camera(of.camera)
     views = read_views(of.source, of.reading, of.odometry, of.centre)
-    found, fit = located_of(views, camera, of.lane_width, progress, folder)
+    located, fit = located_of(views, camera, of.lane_width, progress, folder)
     about = {"source": os.path.relpath(of.source, folder), "topic": of.reading.camera}
-    found = replace(found, about=found.about | about)
-    write_located(folder, found)
-    return found, write_recording_page(folder / PAGE, views, found, fit)
+    located = replace(located, about=located.about | about)
+    write_located(folder, located)
+    return located, write_recording_page(folder / PAGE, views, located, fit)
 
 
 def run_track_test(
@@ -197,8 +197,8 @@ def _check_inputs(test: TrackTest) -> None:
         write_json(path, inputs)
         return
     try:
-        known = read_json(path, LARGEST)
-        differ = [name for name, value in inputs.items() if known[name] != value]
+        inputs_before = read_json(path, LARGEST)
+        differ = [name for name, value in inputs.items() if inputs_before[name] != value]
     except (ValueError, KeyError, TypeError, FileError):
         differ = [INPUTS]
     if differ:
@@ -228,17 +228,17 @@ def _fit_twin(folder: Path, progress: Progress) -> None:
     kept = Kept(folder / f"{CAR}.state")
     try:
         log = read_log(folder)
-        found, mounting = fit_located(log.drives, progress=progress, kept=kept)
+        fitted_twin, mounting = fit_located(log.drives, progress=progress, kept=kept)
     except (FitError, LogError) as error:
         cautions.append(f"The twin is not fitted, it is the nominal car: {error}.")
     else:
-        unknown = [one.name for one in found.estimates if not one.determined]
+        unknown = [one.name for one in fitted_twin.estimates if not one.determined]
         fitted = not set(unknown) & set(NEEDED)
         if unknown:
             which = "keeps these of the nominal one" if fitted else "is not fitted, it is the nominal car"
             cautions.append(f"The recording does not determine {', '.join(unknown)}: the twin {which}.")
         if fitted:
-            write_parameters(folder / CAR, document_of(found, [log]))
+            write_parameters(folder / CAR, document_of(fitted_twin, [log]))
         if abs(mounting.forward) > 0.02:
             cautions.append(
                 f"The poses are {mounting.forward:.3f} m ahead of the car's centre: with a camera there, add that to "
@@ -278,15 +278,15 @@ def _driven(
         place = test.out / "drives" / hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
         chosen = replace(settings, driver=driver, siblings=names, twin=None)
         LOG.info("%s drives", driver)
-        found = drive_tests(chosen, dict.fromkeys(names, tests), place, callbacks)
+        results = drive_tests(chosen, dict.fromkeys(names, tests), place, callbacks)
         for name in names:
-            drives[driver, name] = [found.executions.get((one.test_id, name)) for one in tests]
+            drives[driver, name] = [results.executions.get((one.test_id, name)) for one in tests]
             undecided[driver, name] = [
                 gate.message.removeprefix("OutOfSightError: ")
-                if (gate := found.gates.get(key))
-                else str(found.errors.get(key, Unfinished()))
+                if (gate := results.gates.get(key))
+                else str(results.errors.get(key, Unfinished()))
                 for one in tests
-                if (key := (one.test_id, name)) not in found.executions
+                if (key := (one.test_id, name)) not in results.executions
             ]
     return TrackAnswer(
         driver=test.driver,
@@ -299,10 +299,10 @@ def _driven(
     )
 
 
-def _why(found: DriveResults, key: tuple[str, SimulatorName]) -> str:
+def _why(results: DriveResults, key: tuple[str, SimulatorName]) -> str:
     """Why a test has no verdict on a simulator."""
-    gate = found.gates.get(key)
-    text = str(found.errors.get(key, Unfinished())) if gate is None else gate.message
+    gate = results.gates.get(key)
+    text = str(results.errors.get(key, Unfinished())) if gate is None else gate.message
     return text.removeprefix("OutOfSightError: ")
 
 

@@ -215,16 +215,16 @@ def compare(
             ("reference", reference, tests.reference),
             ("candidate", candidate, tests.candidate),
         )
-        for role, network, known in roles:
-            if recheck and known and role not in checked:
+        for role, network, drives in roles:
+            if recheck and drives and role not in checked:
                 checked.add(role)
-                _recheck(tests, role, network, known, out, callbacks)
+                _recheck(tests, role, network, drives, out, callbacks)
             named = out / "drives" / f"{role}{'_' * bool(label) + label if role == 'candidate' else ''}_on_{tests.name}"
-            sides[role] = _complete(tests, role, network, known, named, callbacks)
+            sides[role] = _complete(tests, role, network, drives, named, callbacks)
         known_excluded = {key for key, gate in tests.gates.items() if not gate.is_valid}
         excluded += len(known_excluded | sides["reference"].excluded | sides["candidate"].excluded)
-        found, missing = _paired(tests, sides)
-        pairs += found
+        paired, missing = _paired(tests, sides)
+        pairs += paired
         left_out += missing
     settings = sets[0].settings
     return compare_networks(
@@ -266,7 +266,7 @@ def compare_until_sure(
     roads = max(map(len, tests.work.values()))
     for last in [*range(BATCH, roads, BATCH), roads]:
         some = replace(tests, work={name: of[:last] for name, of in tests.work.items()})
-        found = compare(
+        comparison = compare(
             [some],
             reference,
             candidate,
@@ -277,21 +277,21 @@ def compare_until_sure(
             label=label,
             sequential=True,
         )
-        if is_sure(found) or last == roads:
+        if is_sure(comparison) or last == roads:
             break
     left = 2 * len(tests.work) * (roads - last)
     ends = f"ended after {last} of them, which saved {left} drives" if left else "not sure before their end"
-    return replace(found, source=f"{source}; {ends}; p and intervals hold for such an end")
+    return replace(comparison, source=f"{source}; {ends}; p and intervals hold for such an end")
 
 
 def _complete(
-    tests: GivenTests, role: Role, network: Network, known: Drives, folder: Path, callbacks: Callbacks
+    tests: GivenTests, role: Role, network: Network, drives: Drives, folder: Path, callbacks: Callbacks
 ) -> DriveResults:
     """Known drives, and those that are driven now."""
-    missing = {name: [test for test in of if (test.test_id, name) not in known] for name, of in tests.work.items()}
+    missing = {name: [test for test in of if (test.test_id, name) not in drives] for name, of in tests.work.items()}
     missing = {name: of for name, of in missing.items() if of}
     if not missing:
-        return DriveResults(executions=known)
+        return DriveResults(executions=drives)
     if network.sha256 and (reason := _cannot_drive(network)):
         raise ComparisonError(
             f"{network.driver} has to drive {sum(map(len, missing.values()))} tests, but {reason}: restore it, or "
@@ -299,11 +299,11 @@ def _complete(
         )
     settings = replace(tests.settings, driver=network.driver)
     LOG.info("%s %s: %d drives", role, network.driver, sum(map(len, missing.values())))
-    found = drive_tests(settings, missing, folder, callbacks, gates=tests.gates)
-    return DriveResults(executions={**known, **found.executions}, gates=found.gates, errors=found.errors)
+    results = drive_tests(settings, missing, folder, callbacks, gates=tests.gates)
+    return DriveResults(executions={**drives, **results.executions}, gates=results.gates, errors=results.errors)
 
 
-def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out: Path, callbacks: Callbacks) -> None:
+def _recheck(tests: GivenTests, role: Role, network: Network, drives: Drives, out: Path, callbacks: Callbacks) -> None:
     """Drive the shortest known test of each simulator again: its outcome counts only if it is repeatable here.
 
     The known outcomes of a network whose files have changed or are gone are taken as they are.
@@ -311,16 +311,16 @@ def _recheck(tests: GivenTests, role: Role, network: Network, known: Drives, out
     settings = replace(tests.settings, driver=network.driver)
     work: dict[SimulatorName, list[Test]] = {}
     for name, of in tests.work.items():
-        driven = [test for test in of if (test.test_id, name) in known]
+        driven = [test for test in of if (test.test_id, name) in drives]
         if driven:
-            work[name] = [min(driven, key=lambda test: (known[test.test_id, name].steps, test.test_id))]
+            work[name] = [min(driven, key=lambda test: (drives[test.test_id, name].steps, test.test_id))]
     if reason := _cannot_drive(network):
         LOG.warning("%s %s: its known outcomes were not checked: %s", role, network.driver, reason)
         return
     LOG.info("%s %s: drives one known test on each simulator again, to check that it repeats", role, network.driver)
-    found = drive_tests(settings, work, out / "drives" / f"{role}_again_{tests.name}", callbacks, gates=tests.gates)
-    for key, execution in found.executions.items():
-        if execution.trajectory_sha256 != known[key].trajectory_sha256:
+    results = drive_tests(settings, work, out / "drives" / f"{role}_again_{tests.name}", callbacks, gates=tests.gates)
+    for key, execution in results.executions.items():
+        if execution.trajectory_sha256 != drives[key].trajectory_sha256:
             raise ComparisonError(
                 f"{network.driver} drives test {key[0]} on {key[1]} differently than before: the simulators' code or "
                 "this machine has changed, so old and new outcomes do not compare; --again drives the reference again"

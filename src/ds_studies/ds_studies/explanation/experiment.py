@@ -48,7 +48,7 @@ class Experiment:
             return name, replace(self.test, test_id=_PLAIN + self.test.test_id, scenario=plain)
         return name, self.test
 
-    def explained(self, found: DriveResults) -> Explanation:
+    def explained(self, results: DriveResults) -> Explanation:
         """Share out the difference.
 
         Raises:
@@ -57,9 +57,9 @@ class Experiment:
         losses = {}
         for subset in subsets(tuple(self.parts)):
             name, test = self.drive(subset)
-            execution = found.executions.get((test.test_id, name))
+            execution = results.executions.get((test.test_id, name))
             if execution is None:
-                raise ExplanationError(f"{test.test_id} on {name}: {found.errors[test.test_id, name]}")
+                raise ExplanationError(f"{test.test_id} on {name}: {results.errors[test.test_id, name]}")
             losses[subset] = loss_of(execution, test.road.lane_width / 2)
         return Explanation(test_id=self.test.test_id, fails=self.fails, against=self.against, losses=losses)
 
@@ -85,8 +85,8 @@ def experiment_on(
     """
     tests = {test.test_id: test for test in data.tests}
     if test_id not in tests:
-        known = ", ".join(list(tests)[:2]) or "(it has no tests yet)"
-        raise ConfigError(f"the campaign has no test {test_id!r:.60}: expected an id such as {known}")
+        examples = ", ".join(list(tests)[:2]) or "(it has no tests yet)"
+        raise ConfigError(f"the campaign has no test {test_id!r:.60}: expected an id such as {examples}")
     done = {e.simulator: e for e in data.verdicts if e.test_id == test_id}
     failing = [name for name in data.config.simulators if name in done and done[name].outcome.is_failure]
     completing = [name for name in data.config.simulators if name in done and name not in failing]

@@ -47,12 +47,12 @@ def shapley(parts: Sequence[str], value: Mapping[Subset, float]) -> dict[str, fl
         {'camera': 0.5, 'look': 0.5}
     """
     n = len(parts)
-    found = {}
+    shares = {}
     for part in parts:
         others = subsets([other for other in parts if other != part])
         weights = [math.factorial(len(s)) * math.factorial(n - 1 - len(s)) / math.factorial(n) for s in others]
-        found[part] = math.fsum(w * (value[s | {part}] - value[s]) for w, s in zip(weights, others, strict=True))
-    return found
+        shares[part] = math.fsum(w * (value[s | {part}] - value[s]) for w, s in zip(weights, others, strict=True))
+    return shares
 
 
 def loss_of(execution: Execution, half_lane: float) -> float:

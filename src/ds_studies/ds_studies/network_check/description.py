@@ -69,31 +69,33 @@ def forms_of(file: Path) -> list[DescribedNetwork]:
         raise DriverError(f"{described} describes {file.name} already: `{ds_command('check', described)}` checks it")
     with limited_memory(NETWORK_MEMORY):
         runner = runner_of(file, backends_for(file)[-1])
-    known = list(runner.inputs) or [NetworkInput(shape=(None,) * 4)]
-    images = {place: found for place, one in enumerate(known) if (found := _images(one))}
+    network_inputs = list(runner.inputs) or [NetworkInput(shape=(None,) * 4)]
+    images = {place: forms_of_image for place, one in enumerate(network_inputs) if (forms_of_image := _images(one))}
     if len(images) != 1:
-        shown = " and ".join(f"{one.name or 'an input'} of {sizes(one.shape or ())}" for one in known)
+        shown = " and ".join(f"{one.name or 'an input'} of {sizes(one.shape or ())}" for one in network_inputs)
         raise DriverError(
             f"{file} takes {shown}: expected one image of 1 or 3 channels, 4 numbers, or several of them; describe "
             f"other networks in {described.name} as {GUIDE} shows, then `{ds_command('check', described)}`"
         )
-    (place, found), states = next(iter(images.items())), set()
-    given: dict[int | str, dict[str, Any]] = {}
-    for other, one in enumerate(known):
+    (place, forms_of_image), states = next(iter(images.items())), set()
+    described_inputs: dict[int | str, dict[str, Any]] = {}
+    for other, one in enumerate(network_inputs):
         if other != place:
             values = _given(one, [name for name in runner.outputs if name not in states])
             states |= {values["state"]} if "state" in values else set()
-            given[one.name or other] = values
+            described_inputs[one.name or other] = values
     outputs = _named_outputs([one for one in runner.outputs if one not in states])
-    if any(values.get("value") == "commands" for values in given.values()):
+    if any(values.get("value") == "commands" for values in described_inputs.values()):
         outputs.setdefault("throttle", {"output": next((one for one in runner.outputs if one.endswith(":1")), 1)})
-    made = ({"file": file.name, "input": image, "inputs": given, "outputs": outputs} for image in found)
-    return [DescribedNetwork.model_validate(one) for one in made]
+    forms = (
+        {"file": file.name, "input": image, "inputs": described_inputs, "outputs": outputs} for image in forms_of_image
+    )
+    return [DescribedNetwork.model_validate(one) for one in forms]
 
 
-def _images(given: NetworkInput) -> list[dict[str, Any]]:
+def _images(network_input: NetworkInput) -> list[dict[str, Any]]:
     """List the images that an input may take; none if it takes no image."""
-    shape, found = given.shape or (None,) * 4, []
+    shape, images = network_input.shape or (None,) * 4, []
     time = {} if len(shape) != 5 else {"frames": shape[1] or 1, "stacked": "time"}
     shape = shape if len(shape) != 5 else (shape[0], *shape[2:])
     for layout, place in (("nchw", 1), ("nhwc", 3)) if len(shape) == 4 else ():
@@ -104,13 +106,13 @@ def _images(given: NetworkInput) -> list[dict[str, Any]]:
             continue
         for size in SIZES if rows is None or columns is None else ((rows, columns),):
             if (rows, columns) in ((None, None), size):
-                kind = "uint8" if given.type == "uint8" else "float32"
+                kind = "uint8" if network_input.type == "uint8" else "float32"
                 form = {"size": size, "layout": layout, "colour": "grey" if channels == 1 else "rgb", "type": kind}
                 scaled: dict[str, Any] = {"divide": 255.0} if kind == "float32" else {}
-                if "img_in" in given.name and size[0] < DONKEY_IMAGE[0] and size[1] == DONKEY_IMAGE[1]:
+                if "img_in" in network_input.name and size[0] < DONKEY_IMAGE[0] and size[1] == DONKEY_IMAGE[1]:
                     scaled["crop"] = {"top": round(IMAGE_HEIGHT * (1 - size[0] / DONKEY_IMAGE[0]))}
-                found.append({**form, **scaled, **time, **({"frames": stack} if stack > 1 else {})})
-    return found
+                images.append({**form, **scaled, **time, **({"frames": stack} if stack > 1 else {})})
+    return images
 
 
 def _given(one: NetworkInput, outputs: Sequence[str]) -> dict[str, Any]:
@@ -131,13 +133,13 @@ def _given(one: NetworkInput, outputs: Sequence[str]) -> dict[str, Any]:
 
 def _named_outputs(names: Sequence[str]) -> dict[str, Any]:
     """Find steering and throttle by the names of outputs, or by the order in which Keras numbers them for TF Lite."""
-    found: dict[str, Any] = {}
+    outputs: dict[str, Any] = {}
     for what, pattern in OUTPUT_NAMES.items():
         for name in names:
             if re.search(pattern, name.lower()):
                 bins = {"bins": DONKEY_BINS[name]} if name in DONKEY_BINS else {}
-                found.setdefault(what, {"output": name, **bins})
-    return found
+                outputs.setdefault(what, {"output": name, **bins})
+    return outputs
 
 
 def describe(
@@ -167,15 +169,15 @@ def describe(
     maker = "Donkey Car" if any(map(DONKEY_CAR.search, (*pilot.input_names, *pilot.output_names))) else ""
     # A network with memory is asked about whole drives: few, one part of its input after the other, no combinations.
     tried = [one.first_drives(2) if remembers else one.sample(SHARE_TRIED) for one in recordings]
-    known: dict[str, Agreement] = {}
+    agreements: dict[str, Agreement] = {}
 
     def fitted(one: DescribedNetwork) -> Agreement:
         if not remembers:
             return best_reading(pilot.described_as(one), tried)[1]
         key = one.model_dump_json()
-        if key not in known:
-            known[key] = _agreement_over_drives(pilot.described_as(one), tried)
-        return known[key]
+        if key not in agreements:
+            agreements[key] = _agreement_over_drives(pilot.described_as(one), tried)
+        return agreements[key]
 
     chosen = pilot.description
     if not search:
@@ -218,22 +220,28 @@ def describe(
     steering = described.outputs.steering.model_dump(exclude_defaults=True) or {"output": 0}
     throttle = described.outputs.throttle
     why = "; ".join(one.text for one in findings) or f"it answers as it has to, correlation {fit.correlation:.2f}"
-    given = described.input
+    image_input = described.input
     lines = [
         f"# Written by ds check for {file.name}: it compared its answers with the autopilot's steering.",
         *([] if abs(fit.correlation) >= FOUND else ["# Nothing agrees well: what is undecided below is a guess."]),
         f"file: {file.name}",
         "input:",
-        f"  size: {flow(list(given.size))}  # rows, columns, from the file or the first that it takes",
-        f"  layout: {given.layout}",
-        f"  type: {given.type}",
-        f"  colour: {given.colour}  # {comments['colour']}",
-        f"  crop: {flow(given.model_dump()['crop'])}  # {comments['crop']}",
+        f"  size: {flow(list(image_input.size))}  # rows, columns, from the file or the first that it takes",
+        f"  layout: {image_input.layout}",
+        f"  type: {image_input.type}",
+        f"  colour: {image_input.colour}  # {comments['colour']}",
+        f"  crop: {flow(image_input.model_dump()['crop'])}  # {comments['crop']}",
     ]
-    if given.type == "float32":
-        lines += [f"  subtract: {flow(given.subtract)}  # {comments['subtract']}", f"  divide: {flow(given.divide)}"]
-    if given.frames > 1:
-        lines += [f"  frames: {given.frames}  # if they are {given.order}", f"  stacked: {given.stacked}"]
+    if image_input.type == "float32":
+        lines += [
+            f"  subtract: {flow(image_input.subtract)}  # {comments['subtract']}",
+            f"  divide: {flow(image_input.divide)}",
+        ]
+    if image_input.frames > 1:
+        lines += [
+            f"  frames: {image_input.frames}  # if they are {image_input.order}",
+            f"  stacked: {image_input.stacked}",
+        ]
     if described.inputs:
         lines += ["inputs:  # by their names and sizes: correct what is not so"]
         lines += [f"  {name}: {flow(one.model_dump(exclude_defaults=True))}" for name, one in described.inputs.items()]

@@ -137,8 +137,8 @@ class NetworkCheck:
     def verdict(self) -> str:
         """One line."""
         if any(one.kind == "unrelated" for one in self.findings):
-            found = f"correlation {self.correlation:.2f} with the autopilot, below {FOUND:g}"
-            return f"{self.driver} is not connected, or was trained on another world: {found}."
+            reading = f"correlation {self.correlation:.2f} with the autopilot, below {FOUND:g}"
+            return f"{self.driver} is not connected, or was trained on another world: {reading}."
         if self.findings:
             return f"{self.driver} is not connected correctly."
         weak = [one.simulator for one in self.answers if one.correlation < FOUND]
@@ -244,16 +244,16 @@ def ask_open_loop(
     steering, throttle, milliseconds = {}, [], {}
     for one in recordings:
         began = time.process_time()
-        found = []
+        answers = []
         before = np.inf
         for frame in one.frames:
             if frame.step <= before:
                 pilot.start()
             before = frame.step
-            found.append(pilot.predict(frame))
+            answers.append(pilot.predict(frame))
         milliseconds[one.simulator] = 1e3 * (time.process_time() - began) / len(one.frames)
-        steering[one.simulator] = np.array([each.steering for each in found])
-        throttle += [each.throttle for each in found if each.throttle is not None]
+        steering[one.simulator] = np.array([each.steering for each in answers])
+        throttle += [each.throttle for each in answers if each.throttle is not None]
     return steering, np.array(throttle) if throttle else None, milliseconds
 
 
@@ -268,12 +268,12 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recordin
     look alike on some roads, only if the drives decide it beyond chance.
     """
     tried = [one.sample(SHARE_TRIED) for one in recordings]
-    best = found = ranked(pilot, recordings)[0]
+    best = current = ranked(pilot, recordings)[0]
     for part, values in inputs(pilot.description.input).items():
-        restored = best_reading(pilot.described_as(changed(found[0], values[0])), tried)
+        restored = best_reading(pilot.described_as(changed(current[0], values[0])), tried)
         decided = part != "colour" or best[1].surely_above(restored[1])
-        found = found if decided and _matters(best[1], restored[1]) else restored
-    return found[0]
+        current = current if decided and _matters(best[1], restored[1]) else restored
+    return current[0]
 
 
 def _matters(best: Agreement, restored: Agreement) -> bool:
@@ -303,12 +303,12 @@ def ranked(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> lis
     """Try all combinations of the parts of the input; return the `FINALISTS`, the best first."""
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     few = [one.sample(SHARE_SCREENED) for one in tried]
-    found = [pilot.description]
+    candidates = [pilot.description]
     for values in inputs(pilot.description.input).values():
-        found = [changed(one, value) for one in found for value in values]
+        candidates = [changed(one, value) for one in candidates for value in values]
     for images in (few, tried):
-        fits = sorted((best_reading(pilot.described_as(one), images) for one in found), key=_worst_last)
-        found = [one for one, _ in fits[:FINALISTS]]
+        fits = sorted((best_reading(pilot.described_as(one), images) for one in candidates), key=_worst_last)
+        candidates = [one for one, _ in fits[:FINALISTS]]
     return fits
 
 
@@ -319,11 +319,11 @@ def _worst_last(one: Fitted) -> tuple[float, int]:
 
 def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> Fitted:
     """Return the description with the number among the outputs that agrees best; the described one unless beaten."""
-    found = [(spec, agreement(answers, recordings)) for spec, answers in readings(pilot, recordings)]
+    rated = [(spec, agreement(answers, recordings)) for spec, answers in readings(pilot, recordings)]
     nothing = Agreement(0.0, 0.0, 0.0, (0.0,) * len(recordings))
-    if not found:
+    if not rated:
         return pilot.description, nothing
-    described, *others = found
+    described, *others = rated
     better = [one for one in others if one[1].beats(described[1])]
     spec, fit = max(better, key=lambda one: abs(one[1].correlation)) if better else described
     return with_steering(pilot.description, spec), fit
@@ -334,27 +334,27 @@ def with_steering(network: DescribedNetwork, spec: OutputSpec) -> DescribedNetwo
     return network.model_copy(update={"outputs": network.outputs.model_copy(update={"steering": spec})})
 
 
-def inputs(given: InputSpec) -> dict[str, list[dict[str, Any]]]:
+def inputs(spec: InputSpec) -> dict[str, list[dict[str, Any]]]:
     """List what can be unknown about an input of known shape: the values of each part, the given one first."""
-    colours = ("grey",) if given.colour == "grey" else ("rgb", "bgr", "yuv")
-    pixels = PIXELS if given.type == "float32" else ()
-    if given.colour == "grey":
+    colours = ("grey",) if spec.colour == "grey" else ("rgb", "bgr", "yuv")
+    pixels = PIXELS if spec.type == "float32" else ()
+    if spec.colour == "grey":
         pixels = tuple(one for one in pixels if isinstance(one[0], float))
     parts: dict[str, list[dict[str, Any]]] = {
         "colour": [{"colour": one} for one in colours],
         "crop": [{"crop": one} for one in CROPS],
         "subtract": [{"subtract": one, "divide": other} for one, other in pixels],
     }
-    raw = given.model_dump()
+    raw = spec.model_dump()
     for part, values in parts.items():
         mine = {key: raw[key] for key in (("subtract", "divide") if part == "subtract" else (part,))}
-        parts[part] = [mine, *(one for one in values if with_input(given, one) != given)]
+        parts[part] = [mine, *(one for one in values if with_input(spec, one) != spec)]
     return parts
 
 
-def with_input(given: InputSpec, values: dict[str, Any]) -> InputSpec:
+def with_input(spec: InputSpec, values: dict[str, Any]) -> InputSpec:
     """Return an input with some keys changed."""
-    return InputSpec.model_validate({**given.model_dump(), **values})
+    return InputSpec.model_validate({**spec.model_dump(), **values})
 
 
 def changed(network: DescribedNetwork, values: dict[str, Any]) -> DescribedNetwork:
@@ -383,10 +383,10 @@ def findings_of(
     if abs(fit.correlation) < FOUND and any(abs(one) < FOUND for one in fit.by_simulator):
         agreeing = [one.simulator for one, its in zip(recordings, fit.by_simulator, strict=True) if abs(its) >= FOUND]
         return [_unrelated(fit, agreeing, described is not None)], best
-    found: list[Finding] = []
+    findings: list[Finding] = []
     steering, agree = OutputSpec(), f"correlation {abs(fit.correlation):.2f}"
     if described is not None and best is not None:
-        found += _differences(described, best, f"{agree} then, {before:.2f} now")
+        findings += _differences(described, best, f"{agree} then, {before:.2f} now")
         steering = best.outputs.steering
     texts: list[tuple[Kind, str]] = []
     size, kind = abs(fit.slope), scale_kind(fit.slope)
@@ -404,15 +404,15 @@ def findings_of(
         texts.append(("offset", f"It answers {shift:.3g} where the autopilot drives straight on ({agree})"))
     if not texts:
         if "saturated" in kinds:
-            found.append(Finding("saturated", f"In the mean it agrees with the autopilot, but {kinds['saturated']}"))
-        return found, best
+            findings.append(Finding("saturated", f"In the mean it agrees with the autopilot, but {kinds['saturated']}"))
+        return findings, best
     repaired = _times(steering, 1.0 / scale, shift)
     if described is None:
         line = f"steering * {repaired.scale:g}" + (f" + {repaired.offset:g}" if repaired.offset else "")
     else:
         line = output_line("steering", repaired)
-    found += [Finding(kind, text, line) for kind, text in texts]
-    return found, with_steering(best, repaired) if best is not None else None
+    findings += [Finding(kind, text, line) for kind, text in texts]
+    return findings, with_steering(best, repaired) if best is not None else None
 
 
 def _unrelated(fit: Agreement, agreeing: Sequence[str], described: bool) -> Finding:
@@ -449,13 +449,13 @@ def lane_finding(
     """
     there = agreement(steering, other).offset
     begins = f"ds drive --sim {other[0].simulator} --driver {driver}"
-    seen = (
+    images = (
         f"It answers {offset:.2g} where the autopilot drives straight on in the right lane, {there:.2g} in the left one"
     )
     if offset < 0.0 and abs(there) < ELSEWHERE * abs(offset):
-        return Finding("lane", f"{seen}: it wants the left lane; test it there, `{begins} --lane left`")
+        return Finding("lane", f"{images}: it wants the left lane; test it there, `{begins} --lane left`")
     if offset < 0.0 < there:
-        return Finding("lane", f"{seen}: it wants the middle of the road; test it there, `{begins} --lane middle`")
+        return Finding("lane", f"{images}: it wants the middle of the road; test it there, `{begins} --lane middle`")
     return None
 
 

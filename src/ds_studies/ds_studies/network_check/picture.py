@@ -28,34 +28,34 @@ _ROW = 190
 
 def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
     """Return what a network sees of a frame, its channels drawn as red, green and blue, and what they are."""
-    seen, colour = pilot.seen(frame)
-    rows, columns, channels = seen.shape
-    return np.repeat(seen, 3, axis=2) if channels == 1 else seen, f"{rows} x {columns}, {colour}"
+    image, colour = pilot.seen(frame)
+    rows, columns, channels = image.shape
+    return np.repeat(image, 3, axis=2) if channels == 1 else image, f"{rows} x {columns}, {colour}"
 
 
-def draw_check(found: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[np.uint8]:
+def draw_check(check: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[np.uint8]:
     """Draw a row for each simulator: its camera, what the network sees of that, and both steering commands.
 
     Returns:
         (rows, columns, 3) uint8 RGB.
     """
-    pilot = load_pilot(found.driver)
+    pilot = load_pilot(check.driver)
 
     def draw(figure: Figure) -> None:
         rows = figure.subplots(len(recordings), 3, squeeze=False, width_ratios=(1, 1, 1.6))
         for (camera, network, chart), one in zip(rows, recordings, strict=True):
             frame = one.frames[min(FRAME, len(one.frames) - 1)]
-            seen, what = seen_by(pilot, frame)
+            network_image, what = seen_by(pilot, frame)
             for axes, image, title in (
                 (camera, frame.image, f"{short_name(one.simulator)}: its camera"),
-                (network, seen, f"the network sees: {what}"),
+                (network, network_image, f"the network sees: {what}"),
             ):
                 axes.imshow(image)
                 axes.set_axis_off()
                 axes.set_title(title)
             moments = np.arange(len(one.steering))
             chart.plot(moments, one.steering, color=SERIES[4], label="autopilot", linewidth=3, alpha=0.4)
-            chart.plot(moments, found.steering[one.simulator], color=SERIES[0], label="network", linewidth=1)
+            chart.plot(moments, check.steering[one.simulator], color=SERIES[0], label="network", linewidth=1)
             chart.set_title("steering, -1 left to +1 right")
             chart.legend(loc="upper right", ncols=2, fontsize=7)
         seconds = FRAME_TIME * (recordings[-1].frames[1].step - recordings[-1].frames[0].step)

@@ -141,13 +141,13 @@ def record(
     roads = [one for one in candidate_roads(ROADS, seed) if one.road.reversed().validity.valid][:ROADS]
     kept = WHOLE if whole else slice(None, None, EVERY)
     scenarios = [replace(one, road=way.in_lane(lane)) for one in roads for way in (one.road, one.road.reversed())]
-    found = []
+    recordings = []
     progress.start(len(simulators))
     # A simulator in one process, as starting it takes longer than a drive.
     for one in map_in_processes(_record, [_Job(name, scenarios, kept) for name in simulators], abandon=True):
-        found.append(one)
+        recordings.append(one)
         progress.advance(line=f"the autopilot drove on {one.simulator}")
-    return found
+    return recordings
 
 
 def _record(job: _Job) -> Recording:
@@ -182,13 +182,15 @@ def _drive(
     driven = []
     exposed = {max(step - spec.camera.latency, 0) for step in range(LONGEST)[kept]}
     simulator.draw_images(0 in exposed)
-    seen = session.start(scenario)
-    while seen is not None and session.driving and seen.step < LONGEST:
-        frame = replace(Frame.of(seen, spec), image=seen.image.copy())
-        command, given = autopilot(seen), throttle(frame)
+    observation = session.start(scenario)
+    while observation is not None and session.driving and observation.step < LONGEST:
+        frame = replace(Frame.of(observation, spec), image=observation.image.copy())
+        command, pedal = autopilot(observation), throttle(frame)
         driven.append((frame, command))
-        simulator.draw_images(seen.step + 1 in exposed)
-        seen = session.advance(command if given is None else Command(command.steering, min(max(given, 0.0), 1.0)))
-    if seen is None:
+        simulator.draw_images(observation.step + 1 in exposed)
+        observation = session.advance(
+            command if pedal is None else Command(command.steering, min(max(pedal, 0.0), 1.0))
+        )
+    if observation is None:
         raise SimulatorError(f"{name}: {session.run.message if session.run else 'no run'}")
     return driven

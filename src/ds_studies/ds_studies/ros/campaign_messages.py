@@ -27,15 +27,17 @@ MOST_CELLS = 2**16
 """Cells of a grid; chosen: a hundred times those of the paper's maps."""
 
 
-def outcome_message(folder: str, test_id: str, simulator: SimulatorName, found: Execution | Gate | None) -> TestOutcome:
+def outcome_message(
+    folder: str, test_id: str, simulator: SimulatorName, outcome: Execution | Gate | None
+) -> TestOutcome:
     """Convert what became of a test of a goal's folder on a simulator; None: every attempt ended in an error."""
     message = TestOutcome(campaign=folder, test_id=test_id, simulator=simulator)
-    if isinstance(found, Execution):
-        message.outcome.value = int(found.outcome)
-        message.message, message.bag = found.message, found.bag
-        message.fitness, message.max_lateral_position = found.fitness, found.max_lateral_position
-    elif isinstance(found, Gate):
-        message.excluded, message.message = True, found.message
+    if isinstance(outcome, Execution):
+        message.outcome.value = int(outcome.outcome)
+        message.message, message.bag = outcome.message, outcome.bag
+        message.fitness, message.max_lateral_position = outcome.fitness, outcome.max_lateral_position
+    elif isinstance(outcome, Gate):
+        message.excluded, message.message = True, outcome.message
     else:
         message.message = "every attempt ended in an error"
     return message
@@ -49,11 +51,11 @@ def test_response(data: CampaignData, folder: str, test_id: str, response: GetTe
         return response
     response.found, response.road, response.seed = True, road_to_message(test.road), test.seed
     response.conditions = conditions_to_messages(test.conditions)
-    known: dict[SimulatorName, Execution | Gate] = {
+    outcomes: dict[SimulatorName, Execution | Gate] = {
         name: gate for (one, name), gate in data.gates.items() if one == test_id and not gate.is_valid
     }
-    known |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}
-    response.outcomes = [outcome_message(folder, test_id, name, one) for name, one in known.items()]
+    outcomes |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}
+    response.outcomes = [outcome_message(folder, test_id, name, one) for name, one in outcomes.items()]
     return response
 
 

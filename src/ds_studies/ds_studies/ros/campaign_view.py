@@ -121,13 +121,13 @@ class CampaignView:
 
     def _keep_drawing(self) -> None:
         """Draw the maps again while a campaign drives, and once at its end."""
-        pause, seen = MAPS_EVERY, (0, -1, -1)
+        pause, drawn = MAPS_EVERY, (0, -1, -1)
         while not self._ended.wait(pause):
             state, campaign = self.state, self._campaign
             present = (id(self._job), state.done, state.state)
-            if campaign is None or present == seen:
+            if campaign is None or present == drawn:
                 continue
-            began, seen = time.monotonic(), present
+            began, drawn = time.monotonic(), present
             job, data = self._job, self._read()
             grids = None if data is None else grids_of(data)
             with self._lock:

@@ -74,15 +74,15 @@ def run_campaign_goal(job: Job, trusted: Collection[str]) -> None:
         changed["conditions"] = conditions_from_messages(request.conditions)
     if request.seed:
         changed["seed"] = int(request.seed[0])
-    found = run_campaign(
+    result = run_campaign(
         parse_config(config.model_dump() | changed, "the goal", received=True),
         job.folder,
         job.listener,
         attach=attach,
         stop=job.stop,
     )
-    job.result.report = str(found.report)
-    job.result.executions, job.result.errors = found.executions, found.executions_in_error
+    job.result.report = str(result.report)
+    job.result.executions, job.result.errors = result.executions, result.executions_in_error
 
 
 def _config_of(text: str, folder: Path, trusted: Collection[str]) -> CampaignConfig:
@@ -130,12 +130,12 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
         for number, (road, seed) in enumerate(zip(request.roads, seeds, strict=True))
     ]
     callbacks = Callbacks(listen=lambda: nullcontext(job.listener), stop=job.stop)
-    found = drive_tests(settings, dict.fromkeys(names, tests), job.folder, callbacks)
+    results = drive_tests(settings, dict.fromkeys(names, tests), job.folder, callbacks)
     for test in tests:
         for name in names:
             key = (test.test_id, name)
-            one = found.executions.get(key) or (found.gates.get(key) if key in found.excluded else None)
+            one = results.executions.get(key) or (results.gates.get(key) if key in results.excluded else None)
             message = outcome_message(request.folder, *key, one)
-            if key in found.errors:
-                message.message = str(found.errors[key])
+            if key in results.errors:
+                message.message = str(results.errors[key])
             job.result.outcomes.append(message)

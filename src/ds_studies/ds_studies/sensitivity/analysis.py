@@ -78,11 +78,11 @@ class Drives:
                 raise DriverError(f"{error}{failed}") from None
             return gate is not None and not gate.is_valid
         self._tested.add_test(test)
-        found = self._executor.execute(test, simulator)
-        if found is None:
+        outcome = self._executor.execute(test, simulator)
+        if outcome is None:
             last = [row for row in self._tested.errors() if row[:2] == (name, simulator)][-1]
             raise DriverError(error + ": ".join(filter(None, (last[3].lower(), last[4]))))
-        return found.outcome.is_failure if isinstance(found, Execution) else True
+        return outcome.outcome.is_failure if isinstance(outcome, Execution) else True
 
 
 LOG = logger_of(__name__)
@@ -101,7 +101,7 @@ def analyse_sensitivity(
     folder: Path | None = None,
     gates: Path | None = None,
     progress: Progress = SILENT,
-    watch: Watch = lambda found: None,
+    watch: Watch = lambda update: None,
 ) -> Sensitivity:
     """Find for each factor on each simulator the strength at which a driver first fails.
 
@@ -138,7 +138,7 @@ def analyse_sensitivity(
         stack.callback(drives.stop)  # first of all, so that no thread waits for a drive
         candidates = candidate_roads(roads, seed, segments=segments)
         chosen = _choose(drives, settings, candidates, roads, pool)
-        known = Sensitivity(
+        result = Sensitivity(
             driver=settings.driver,
             simulators=settings.simulators,
             factors=factors,
@@ -148,12 +148,12 @@ def analyse_sensitivity(
         )
 
         def so_far(thresholds: Mapping[tuple[int, str], Threshold]) -> None:
-            watch(replace(known, thresholds=dict(thresholds)))
+            watch(replace(result, thresholds=dict(thresholds)))
 
         thresholds = _measure(
             drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress, so_far=so_far
         )
-    return replace(known, thresholds=thresholds)
+    return replace(result, thresholds=thresholds)
 
 
 def _choose(
@@ -164,17 +164,17 @@ def _choose(
     pool: ThreadPoolExecutor,
 ) -> dict[SimulatorName, list[Scenario]]:
     """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
-    found = {
+    chosen = {
         name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
         for name in settings.simulators
     }
-    for name, numbers in found.items():
+    for name, numbers in chosen.items():
         try:
             completed = len(numbers.result())
         except DriverError as error:
             raise DriverError(f"{error}: fix it and run the same command again") from None
         LOG.info("%s: %s completes %d of %d roads without any condition", name, settings.driver, completed, needed)
-    return {name: [candidates[number] for number in numbers.result()] for name, numbers in found.items()}
+    return {name: [candidates[number] for number in numbers.result()] for name, numbers in chosen.items()}
 
 
 def _measure(
@@ -189,7 +189,7 @@ def _measure(
     so_far: Callable[[Mapping[tuple[int, str], Threshold]], None],
 ) -> dict[tuple[int, str], Threshold]:
     """Thresholds of all factors on all simulators, in the order of the factors."""
-    found: dict[tuple[int, str], Threshold] = {}
+    thresholds: dict[tuple[int, str], Threshold] = {}
     running: dict[Future[Threshold], tuple[int, str]] = {}
 
     def threshold(position: int, name: SimulatorName) -> Threshold:
@@ -205,16 +205,16 @@ def _measure(
             applicable = is_applicable(factor, spec_of(name).conditions)
             measured = applicable and len(of) == needed
             verdict: Verdict = "pending" if measured else "fails by default" if applicable else "not applicable"
-            found[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
+            thresholds[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
             if measured:
                 running[pool.submit(threshold, position, name)] = position, name
-    so_far(found)
+    so_far(thresholds)
     progress.start(len(running))
     for future in as_completed(running):
-        one = found[running[future]] = future.result()
-        so_far(found)
+        one = thresholds[running[future]] = future.result()
+        so_far(thresholds)
         progress.advance(line=f"{one.factor.title} on {one.simulator}: {one.text}")
-    return found
+    return thresholds
 
 
 def _fails(drives: Drives, simulator: SimulatorName, roads: Sequence[Scenario]) -> Fails:

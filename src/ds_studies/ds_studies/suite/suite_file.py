@@ -203,12 +203,12 @@ def read_suite(path: Path) -> Suite:
 
 def _moved(raw: Any, start: Path, end: Path) -> Any:
     """A suite's document whose paths, relative to one folder, are made relative to another."""
-    found = rebase_paths(raw, start, end)
-    for test in found["tests"] if isinstance(found.get("tests"), list) else ():
+    moved = rebase_paths(raw, start, end)
+    for test in moved["tests"] if isinstance(moved.get("tests"), list) else ():
         if isinstance(test, dict) and isinstance(test.get("outcomes"), dict):
             outcomes = test["outcomes"].items()
             test["outcomes"] = {str(SimulatorName(name).moved(start, end)): one for name, one in outcomes}
-    return found
+    return moved
 
 
 TESTS = 30
@@ -234,10 +234,10 @@ def select(data: CampaignData, *, most: int) -> dict[str, list[Reason]]:
     failures: dict[str, int] = {}
     for test in data.tests:
         runs = [done.get((test.test_id, name)) for name in names]
-        known = [run for run in runs if run is not None]
-        if len(known) == len(names):
-            margins[test.test_id] = [run.fitness for run in known]
-            failures[test.test_id] = sum(run.outcome.is_failure for run in known)
+        runs_there = [run for run in runs if run is not None]
+        if len(runs_there) == len(names):
+            margins[test.test_id] = [run.fitness for run in runs_there]
+            failures[test.test_id] = sum(run.outcome.is_failure for run in runs_there)
     failing = sorted((i for i in margins if failures[i]), key=lambda i: (-failures[i], min(margins[i]), i))
     boundary = sorted(margins, key=lambda i: (min(map(abs, margins[i])), i))
     worst_first = sorted(margins, key=lambda i: (min(margins[i]), i))
@@ -343,7 +343,7 @@ def run_suite(
     """
     tests = {one.name: Test(f"suite-0-{number:04d}", suite.scenario_of(one)) for number, one in enumerate(suite.tests)}
     work = {name: [tests[one.name] for one in suite.tests if name in one.outcomes] for name in suite.simulators}
-    found = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, callbacks)
+    results = drive_tests(settings, {name: of for name, of in work.items() if of}, folder, callbacks)
     pairs, left_out, executions = [], [], {}
     for one in suite.tests:
         test = tests[one.name]
@@ -354,8 +354,8 @@ def run_suite(
         )
         for name, expected in one.outcomes.items():
             key = (test.test_id, name)
-            if key in found.executions:
-                execution = executions[one.name, name] = found.executions[key]
+            if key in results.executions:
+                execution = executions[one.name, name] = results.executions[key]
                 pairs.append(
                     PairedDrive(
                         test=compared,
@@ -364,8 +364,8 @@ def run_suite(
                         candidate=DriveOutcome.of(execution),
                     )
                 )
-            elif key in found.errors:
-                left_out.append((one.name, name, str(found.errors[key])))
+            elif key in results.errors:
+                left_out.append((one.name, name, str(results.errors[key])))
     comparison = compare_networks(
         pairs,
         reference=Network(driver=suite.driver, sha256=suite.driver_sha256),
@@ -375,7 +375,7 @@ def run_suite(
         simulators=suite.simulators,
         features=[feature_of(name) for name in suite.features],
         twin=suite.twin,
-        excluded=len(found.excluded),
+        excluded=len(results.excluded),
         left_out=left_out,
     )
     return comparison, executions
@@ -394,8 +394,10 @@ def with_outcomes(
                 test.model_copy(
                     update={
                         "outcomes": {
-                            name: _expected(executions[test.name, name]) if (test.name, name) in executions else known
-                            for name, known in test.outcomes.items()
+                            name: _expected(executions[test.name, name])
+                            if (test.name, name) in executions
+                            else expected
+                            for name, expected in test.outcomes.items()
                         }
                     }
                 )
