@@ -183,12 +183,12 @@ def fit(
         theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-5, phases.iterated)
     problem.weigh(names, theta, eta)
     width = problem.half_widths(names, theta, eta)
-    found = dict(zip(names, zip(problem.values(names, theta), width, strict=True), strict=True))
+    values = dict(zip(names, zip(problem.values(names, theta), width, strict=True), strict=True))
     estimates = []
     for name in settings.names:
         unit = FITTED[name]
         before = float(getattr(start, name))
-        value, half = found.get(name, (before, math.nan))
+        value, half = values.get(name, (before, math.nan))
         estimates.append(
             Estimate(
                 name=name,
@@ -197,14 +197,14 @@ def fit(
                 low=value - half,
                 high=value + half,
                 start=before,
-                determined=name in found,
+                determined=name in values,
             )
         )
     predicted = problem.predict([problem.car(names, theta)], eta[None])[0]
     squares = np.square(problem.windows.difference(predicted))
-    known = problem.windows.known.sum(axis=(0, 1))
-    rms = np.sqrt(squares.sum(axis=(0, 1)) / np.maximum(known, 1))
-    measured = known > 0
+    samples = problem.windows.known.sum(axis=(0, 1))
+    rms = np.sqrt(squares.sum(axis=(0, 1)) / np.maximum(samples, 1))
+    measured = samples > 0
     return Fit(
         parameters=problem.car(names, theta),
         estimates=tuple(estimates),

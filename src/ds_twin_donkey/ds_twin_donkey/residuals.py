@@ -176,10 +176,10 @@ class Problem:
         residual = self.windows.difference(self.predict([self.car(names, theta)], eta[None])[0])
         spent = UNKNOWNS * self.windows.count + len(names)
         for channel in range(len(CHANNELS)):
-            known = self.windows.known[..., channel]
-            if known.any():
+            recorded = self.windows.known[..., channel]
+            if recorded.any():
                 share = 1.0 - spent / self.windows.known.sum()
-                size = math.sqrt(float(np.mean(np.square(residual[..., channel][known]))) / max(share, 0.1))
+                size = math.sqrt(float(np.mean(np.square(residual[..., channel][recorded]))) / max(share, 0.1))
                 self.sigma[channel] = max(size, FLOORS[channel])
 
     def half_widths(self, names: Sequence[str], theta: Array, eta: Array) -> list[float]:

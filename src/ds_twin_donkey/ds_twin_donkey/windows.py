@@ -157,10 +157,10 @@ class Windows:
         differences = np.abs(np.diff(self.measured, n=3, axis=1)).reshape(-1, len(CHANNELS))
         sizes = np.zeros(len(CHANNELS))
         for channel, column in enumerate(differences.T):
-            known = column[np.isfinite(column)]
-            if known.size:
+            recorded = column[np.isfinite(column)]
+            if recorded.size:
                 # Robust against the car's motion: the median absolute value of a normal distribution is 0.6745 sigma.
-                sizes[channel] = np.median(known) / 0.6745 / math.sqrt(20.0)
+                sizes[channel] = np.median(recorded) / 0.6745 / math.sqrt(20.0)
         return sizes
 
 
@@ -171,9 +171,9 @@ def _state_at(measured: Array, at: int, rear: float) -> Array:
     value, slope, bend = np.full(5, np.nan), np.full(5, np.nan), np.full(5, np.nan)
     for channel in range(5):
         rows = measured[span, channel]
-        known = np.isfinite(rows)
-        if known.sum() >= 4:
-            bend[channel], slope[channel], value[channel] = np.polyfit(time[known], rows[known], 2)
+        recorded = np.isfinite(rows)
+        if recorded.sum() >= 4:
+            bend[channel], slope[channel], value[channel] = np.polyfit(time[recorded], rows[recorded], 2)
     x, y, yaw, speed, rate = value
     pace = math.hypot(slope[0], slope[1])
     speed = pace if math.isnan(speed) else speed
