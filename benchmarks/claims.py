@@ -38,8 +38,9 @@ from ds_sim.conditions.model import FIELDS
 from ds_sim.simulator import Outcome
 
 SIBLINGS, TWIN = (BULLET, SOFTBODY), DONKEY
-SEARCHES = {14: (3, 4), 24: (4, 8), 40: (8, 12), 120: (12, 48)}
-"""Tests -> random roads and mutants of the search on each of two siblings; 24 and 120 are the sizes of `ds test`."""
+SEARCHES = {8: (4, 0), 14: (3, 4), 24: (4, 8), 40: (8, 12), 120: (12, 48)}
+"""Tests -> random roads and mutants of the search on each of two siblings; 8 are a first answer of
+`ds test`, 24 and 120 its sizes."""
 CONDITIONS = {
     "visibility": (20.0, 1000.0),
     "line_contrast": (0.1, 1.0),
@@ -336,7 +337,7 @@ def rows_of_claims() -> Iterator[Sequence[Value]]:
     for size in (40, 120):
         yield from (second_splits(size, 3, noise, NOISE_CAMPAIGNS) for noise in NOISES)
         yield second_splits(size, 3, EFFECTS[0])
-    for size in (24, 40, 120):
+    for size in (8, 24, 40, 120):
         yield from (beliefs(size, siblings, follows) for siblings in (2, 4) for follows in (0.0, 0.9))
         yield from (most_often(size, first) for first in (0.25, 0.7))
         yield from (row for worse in (0.0, 0.5) for row in verdicts(size, worse, CAMPAIGNS // 4))

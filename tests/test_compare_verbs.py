@@ -434,6 +434,8 @@ def test_a_test_of_a_network_is_a_campaign_without_a_file_to_write(
 def test_a_test_that_fails_may_end_with_status_3(tmp_path: Path, engine: list[OfDriver]) -> None:
     done = ds("test", "dave2", "--sims", "bullet,donkey", "--fail-on", "failure", "--out", tmp_path / "out")
     assert done.returncode == 3 and "not passed: " in done.stderr and "next: ds " in done.stderr, done.stderr
+    first, _, rest = done.stderr.partition("first answer after ")[2].partition("the test goes on, and replaces this")
+    assert "from 6 of 12 tests:\n  dave2 failed on " in first and "report.html" in first and "finished in" in rest
     assert Path(done.stdout.splitlines()[-1]) == tmp_path / "out" / "report.html"
 
 

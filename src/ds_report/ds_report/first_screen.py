@@ -135,7 +135,7 @@ def _of_agreement(
 def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
     """What to do now and the command for it, by rule 3 of this module."""
     config = data.config
-    missing = len(data.tests) * len(config.simulators) - len(data.failed) - len(data.excluded)
+    missing = config.executions_at_most - len(data.failed) - len(data.excluded)
     if not data.failed or (missing and not config.elites_only):
         return "The campaign is not finished: go on with it.", shlex.join(("ds", "campaign", "resume", folder))
     if proposed := proposal({name: count for name, count in data.failures.items() if count.tests}, config):

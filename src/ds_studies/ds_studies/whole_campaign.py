@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,8 +29,11 @@ from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
 from ds_orchestrator.store.store import Store
-from ds_report.build import write_all
+from ds_report.build import NOT_MADE, write_all
 from ds_report.first_screen import FirstScreen, first_screen
+
+FIRST_TESTS = 8
+"""Tests of a first answer; chosen: with three simulators, 2.5 minutes of processor time on a slow machine."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +43,7 @@ class CampaignOutcome:
     Attributes:
         folder: campaign folder.
         report: the HTML report in it.
+        tests: number of tests.
         executions: number of executions with a verdict.
         executions_in_error: executions of this session that ended in an error after all attempts.
         correlations: comparison of every map with the twin's; empty without a twin.
@@ -48,6 +52,7 @@ class CampaignOutcome:
 
     folder: Path
     report: Path
+    tests: int
     executions: int
     executions_in_error: int
     correlations: Sequence[Correlation]
@@ -62,6 +67,7 @@ def run_campaign(
     attach: bool = False,
     cluster: ClusterOptions | None = None,
     stop: StopSwitch | None = None,
+    first: Callable[[CampaignOutcome], None] | None = None,
 ) -> CampaignOutcome:
     """Run a campaign to its report, or resume the one in the folder.
 
@@ -72,6 +78,8 @@ def run_campaign(
         attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
         cluster: cluster of the engine `dask`; one on this machine if None.
         stop: ends driving from another thread.
+        first: receives an outcome with its report after some random roads of each search, `FIRST_TESTS` in all, unless
+            an earlier session wrote a report, or only elites migrate. The campaign then goes on, and ends the same.
 
     Raises:
         ConfigError: the driver or a simulator of the configuration has changed since the campaign began.
@@ -90,21 +98,34 @@ def run_campaign(
         settings = record_provenance(store, settings, folder)
         keep_engine(folder, config)
         enter_folder(folder / "bags")
-        in_error = 0
-        if not is_driven(store, config):
-            in_error = _drive(config, settings, folder, store, live, stop or StopSwitch())
 
-        # The simulators come from the caller's configuration, so their code is trusted.
-        data = read_campaign(store)
-        report = write_all(folder, store, data=data, again=False, listener=live, trusted=config.simulators)
-        return CampaignOutcome(
-            folder=folder,
-            report=report,
-            executions=store.count_executions(),
-            executions_in_error=in_error,
-            correlations=read_correlations(folder, config) if config.twin else [],
-            answer=first_screen(data, str(folder)),
-        )
+        def outcome(in_error: int) -> CampaignOutcome:
+            # The simulators come from the caller's configuration, so their code is trusted.
+            data = read_campaign(store)
+            report = write_all(folder, store, data=data, again=False, listener=live, trusted=config.simulators)
+            return CampaignOutcome(
+                folder=folder,
+                report=report,
+                tests=len(data.tests),
+                executions=store.count_executions(),
+                executions_in_error=in_error,
+                correlations=read_correlations(folder, config) if config.twin else [],
+                answer=first_screen(data, str(folder)),
+            )
+
+        if is_driven(store, config):
+            return outcome(0)
+        tests = min(config.search.population, max(1, FIRST_TESTS // (config.search.runs * len(config.siblings))))
+        has_answer = store.results().get("report", NOT_MADE) != NOT_MADE
+        is_short = has_answer or config.elites_only or tests >= config.settings.budget
+
+        def drive(campaign: Campaign) -> None:
+            if first is not None and not is_short:
+                campaign.run(tests)
+                first(outcome(campaign.failed_executions))
+            campaign.run()
+
+        return outcome(_drive(config, settings, folder, store, live, stop or StopSwitch(), drive))
 
 
 def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: Collection[str] = ()) -> Path:
@@ -155,6 +176,7 @@ def _drive(
     store: Store,
     live: LiveFile,
     stop: StopSwitch,
+    drive: Callable[[Campaign], None],
 ) -> int:
     """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
     try:
@@ -163,7 +185,7 @@ def _drive(
             campaign = Campaign(driven, folder, store, ObservedEngine(engine, live), live)
             stop.connect(campaign.stop, engine.stop)
             try:
-                campaign.run()
+                drive(campaign)
             except BaseException:
                 engine.stop()
                 raise

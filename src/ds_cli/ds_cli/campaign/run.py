@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.engines.cluster import ClusterOptions
+    from ds_studies.whole_campaign import CampaignOutcome
 
 DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
 """What `ds test` takes if it is not told otherwise."""
@@ -72,9 +73,14 @@ campaign_app = typer.Typer()
 
 
 def campaign(
-    config: CampaignConfig, out: Path, *, attach: bool = False, cluster: ClusterOptions | None = None
+    config: CampaignConfig,
+    out: Path,
+    *,
+    attach: bool = False,
+    cluster: ClusterOptions | None = None,
+    staged: bool = False,
 ) -> Result:
-    """Run a campaign to its report, or resume it.
+    """Run a campaign to its report, or resume it; staged: print a first answer from few tests, and go on.
 
     Raises:
         Interrupted: the user stopped it.
@@ -90,9 +96,19 @@ def campaign(
         say(faster)
     started = time.monotonic()
     listener = ScreenListener()
+
+    def first(outcome: CampaignOutcome) -> None:
+        every = config.executions_at_most // len(config.simulators)
+        say(f"first answer after {duration(time.monotonic() - started)}, from {outcome.tests} of {every} tests:")
+        for line in filter(None, (outcome.answer.where, outcome.answer.believe, str(outcome.report))):
+            say(f"  {line}")
+        say("the test goes on, and replaces this answer")
+
     try:
         with listener:
-            outcome = run_campaign(config, out, listener, attach=attach, cluster=cluster)
+            outcome = run_campaign(
+                config, out, listener, attach=attach, cluster=cluster, first=first if staged else None
+            )
     except (KeyboardInterrupt, Stopped):
         resumed = (out / "campaign.sqlite").is_file()
         raise Interrupted(_kept(out, listener.done) if resumed else "") from None
@@ -242,8 +258,8 @@ def search_command(
     """Search roads on which a network fails, and report where and why.
 
     A search makes roads on which the network drives badly on a sibling. All of them are then driven on every simulator.
-    The last line is the path of the HTML report; campaign.yaml in the folder is the configuration. It drives without
-    ROS unless --engine says otherwise.
+    A first answer, from few of them, comes on standard error. The last line is the path of the HTML report;
+    campaign.yaml in the folder is the configuration. It drives without ROS unless --engine says otherwise.
 
     Example: ds test my_net.yaml --out out
     """
@@ -263,7 +279,7 @@ def search_command(
         if dry_run:
             words = ("campaign", "run", file, "--out", folder, "--engine", config.engine)
             return _dry_run(config, folder, cluster_of(None), ds_command(*words))
-        return judged(campaign(config, folder), folder, criteria, junit)
+        return judged(campaign(config, folder, staged=True), folder, criteria, junit)
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)

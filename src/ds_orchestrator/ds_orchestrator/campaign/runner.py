@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,9 @@ class Campaign:
         self._listener = listener
         self._executor = Executor(config.drive_settings(), folder, store, engine, listener)
         self._lock, self._stages = threading.Lock(), ExitStack()
+        self._followed = set[str]()
+        runs = range(config.search.runs)
+        self._searches = {name: [self._search(name, run) for run in runs] for name in config.siblings}
 
     @property
     def failed_executions(self) -> int:
@@ -58,8 +62,12 @@ class Campaign:
         """Start no further test."""
         self._executor.stop()
 
-    def run(self) -> None:
-        """Run every stage that drives.
+    def run(self, tests: int | None = None) -> None:
+        """Run every stage that drives; called again, it goes on where it was.
+
+        Args:
+            tests: further tests of each search, driven on every simulator; the rest if None. Where only elites migrate,
+                which of them do depends on all tests.
 
         Raises:
             Stopped: `stop` was called; finished executions are in the store.
@@ -71,10 +79,10 @@ class Campaign:
         everything = own * len(config.siblings)
         self._listener.expect([search, {name: everything - search.get(name, 0) for name in config.simulators}])
         searches = {
-            name: [partial(self._search, name, run) for run in range(config.search.runs if name in search else 0)]
+            name: [partial(self._advance, one, tests) for one in self._searches.get(name, ())]
             for name in config.simulators
         }
-        self._searching, self._followed = sum(map(len, searches.values())), set[str]()
+        self._searching = sum(map(len, searches.values()))
         with self._stages:
             self._stages.enter_context(self._stage("search"))
             try:
@@ -85,9 +93,11 @@ class Campaign:
                 raise
             migrated = self._migrated()
             foreign = {name: [test for test in migrated if name != test.sibling] for name in config.simulators}
-            self._listener.expect([search, {name: len(tests) for name, tests in foreign.items()}])
+            if tests is None:
+                self._listener.expect([search, {name: len(of) for name, of in foreign.items()}])
             left = {name: [test for test in of if test.test_id not in self._followed] for name, of in foreign.items()}
             self._executor.execute_all(left)
+            self._followed.update(test.test_id for test in migrated)
 
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
@@ -107,8 +117,18 @@ class Campaign:
         elites = elites_of(data.tests, data.executions, data.cells, ignored=data.given_up)
         return [test for test in data.tests if test.test_id in elites]
 
-    def _search(self, sibling: SimulatorName, run: int) -> None:
-        """Run or replay one search run on one sibling, taking known outcomes from the store.
+    def _advance(self, search: Iterator[None], tests: int | None) -> None:
+        """Go on with a search for so many tests, or to its end; the last one that stops begins the next stage."""
+        for _ in islice(search, tests):
+            pass
+        with self._lock:
+            self._searching -= 1
+            if not self._searching:
+                self._stages.close()
+                self._stages.enter_context(self._stage("migration and twin" if self._config.twin else "migration"))
+
+    def _search(self, sibling: SimulatorName, run: int) -> Iterator[None]:
+        """Run or replay one search run on one sibling, test by test, taking known outcomes from the store.
 
         A search that continued without a test's outcome ignores it on replay, even if the test has one by now: the
         roads that followed are in the store.
@@ -129,6 +149,7 @@ class Campaign:
                 self._migrate(test)
             if not isinstance(execution, Execution) or test_id in self._executor.given_up:
                 search.tell(None)
+                yield
                 continue
             gate = self._store.gate(test_id, sibling)
             cell = cell_of(
@@ -140,11 +161,7 @@ class Campaign:
                 visible_contrast=None if gate is None else gate.visible_contrast,
             )
             search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
-        with self._lock:
-            self._searching -= 1
-            if not self._searching:
-                self._stages.close()
-                self._stages.enter_context(self._stage("migration and twin" if config.twin else "migration"))
+            yield
 
     def _migrate(self, test: Test) -> None:
         """Let a finished test be driven on every other simulator, whenever no search needs the engine.

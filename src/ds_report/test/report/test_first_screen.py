@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from report_campaigns import make_campaign
 
-from ds_orchestrator.campaign.config import CampaignConfig
+from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_report.first_screen import first_screen
 from ds_sim import SimulatorName
@@ -23,7 +23,9 @@ CONFIG = CampaignConfig(
 
 def with_outcomes(folder: Path, config: CampaignConfig, failing: dict[str, set[int]]) -> CampaignData:
     """A campaign of 16 roads, in which each simulator fails exactly the given ones, by position."""
-    with closing(make_campaign(folder, config, 16 // len(config.siblings), roads=16)) as store:
+    tests = 16 // len(config.siblings)
+    config = config.model_copy(update={"search": SearchConfig(population=tests - 1, iterations=1, runs=1)})
+    with closing(make_campaign(folder, config, tests, roads=16)) as store:
         data = read_campaign(store)
     place = {test.test_id: k for k, test in enumerate(data.tests)}
     executions = tuple(
