@@ -59,6 +59,7 @@ NO_KEY = {
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
 WITHOUT_IMPORT = {
+    "ds_bags": ("ds_interfaces",),  # whose definitions it reads
     "ds_orchestrator": (
         "ds_sim_bullet",
         "ds_sim_panda",

@@ -20,7 +20,6 @@ from ds_bags.layout import (
     Opening,
     TooLargeError,
     custom_data,
-    image_spool_path,
     new_folder,
     partial_path,
     regular_file,
@@ -209,7 +208,6 @@ def unfinished_file(path: Path) -> Path:
         path,
         path / path.name.removeprefix(".").removesuffix(".partial"),
         partial_path(path) / path.name,
-        image_spool_path(path),
     ):
         files = sorted(folder.glob("*.mcap"))
         if files and (folder / "metadata.yaml").exists():

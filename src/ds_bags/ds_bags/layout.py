@@ -37,11 +37,6 @@ def partial_path(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}.partial")
 
 
-def image_spool_path(folder: Path) -> Path:
-    """Bag in which a run's images are recorded as they come, until the run's own bag is written."""
-    return folder.with_name(f".{folder.name}.seen") / folder.name
-
-
 def plain_name(name: object) -> str:
     """Check the name of a file that was read from a file, before it becomes part of a path.
 

@@ -24,7 +24,6 @@ from ds_bags.layout import (
     TooLargeError,
     bag_information,
     custom_data,
-    image_spool_path,
     partial_path,
     printable,
     regular_file,
@@ -216,7 +215,7 @@ def _place_of(path: Path) -> Path:
 
 def _check_finished(path: Path) -> None:
     if not path.exists():
-        if partial_path(path).exists() or image_spool_path(path).exists():
+        if partial_path(path).exists():
             raise BagError(
                 f"{path} was never finished: `{ds_command('bag', 'recover', path, '--out', 'DIR')}` recovers what was "
                 "written"

@@ -4,11 +4,8 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -36,11 +33,9 @@ from ds_sim.registry import SimulatorName
 from ds_sim.scenario import OfScenario, Scenario
 
 if TYPE_CHECKING:
-    from ds_bags.ros.image_recorder import ImageRecorder
     from ds_driver.networks.driver_name import DriverName
     from ds_driver.networks.network_driver import Translation
     from ds_orchestrator.campaign.engine import EngineName
-    from ds_orchestrator.graph.client import GraphClient
     from ds_road import Road
     from ds_sim.session import RunRecord
 
@@ -127,10 +122,13 @@ def _check(request: DriveOptions) -> None:
     road = request.road
     if not road.validity.valid:
         raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
-    if request.bag is not None:
-        import ds_bags.run_writer  # before the drive, where its libraries are missing  # noqa: F401
     if request.bag is not None and request.bag.exists():
         raise BagError(f"{request.bag} exists already: choose another folder")
+    if request.bag is not None and request.attach and request.level != "telemetry":
+        raise BagError(
+            f"--level {request.level}: images of running nodes are not written: choose --level telemetry, and record "
+            f"the images with `ros2 bag record {request.namespace}/camera/image_raw`"
+        )
     if request.video is not None:
         check_path(request.video)
 
@@ -147,10 +145,9 @@ def _run_without_ros(request: DriveOptions) -> RunRecord:
         return engine.drive(DriveRequest(request.scenario, request.driver, request.sim))
 
 
-def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
-    """The run, and whether its images were recorded from the graph."""
+def _run(request: DriveOptions) -> RunRecord:
     if request.engine == "local":
-        return _run_without_ros(request), False
+        return _run_without_ros(request)
     from ds_cli.progress import DriveProgress
     from ds_orchestrator.graph.session import running_graph
 
@@ -169,49 +166,14 @@ def _run(request: DriveOptions) -> tuple[RunRecord, bool]:
             attach=request.attach,
             wait=request.wait if request.attach else START_WAIT,
         ) as client,
-        _recorder(client, request) as recorder,
         DriveProgress(f"{sim} drives") as progress,
     ):
         own = request.attach and request.conditions.is_default  # those of the running node
-        run = client.execute(sim, request.scenario, conditions_of_node=own, watch=progress.update)
-        if recorder is not None:
-            recorder.wait_for_images(len(run.observations))
-        return run, recorder is not None
+        return client.execute(sim, request.scenario, conditions_of_node=own, watch=progress.update)
 
 
 def _domain() -> str:
     return os.environ.get("ROS_DOMAIN_ID", "0")
-
-
-@contextmanager
-def _recorder(client: GraphClient, request: DriveOptions) -> Iterator[ImageRecorder | None]:
-    """Record the images of a simulator that cannot be re-simulated here; None where none are needed.
-
-    A node that runs elsewhere may be another version with another look, and a simulator of the user's own may not
-    repeat itself: there the driver's images are taken from the graph.
-    """
-    from ds_bags.layout import image_spool_path
-    from ds_bags.run_writer import facts_of
-    from ds_orchestrator.graph.client import GraphError
-    from ds_sim.session import RunRecord
-
-    bag, sim = request.bag, request.sim
-    foreign = request.attach or not sim.runs_no_foreign_code
-    if bag is None or request.level == "telemetry" or not foreign:
-        yield None
-        return
-    from ds_bags.ros.image_recorder import ImageRecorder
-
-    folder = image_spool_path(bag)
-    shutil.rmtree(folder.parent, ignore_errors=True)
-    facts = facts_of(sim, RunRecord(scenario=request.scenario), request.level)
-    with ImageRecorder(folder, request.namespace, facts, client.context) as recorder:
-        if not recorder.wait_for_simulator():
-            raise GraphError(
-                f"{request.namespace} publishes no camera/image_raw to record, or does not answer get_info: choose "
-                "--level telemetry"
-            )
-        yield recorder
 
 
 def _translation(request: DriveOptions) -> Translation | None:
@@ -219,25 +181,6 @@ def _translation(request: DriveOptions) -> Translation | None:
     from ds_driver.networks.network_driver import translation_of
 
     return None if request.attach else translation_of(request.driver, request.sim)
-
-
-def _keep_bag(request: DriveOptions, run: RunRecord, whose: str, *, as_driven: bool) -> None:
-    """Write the bag, with the recorded images or those of a re-simulation."""
-    from ds_bags.layout import image_spool_path
-    from ds_bags.run_writer import write_bag
-
-    bag, about, translate = request.bag, {"driver": whose}, _translation(request)
-    assert bag is not None
-    if not as_driven:
-        write_bag(bag, request.namespace, request.sim, run, about, request.level, translate=translate)
-        return
-    from ds_bags.ros.image_recorder import with_images
-
-    images = with_images(run, image_spool_path(bag))
-    arrived = write_bag(bag, request.namespace, request.sim, run, about, request.level, images, translate)
-    if arrived < len(run.observations):
-        say(f"only {arrived} of {len(run.observations)} images arrived: the bag lacks the others")
-    shutil.rmtree(image_spool_path(bag).parent)
 
 
 def seed_of(road: Path | None) -> int:
@@ -350,13 +293,15 @@ def drive_command(
         namespace=namespace,
         engine=engine_here(engine, attach=attach),
     )
+    if bag is not None:
+        from ds_bags.run_writer import write_bag  # before the drive, where its libraries are missing
     _check(request)
     started = time.monotonic()
     try:
-        run, as_driven = _run(request)
+        run = _run(request)
         whose = "attached" if attach else str(network)
         if bag is not None:
-            _keep_bag(request, run, whose, as_driven=as_driven)
+            write_bag(bag, namespace, sim, run, {"driver": whose}, level, translate=_translation(request))
         if video is not None:
             say(f"rendering {video}")
             # The images went to the driver alone; the same commands show them again.
