@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Sequence
 from contextlib import closing
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.box import SIMPLE
@@ -21,7 +21,6 @@ from ds_cli.output import Result, answer
 if TYPE_CHECKING:
     from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
 
-Shown = Literal["probability", "quality"]
 LONGEST_AXIS = 40
 """Bins up to which an axis shows the empty ones between its ends; chosen: a screen's height."""
 app = typer.Typer()
@@ -43,12 +42,11 @@ def axes_named(text: str) -> list[str]:
     return names
 
 
-def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
+def grids(feature_map: FeatureMap, width: int) -> list[Table]:
     """A map of two features as one grid, or as several side by side in columns where it is wider than the terminal.
 
     Args:
         feature_map: its first feature runs to the right, the second one upwards.
-        shown: what colours a cell.
         width: characters of a line.
     """
     across, up = feature_map.features
@@ -56,7 +54,7 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     columns = _axis(cell[0] for cell in shown_cells)
     rows = _axis(cell[1] for cell in shown_cells)[::-1]
     boxes = {
-        cell: _box(feature_map.cells.get(cell), shown, feature_map.excluded.get(cell, 0))
+        cell: _box(feature_map.cells.get(cell), feature_map.excluded.get(cell, 0))
         for cell in itertools.product(columns, rows)
     }
     head = max(len(up.title) + 2, *(len(up.label(row)) for row in rows), 1)
@@ -66,7 +64,7 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     for start in range(0, max(len(columns), 1), at_once):
         part = columns[start : start + at_once]
         table = Table(
-            title=f"{feature_map.title}: {_TITLES[shown]}",
+            title=f"{feature_map.title}: failure probability",
             caption=f"{across.title} →",
             box=SIMPLE,
             pad_edge=False,
@@ -82,27 +80,24 @@ def grids(feature_map: FeatureMap, shown: Shown, width: int) -> list[Table]:
     return maps
 
 
-_TITLES = {"probability": "failure probability", "quality": "lack of driving quality"}
-
-
-def count_line(feature_map: FeatureMap, shown: Shown) -> Text:
+def count_line(feature_map: FeatureMap) -> Text:
     """What the numbers of a map are, and the sum of its cells."""
     cells = feature_map.cells.values()
     failing = sum(cell.probability > 0.0 for cell in cells)
     counts = any(cell.failures is not None for cell in cells)
-    numbers = "Failures/tests in each cell" if counts and shown == "probability" else "Value in each cell"
+    numbers = "Failures/tests in each cell" if counts else "Value in each cell"
     excluded = sum(feature_map.excluded.values())
     apart = f" -n: n tests of the cell are excluded by the gates and in no other number; {excluded} in all."
     filled = f"{numbers}; {failing} of {len(feature_map.cells)} filled cells have a probability above 0."
     return Text(filled + (apart if excluded else ""))
 
 
-def legend(shown: Shown) -> Text:
+def legend() -> Text:
     """What the colours mean, on every map."""
     ramp = Text("0 ")
     for step in range(11):
         ramp.append("  ", style=_style(step / 10))
-    return ramp.append(f" 1  {_TITLES[shown]}, on every map; · no test")
+    return ramp.append(" 1  failure probability, on every map; · no test")
 
 
 def _axis(bins: Iterable[int]) -> Sequence[int]:
@@ -113,13 +108,12 @@ def _axis(bins: Iterable[int]) -> Sequence[int]:
     return filled
 
 
-def _box(cell: MapCell | None, shown: Shown, excluded: int) -> Text:
+def _box(cell: MapCell | None, excluded: int) -> Text:
     apart = f" -{excluded}" if excluded else ""
     if cell is None:
         return Text(f"·{apart}", style="dim")
-    value = cell.probability if shown == "probability" else cell.quality_loss
-    text = f"{value:.2f}" if cell.failures is None or shown == "quality" else f"{cell.failures}/{cell.tests}"
-    return Text(f"{text:^6}", style=_style(value)).append(apart, style="not bold dim")
+    text = f"{cell.probability:.2f}" if cell.failures is None else f"{cell.failures}/{cell.tests}"
+    return Text(f"{text:^6}", style=_style(cell.probability)).append(apart, style="not bold dim")
 
 
 def _style(value: float) -> str:
@@ -136,7 +130,6 @@ def maps_command(
     name: Annotated[
         str | None, typer.Option("--map", help="Map to show; every simulator's and the merged one if left out.")
     ] = None,
-    value: Annotated[Shown, typer.Option(help="What colours the cells: probability or quality.")] = "probability",
     axes: Annotated[
         str | None,
         typer.Option(help="Two or three features that span the maps, separated by commas; as configured if left out."),
@@ -181,10 +174,10 @@ def maps_command(
         chosen = [map_id.name for map_id in compared_ids(every)] if name is None else [name]
         for feature_map in (map_named[one] for one in chosen):
             for part in slices_of(feature_map):
-                for grid in grids(part, value, console.width):
+                for grid in grids(part, console.width):
                     console.print(grid)
-            console.print(count_line(feature_map, value), highlight=False)
-        console.print(legend(value), highlight=False)
+            console.print(count_line(feature_map), highlight=False)
+        console.print(legend(), highlight=False)
         for excluded in exclusion_lines(data) if data is not None else ():
             console.print(excluded, highlight=False)
         others = ", ".join(other for other in map_named if other not in chosen)

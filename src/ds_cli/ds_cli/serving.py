@@ -37,10 +37,6 @@ def serve_donkey_command(
         str,
         typer.Option(help="Operating conditions, such as line_contrast=0.4.", autocompletion=complete_value),
     ] = "",
-    clients: Annotated[int, typer.Option(min=1, max=64, help="Clients connected at the same time.")] = 8,
-    timeout: Annotated[
-        float, typer.Option(min=1.0, max=86400.0, help="Disconnect a client that is silent for this many seconds.")
-    ] = 600.0,
 ) -> None:
     """Serve a simulator to clients of the Donkey simulator, such as gym-donkeycar's environments.
 
@@ -56,7 +52,7 @@ def serve_donkey_command(
 
     roads = [one_road(None, seed, max_angle, lane)] if road is None else roads_of(road, lane)
     tests = ServedTests(roads=roads, seed=seed, conditions=parse_conditions(conditions))
-    server = DonkeyServer(sim, tests, patience=timeout, most_clients=clients)
+    server = DonkeyServer(sim, tests)
 
     def listening(chosen: int) -> None:
         print(f"serving {sim} on {host}:{chosen}", flush=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -31,7 +31,6 @@ def train_command(
     ] = "laptop",
     seed: Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of weights, order and drives.")] = 1,
     epochs: Annotated[int | None, typer.Option(min=1, max=1000, help="Epochs; the preset's if left out.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Steps per epoch; the preset's if left out.")] = None,
     threads: Annotated[int, typer.Option(min=1, max=256, help="Threads of PyTorch.")] = 2,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
     unlike: Annotated[
@@ -53,8 +52,7 @@ def train_command(
     from ds_driver.training import CHECKPOINT
 
     settings = replace(PRESETS[preset], seed=seed, threads=threads, device=device)
-    changes: dict[str, Any] = {"epochs": epochs, "steps": steps}
-    settings = replace(settings, **{name: value for name, value in changes.items() if value is not None})
+    settings = replace(settings, epochs=epochs or settings.epochs)
     try:
         sources = read_sources(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
         match = sources.match

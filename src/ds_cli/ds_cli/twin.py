@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -35,11 +34,6 @@ def twin_fit_command(
         Path | None,
         typer.Option(help="What to start from: parameters, myconfig.py, or a RoboRacer car's YAML or URDF."),
     ] = None,
-    window: Annotated[
-        float | None,
-        typer.Option(min=1.0, max=30.0, help="Length of a fitted window, s; 10, or 2 for located recordings."),
-    ] = None,
-    evaluations: Annotated[int, typer.Option(min=1, help="Evaluations of the model per round at most.")] = 40,
     as_json: JsonFlag = False,
 ) -> None:
     """Fit the digital twin's parameters to recorded drives.
@@ -64,7 +58,6 @@ def twin_fit_command(
     drives = [drive for log in recorded for drive in log.drives]
     located = all(log.kind == "located" for log in recorded)
     settings = LOCATED if located else FitSettings()
-    settings = replace(settings, window_seconds=window or settings.window_seconds, max_evaluations=evaluations)
     mounting = None
     state = out.with_name(f"{out.name}.state")
     kept = Kept(state)

@@ -29,7 +29,7 @@ def test_a_grid_as_wide_as_the_terminal_shows_every_cell(width: int) -> None:
     axes = (column_axis("speed", 1.0), column_axis("curvature", 0.02))
     made = FeatureMap(id=MapId.union(SimulatorName("a")), cells=cells, features=axes, excluded={(7, 3): 12})
     console = Console(width=width, file=io.StringIO())
-    for grid in grids(made, "probability", width):
+    for grid in grids(made, width):
         console.print(grid)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert re.findall(r"\d+/\d+", text) == [f"{100 * k}/{1000 + k}" for k in range(3, 20)]

@@ -62,12 +62,6 @@ def sensitivity_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis is resumed.")
     ] = None,
-    gates: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the autopilot's drives, which other networks' analyses may use; in --out if left out."
-        ),
-    ] = None,
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
@@ -141,10 +135,10 @@ def sensitivity_command(
         return result, Result(document=document, show=show, error=bool(result.errors), next=following)
 
     if len(drivers) == 1:
-        end(analyse(drivers[0], out, gates)[1], as_json)
+        end(analyse(drivers[0], out, None)[1], as_json)
         return
     with TemporaryDirectory(prefix="ds_gates_") as shared:
-        gates = gates or (out or Path(shared)) / "gates"
+        gates = (out or Path(shared)) / "gates"
         analyses = [analyse(name, out and out / label_of_driver(str(name)), gates) for name in drivers]
     end(
         of_networks(networks_table([result for result, _ in analyses]), [one for _, one in analyses], out, sort),
