@@ -3,29 +3,19 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from tests.campaign.disk import Disk, needs_compiler
 
-HERE = Path(__file__).parent
-CONFIG = """
-siblings: [donkey]
-twin: null
-driver: autopilot
-seed: 7
-record: telemetry
-search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}
-"""
 SAMPLE = 24
 """Of so many calls, one fails in every run of the tests; all of them do in the ones that are marked `long`."""
 FAILURES = [("full", "once"), ("full", "stays"), ("broken", "once"), ("broken", "stays"), ("short", "once")]
 
 
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
+@needs_compiler
 @pytest.mark.parametrize(
     ("error", "how", "first", "step"),
     [("full", "once", 5, SAMPLE), *(pytest.param(*one, 1, 1, marks=pytest.mark.long) for one in FAILURES)],
@@ -33,14 +23,9 @@ FAILURES = [("full", "once"), ("full", "stays"), ("broken", "once"), ("broken", 
 def test_a_disk_that_fails_at_any_call_costs_nothing_but_time(
     error: str, how: str, first: int, step: int, tmp_path: Path
 ) -> None:
-    library = tmp_path / "disk.so"
-    subprocess.run(["cc", "-shared", "-fPIC", "-O1", "-o", library, HERE / "failing_disk.c", "-ldl"], check=True)
-    (tmp_path / "c.yaml").write_text(CONFIG)
-    path = os.pathsep.join([str(HERE.parent.parent), os.environ.get("PYTHONPATH", "")])
-    arguments = [str(tmp_path), str(library), error, how, str(first), str(step)]
     done = subprocess.run(
-        [sys.executable, "-m", "tests.campaign.failing_disk", *arguments],
-        env=os.environ | {"LD_PRELOAD": str(library), "PYTHONPATH": path},
+        [sys.executable, "-m", "tests.campaign.failing_disk", str(tmp_path), error, how, str(first), str(step)],
+        env=Disk(tmp_path).environment,
         capture_output=True,
         text=True,
         check=False,

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ds_base.folder_files import StoreError, make_parents
+from ds_base.folder_files import StoreError, make_parents, synchronise
 
 
 @contextmanager
@@ -30,19 +30,11 @@ def whole_file(path: Path) -> Iterator[Path]:
     try:
         os.close(os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666))
         yield partial
-        _sync(partial)
+        synchronise(partial)  # a name that is moved may get there before the content
         partial.replace(path)
+        synchronise(path.parent)
     finally:
         partial.unlink(missing_ok=True)
-
-
-def _sync(path: Path) -> None:
-    """Wait until the disk has a file's content: a name that is moved may get there before it."""
-    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
 
 
 def write_whole(path: Path, content: str | bytes) -> None:

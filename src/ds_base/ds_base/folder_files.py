@@ -7,6 +7,7 @@ among the files of the folder before anything is written. The store has checks o
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import re
@@ -22,9 +23,11 @@ MOST_ENTRIES = 5_000_000
 """Files and folders; chosen: bags of a million executions, looked at within a minute."""
 _OURS = re.compile(
     r"(campaign|drives)\.sqlite.*|\.(lock|engine\.json|live\.json).*|bags|logs|maps|evaluation|real|drives|tables|worse"
-    r"|.*\.(json|html|md|csv|tex|png)"
+    r"|.*\.(json|html|md|csv|tex|png|partial)"
 )
 """Names of what verbs read and write in a folder; whatever else is there is left alone."""
+PARTIAL = re.compile(r"\..+\.(\d+)\.partial")
+"""Names of files that are being written, with the process that writes."""
 
 
 class StoreError(InputError):
@@ -92,8 +95,11 @@ def check_inside(path: Path) -> None:
             raise StoreError(f"{parent} is a link, and could lead outside the folder of results: remove it")
 
 
-def check_folder(folder: Path) -> None:
+def check_folder(folder: Path) -> list[str]:
     """Refuse a folder in which a write would follow a link out of it, or wait for a FIFO; remember it for later writes.
+
+    Returns:
+        Paths of half-written files whose processes have ended on this machine.
 
     Raises:
         StoreError: an entry is a link, or neither a file nor a folder, or there are too many.
@@ -101,11 +107,12 @@ def check_folder(folder: Path) -> None:
     check_name(folder)
     check_inside(folder / "file")
     _entered.add(folder.absolute())
+    half_written = []
     try:
-        leftovers = [entry for entry in os.scandir(folder) if _OURS.fullmatch(entry.name)]
+        entries = [entry for entry in os.scandir(folder) if _OURS.fullmatch(entry.name)]
         left = MOST_ENTRIES
-        while leftovers:
-            entry = leftovers.pop()
+        while entries:
+            entry = entries.pop()
             left -= 1
             if left < 0:
                 raise StoreError(f"{folder} has more than {MOST_ENTRIES} files, the limit for a campaign")
@@ -113,11 +120,14 @@ def check_folder(folder: Path) -> None:
                 raise StoreError(f"{entry.path} is a link, and could lead outside the campaign's folder: remove it")
             if entry.is_dir(follow_symlinks=False):
                 with os.scandir(entry.path) as inside:
-                    leftovers += islice(inside, MOST_ENTRIES)
+                    entries += islice(inside, MOST_ENTRIES)
             elif not entry.is_file(follow_symlinks=False):
                 raise StoreError(f"{entry.path} is neither a file nor a folder: remove it")
+            elif (name := PARTIAL.fullmatch(entry.name)) and not Path("/proc", name[1]).exists():
+                half_written.append(entry.path)
     except OSError as error:
         raise StoreError(f"{folder} cannot be read ({error.strerror}): check its permissions") from None
+    return half_written
 
 
 def make_parents(path: Path) -> None:
@@ -127,9 +137,22 @@ def make_parents(path: Path) -> None:
 
 
 def place_folder(finished: Path, folder: Path) -> None:
-    """Move a folder that was made under another name to its own; errors as in `make_parents`."""
+    """Move a folder that was made under another name to its own, to stay there; errors as in `make_parents`."""
     make_parents(folder)
     finished.rename(folder)
+    synchronise(folder.parent)
+
+
+def synchronise(path: Path) -> None:
+    """Wait until the disk has a file's content, or the names in a folder; otherwise a power cut may lose them."""
+    file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        os.fsync(file)
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # some file systems cannot do it for folders
+            raise
+    finally:
+        os.close(file)
 
 
 def enter_folder(folder: Path) -> None:
@@ -158,11 +181,13 @@ def make_folder(folder: Path) -> None:
 def locked(folder: Path) -> Iterator[None]:
     """Check a folder and lock it, to write there; the kernel releases the lock when this process ends.
 
+    Files that a killed process or a power cut left half-written are removed.
+
     Raises:
         StoreError: see `check_folder`.
         LockError: another process holds the lock, or the folder cannot be written.
     """
-    check_folder(folder)
+    half_written = check_folder(folder)
     try:
         file = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     except OSError as error:
@@ -176,6 +201,8 @@ def locked(folder: Path) -> Iterator[None]:
             raise LockError(f"{folder} is in use by another run: wait for it, or choose another --out") from None
         except OSError as error:
             raise LockError(f"{folder} cannot be locked ({error.strerror}): choose an --out on a local disk") from None
+        for path in half_written:
+            Path(path).unlink(missing_ok=True)
         yield
     finally:
         os.close(file)

@@ -271,12 +271,17 @@ class SqliteFile:
         )
 
     def close(self) -> None:
-        """Close the file; everything is written, and a campaign's log is emptied even if it is read at this moment."""
-        if self._writes:
-            with self._lock, suppress(sqlite3.Error):  # closed already, or read for too long: then the log stays
-                self._db.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
-        self._db.close()
-        self._closed = True
+        """Close the file; a campaign's log is emptied, unless it is read for too long at this moment.
+
+        Raises:
+            StoreError: the disk does not take what was written; the file and its log are sound.
+        """
+        try:
+            if self._writes and not self._closed:
+                self.ask("PRAGMA wal_checkpoint(TRUNCATE)")
+        finally:
+            self._closed = True
+            self._db.close()
 
 
 def _statements() -> list[str]:

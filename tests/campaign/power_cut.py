@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cuts the power of a small campaign: builds what a disk may hold then, and lets the same command go on there.
+
+A file system may keep or lose, in any order, what was written to a file since that file was last synchronised, and
+names since their folder, or the file that has them, was. A process of its own, into which `disk.c` is preloaded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import struct
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.campaign.disk import Disk, damage, differences
+from tests.campaign.failing_disk import ds, prepare
+
+WRITE, SYNC, RENAME, OPEN, MKDIR, TRUNCATE, UNLINK, RMDIR = range(8)
+"""As the enumeration in `disk.c`."""
+HEADER = struct.Struct("5l")
+DATA, NAMES = {WRITE, TRUNCATE}, {RENAME, OPEN, MKDIR, UNLINK, RMDIR}
+
+
+@dataclass
+class Call:
+    """A call that reached the disk: its paths relative to the folder, and the file or folder that it concerns."""
+
+    kind: int
+    path: str
+    to: str
+    at: int
+    data: bytes
+    file: int = -1
+
+
+Tree = dict[str, bytearray | None]
+"""Path -> content, or None for a folder."""
+
+
+def calls_of(record: bytes, folder: Path) -> list[Call]:
+    """Read a record, and number the files and folders in it."""
+    calls, at, names, numbers = [], 0, {"": 0}, iter(range(1, 10**9))
+    while at < len(record):
+        kind, *lengths, place, size = HEADER.unpack_from(record, at)
+        at += HEADER.size
+        parts = []
+        for length in (*lengths, size):
+            parts.append(record[at : at + length])
+            at += length
+        path, to = (str(Path(part.decode()).relative_to(folder)) if part else "" for part in parts[:2])
+        call = Call(kind, "" if path == "." else path, to, place, parts[2])
+        if kind in (OPEN, MKDIR):
+            call.file = names[call.path] if call.path in names else names.setdefault(call.path, next(numbers))
+        elif kind == RENAME:
+            call.file = names[path]
+            moved = {name: number for name, number in names.items() if name == path or name.startswith(f"{path}/")}
+            names = {name: number for name, number in names.items() if name not in moved and name != to}
+            names |= {to + name[len(path) :]: number for name, number in moved.items()}
+        elif kind in (UNLINK, RMDIR):
+            call.file = names.pop(call.path)
+        elif call.path in names:
+            call.file = names[call.path]
+        else:
+            continue  # a file that has no name any more
+        calls.append(call)
+    return calls
+
+
+def parent(path: str) -> str:
+    """Folder of a path; "" for the campaign's own."""
+    return path.rpartition("/")[0]
+
+
+def unsure(calls: Sequence[Call]) -> list[int]:
+    """Numbers of the calls that a power cut after the last one may undo."""
+    synced: set[int] = set()
+    folders: set[str] = set()
+    lost = []
+    for number in range(len(calls) - 1, -1, -1):
+        call = calls[number]
+        if call.kind == SYNC:
+            synced.add(call.file)
+            folders |= {call.path, ""}
+            above = parent(call.path)
+            while above:  # a file that is synchronised is found under its name
+                folders.add(f"{above}/.")
+                above = parent(above)
+        elif call.kind in DATA or (call.kind == OPEN and call.at):
+            if call.file not in synced:
+                lost.append(number)
+        elif call.kind == MKDIR and (call.file in synced or f"{call.path}/." in folders):
+            continue
+        elif call.file not in synced and parent(call.to or call.path) not in folders:
+            lost.append(number)
+    return lost
+
+
+def replayed(calls: Sequence[Call], lost: set[int], halved: int = -1) -> Tree:
+    """What a disk holds that lost some of the calls, and half of one write."""
+    files: dict[int, bytearray | None] = {0: None}
+    names: dict[str, int] = {"": 0}
+    for number, call in enumerate(calls):
+        if call.kind in DATA and number not in lost:
+            content = files.setdefault(call.file, bytearray())
+            assert content is not None
+            if call.kind == TRUNCATE:
+                del content[call.at :]
+                content.extend(bytes(call.at - len(content)))
+            else:
+                data = call.data[: len(call.data) // 2] if number == halved else call.data
+                content.extend(bytes(max(0, call.at - len(content))))
+                content[call.at : call.at + len(data)] = data
+        elif number in lost:
+            continue
+        elif call.kind == MKDIR:
+            files[call.file], names[call.path] = None, call.file
+        elif call.kind == OPEN:
+            names[call.path] = call.file
+            if call.at:
+                files[call.file] = bytearray()
+            files.setdefault(call.file, bytearray())
+        elif call.kind == RENAME:
+            inside = [name for name in names if name == call.path or name.startswith(f"{call.path}/")]
+            moved = {call.to + name[len(call.path) :]: names.pop(name) for name in inside}
+            names |= moved
+        elif call.kind in (UNLINK, RMDIR):
+            names.pop(call.path, None)
+    tree: Tree = {}
+    for name in sorted(names):
+        above = parent(name)
+        if name and (not above or (above in tree and tree[above] is None)):
+            tree[name] = files.get(names[name], bytearray())
+    return tree
+
+
+def states(calls: Sequence[Call]) -> Iterator[tuple[str, Tree]]:
+    """Yield what a disk may hold after a power cut right after the last call, each with its description."""
+    lost = unsure(calls)
+    data = {number for number in lost if calls[number].kind in DATA or calls[number].kind == OPEN and calls[number].at}
+    names = set(lost) - data
+    yield "kept all", replayed(calls, set())
+    yield "lost all", replayed(calls, set(lost))
+    yield "lost all content", replayed(calls, data)
+    yield "lost all names", replayed(calls, names)
+    for number in lost[:20]:
+        call = calls[number]
+        what = f"{('write', 'sync', 'rename', 'open', 'mkdir', 'truncate', 'unlink', 'rmdir')[call.kind]} {call.path}"
+        yield f"lost only {what}", replayed(calls, {number})
+        yield f"kept only {what}", replayed(calls, set(lost) - {number})
+        if call.kind == WRITE:
+            yield f"kept half of {what}", replayed(calls, set(), number)
+
+
+def build(tree: Tree, folder: Path) -> None:
+    """Write a state into an empty folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for name, content in tree.items():
+        if content is None:
+            (folder / name).mkdir()
+        elif not name.endswith("-shm"):  # memory, which no power cut keeps
+            (folder / name).write_bytes(content)
+
+
+def problems_of(tree: Tree, folder: Path, whole: Path) -> list[str]:
+    """Let a campaign go on in a state; returns what is not as an undisturbed campaign has it."""
+    build(tree, folder)
+    problems = damage(folder, bags=False)
+    status, said = ds(folder)
+    problems += [f"status {status} {said}"] if status else []
+    return problems or differences(folder, whole)
+
+
+def main(scratch: Path, first: int, step: int) -> None:
+    """Cut the power after every so many calls, and print one line for each state from which the command fails."""
+    prepare(scratch)
+    disk, whole = Disk(scratch), scratch / "whole"
+    whole.mkdir()
+    record = disk.record(whole)
+    status, said = ds(whole)
+    disk.disarm()
+    calls = calls_of(record.read_bytes(), whole)
+    if status:
+        sys.exit(f"undisturbed: {status} {said}")
+    build(replayed(calls, set()), scratch / "again")
+    if wrong := differences(scratch / "again", whole):
+        sys.exit(f"the record is not whole: {wrong}")
+    tried: set[str] = set()
+    for cut in range(first, len(calls) + 1, step):
+        for description, tree in states(calls[:cut]):
+            text = repr(sorted((name, bytes(content or b"")) for name, content in tree.items() if "-shm" not in name))
+            digest = hashlib.sha256(text.encode()).hexdigest()
+            if digest in tried:
+                continue
+            tried.add(digest)
+            if problems := problems_of(tree, scratch / "tried", whole):
+                print(f"after {cut}, {description}: {problems}", flush=True)
+    print(f"tried {len(tried)} states of {len(calls)} calls")
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))
