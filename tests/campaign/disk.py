@@ -7,6 +7,7 @@ import ctypes
 import errno
 import mmap
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -48,7 +49,7 @@ class Disk:
     def __init__(self, scratch: Path) -> None:
         self._path, self._library, self._record = scratch / "disk.state", scratch / "disk.so", scratch / "disk.record"
         if not self._library.exists():
-            command = ["cc", "-shared", "-fPIC", "-O1", "-o", self._library, HERE / "disk.c", "-ldl"]
+            command = ["cc", "-shared", "-fPIC", "-O1", "-o", str(self._library), str(HERE / "disk.c"), "-ldl"]
             subprocess.run(command, check=True)
         self._path.touch()
         with self._path.open("r+b") as file:
@@ -80,13 +81,14 @@ class Disk:
         return counts
 
 
-def content(folder: Path) -> dict[str, bytes | list[Any]]:
-    """Every result in a folder, hidden files included, but logs of processes; of the store, the rows."""
-    files: dict[str, bytes | list[Any]] = {
+def content(folder: Path) -> dict[str, Any]:
+    """Every result in a folder, hidden files included, but logs and durations; of the store, the rows."""
+    files: dict[str, Any] = {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
         if path.is_file() and path.name != "campaign.sqlite" and path.parts[len(folder.parts)] != "logs"
     }
+    files["report.html"] = re.sub(b"Wall-clock time.*", b"", files.get("report.html", b""))
     with closing(sqlite3.connect(folder / "campaign.sqlite")) as db:
         for table in ("tests", "executions", "errors", "given_up", "searches", "results", "gates"):
             files[table] = sorted(db.execute(f"SELECT * FROM {table}"), key=repr)

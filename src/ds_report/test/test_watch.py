@@ -236,7 +236,7 @@ class SlowEngine:
     def stop(self) -> None: ...
 
 
-def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -> None:
+def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store = make_campaign(tmp_path, CONFIG, 1)
     test, slow = later_test(9), SlowEngine()
     store.add_test(test)
@@ -268,6 +268,15 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path) -
         across = (x - lane[nearest][0]) * ahead[1] - (y - lane[nearest][1]) * ahead[0]
         assert across / np.hypot(*ahead) == pytest.approx(0.25, abs=0.05)  # positive to the right
         assert np.cos(yaw - np.arctan2(ahead[1], ahead[0])) > 0.95
+        right = time.time
+        for hour in (3600, -3600):  # somebody sets the clock during the drive
+            monkeypatch.setattr(time, "time", lambda hour=hour: right() + hour)
+            while (found := read_live(tmp_path, time.time())) is None:
+                assert time.monotonic() < deadline
+                time.sleep(EVERY)
+            assert found.seconds_left is not None and found.seconds_left < 600
+            (now,) = page_state(CampaignReader(tmp_path).read())["now"]
+            assert 0 < now["seconds"] < 100
         slow.go.set()
         thread.join(60)
         assert read_live(tmp_path, time.time() + FRESH + 5) is None  # a killed campaign's file counts for nothing

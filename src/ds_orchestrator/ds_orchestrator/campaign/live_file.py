@@ -147,7 +147,7 @@ class LiveFile(TimedListener):
     def driving(self, simulator: SimulatorName, road_id: str, seed: int) -> Iterator[LiveDrive]:
         """Enter a drive under way; whoever has feedback sets its attributes."""
         # Not checked: what is wrong with a name must not end a campaign here.
-        drive = LiveDrive.model_construct(simulator=simulator, road_id=road_id, seed=seed, began=time.time())
+        drive = LiveDrive.model_construct(simulator=simulator, road_id=road_id, seed=seed, began=time.monotonic())
         with self._lock:
             self._drives[id(drive)] = drive
         try:
@@ -162,8 +162,10 @@ class LiveFile(TimedListener):
 
     def _write(self) -> None:
         with self._lock:
-            now, drives = time.time(), sorted(self._drives.values(), key=lambda drive: drive.began)[:MOST_DRIVES]
-            under_way = [(drive.simulator, now - drive.began, drive.progress) for drive in drives]
+            now, passed = time.time(), time.monotonic()  # the clock on the wall may jump during a drive
+            drives = sorted(self._drives.values(), key=lambda drive: drive.began)[:MOST_DRIVES]
+            under_way = [(drive.simulator, passed - drive.began, drive.progress) for drive in drives]
+            drives = [drive.model_copy(update={"began": now - (passed - drive.began)}) for drive in drives]
             live = Live(
                 updated=now,
                 stage=self._stage,
