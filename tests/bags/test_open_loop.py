@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -26,7 +25,6 @@ from ds_bags.reader import BagReader
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
-from ds_orchestrator.graph.session import RosDomain
 from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -312,35 +310,3 @@ def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_pa
     assert len(rows) == 44 and rows[40]["recorded"] == "" and rows[40]["answered"]
     picture = cv2.imread(document["picture"])
     assert picture is not None and picture.shape[1] == 1140
-
-
-@pytest.mark.graph
-def test_a_driver_node_answers_every_image_as_the_network_does(bags: Path, tmp_path: Path) -> None:
-    """The node asks for the crop of the recording, so that it and the reference network see the same rows."""
-    from ds_driver.networks.network_driver import NetworkDriver
-
-    domain = RosDomain()
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain.number)}
-    node = subprocess.Popen(
-        [sys.executable, "-m", "ds_driver.ros.driver_node", "--ros-args", "-r", "__ns:=/ds1"],
-        env=environment,
-        stderr=subprocess.DEVNULL,
-    )
-    try:
-        command = [
-            sys.executable, "-m", "ds_cli.main", "bag", "drive", str(bags / "raw"), "--attach",
-            "--limit", "12", "--out", str(tmp_path), "--json",
-        ]  # fmt: skip
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
-    finally:
-        node.terminate()
-        node.wait(20.0)
-        domain.close()
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout)["groups"][0]["answered"] == 12
-    network = NetworkDriver("dave2")
-    recording = open_recording(bags / "raw", Reading())
-    assert recording.crop != Crop()
-    expected = evaluate_recording(recording, lambda frame, crop: network.steering(_image(frame), crop), limit=12)
-    with (tmp_path / "answers.csv").open() as file:
-        assert [float(row["answered"]) for row in csv.DictReader(file)] == expected.answered.tolist()

@@ -174,8 +174,6 @@ def drive_command(
         Truth, typer.Option(help="Reference: the recorded steering, or what the autopilot would steer.")
     ] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Images of each recording at most.")] = None,
-    attach: Annotated[bool, typer.Option(help="Ask the driver node that runs in this ROS domain.")] = False,
-    namespace: Annotated[str, typer.Option(help="Namespace of that node's simulator.")] = "/ds1",
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:
@@ -191,11 +189,4 @@ def drive_command(
     reading = Reading(
         camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth, trusted=tuple(trust or ())
     )
-    if not attach:
-        answer(bag_drive(folders, driver, reading, out, limit), as_json)
-        return
-    from ds_driver.ros.driver_client import DriverClient
-
-    with DriverClient(namespace) as node:
-        node.wait_for_driver()
-        answer(bag_drive(folders, "attached", reading, out, limit, node), as_json)
+    answer(bag_drive(folders, driver, reading, out, limit), as_json)

@@ -23,23 +23,15 @@ if TYPE_CHECKING:
     from ds_driver.networks.images import Crop
 
 
-def bag_drive(
-    folders: list[Path],
-    driver: str,
-    reading: Reading,
-    out: Path | None,
-    limit: int | None,
-    answer: Answer | None = None,
-) -> Result:
+def bag_drive(folders: list[Path], driver: str, reading: Reading, out: Path | None, limit: int | None) -> Result:
     """Show recorded images to a driver and compare its steering with the recorded one.
 
     Args:
         folders: bags and tubs.
-        driver: name, for messages and results.
+        driver: name of a network.
         reading: which topics and image rows to read.
         out: folder for picture, answers and summary, or None.
         limit: images of each recording at most.
-        answer: steers by an image; loads the driver of this name if left out.
 
     Raises:
         ds_bags.layout.BagError: `out` is a file, or the driver is the autopilot.
@@ -54,7 +46,7 @@ def bag_drive(
     recordings = [open_recording(folder, reading) for folder in folders]
     if out is not None and out.exists() and not out.is_dir():
         raise BagError(f"{out} is a file: choose another --out")
-    answer = answer or _network(driver_named(driver))
+    answer = _network(driver_named(driver))
     progress, answers = ScreenProgress(), []
     progress.start(len(recordings))
     try:
@@ -98,8 +90,7 @@ def bag_drive(
         if out is not None:
             print(f"{out / 'errors.png'}\n{out / 'answers.csv'}")
 
-    network = "dave2" if driver == "attached" else driver
-    return Result(document=document, show=show, next=ds_command("check", network))
+    return Result(document=document, show=show, next=ds_command("check", driver))
 
 
 def _network(driver: DriverName) -> Answer:
