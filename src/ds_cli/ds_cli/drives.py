@@ -220,14 +220,14 @@ def drive_command(
     road: Annotated[
         Path | None,
         typer.Option(
-            help="File with one road as JSON, such as from `ds campaign roads`; if left out, random, or its "
+            help="File with one road as JSON, such as from `ds campaign roads`. If left out, random, or its "
             "simulator's own."
         ),
     ] = None,
     seed: Annotated[
         int | None,
         typer.Option(
-            min=0, max=2**32 - 1, help="Seed of the run, and of the random road; the road file's if left out, or 0."
+            min=0, max=2**32 - 1, help="Seed of the run and of a random road. If left out, as in the road file, or 0."
         ),
     ] = None,
     max_angle: MaxAngle = 270,
@@ -235,7 +235,7 @@ def drive_command(
     conditions: Annotated[
         str | None,
         typer.Option(
-            help="Operating conditions, such as line_contrast=0.4,visibility=40; the road file's if left out, or none.",
+            help="Operating conditions, such as line_contrast=0.4,visibility=40. If left out, as in the road file.",
             autocompletion=complete_value,
         ),
     ] = None,

@@ -125,7 +125,8 @@ Everything = Annotated[bool, typer.Option("--all", help="Print the robustness ch
 @app.command("evaluate")
 def evaluate_command(
     folder: Annotated[
-        Path | None, typer.Argument(metavar="[DIR]", help="Campaign; left out, --driver is compared on --data alone.")
+        Path | None,
+        typer.Argument(metavar="[DIR]", help="Campaign. Without one, --driver is compared on --data alone."),
     ] = None,
     data: Annotated[Path | None, typer.Option(help="Data set of `ds collect`, for RQ1.")] = None,
     driver: Annotated[

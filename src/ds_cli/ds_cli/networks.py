@@ -123,7 +123,7 @@ def train_command(
     data: Annotated[list[Path], typer.Option(help="Folder of a data set; repeat it to train on several.")],
     out: Annotated[Path, typer.Option(help="Folder for the weights; a training that was stopped there is resumed.")],
     network: Annotated[
-        str | None, typer.Option(help="Architecture: dave2, chauffeur or epoch; that of --from, or dave2, if left out.")
+        str | None, typer.Option(help="Architecture: dave2, chauffeur or epoch; as in --from, or dave2, if left out.")
     ] = None,
     start: Annotated[
         str | None,

@@ -63,7 +63,7 @@ Lane = Annotated[
     Literal["right", "left", "middle", "single"] | None,
     typer.Option(
         help="Lane in which to drive: right, left, middle (on the centre line), or single (the only one, without a "
-        "centre line); the lane of the road file if left out, or right."
+        "centre line). If left out, the lane of the road file, or right."
     ),
 ]
 
@@ -86,8 +86,8 @@ Workers = Annotated[
     int | None,
     typer.Option(
         min=1,
-        help="Graphs or processes that drive at the same time; the configuration's, or a process for each processor, "
-        "if left out. Results do not depend on it.",
+        help="Graphs or processes that drive at the same time. If left out, as many as the configuration says, or a "
+        "process for each processor. Results do not depend on it.",
     ),
 ]
 EngineName = Annotated[
@@ -95,16 +95,16 @@ EngineName = Annotated[
     typer.Option(
         "--engine",
         help="What drives: graph (nodes of ROS), local (processes without ROS), auto (graph where ROS is set up, else "
-        "local) or dask (processes on a cluster); the configuration's, or local, if left out. Results do not depend "
-        "on it.",
+        "local) or dask (processes on a cluster). If left out, as the configuration says, or local. Results do not "
+        "depend on it.",
     ),
 ]
 Cluster = Annotated[
     Path | None,
     typer.Option(
         metavar="FILE.yaml",
-        help="With --engine dask: the scheduler and TLS files, see docs/scale.md; a cluster on this machine if left "
-        "out.",
+        help="With --engine dask: file with the scheduler and TLS files (docs/scale.md). If left out, a cluster on "
+        "this machine.",
     ),
 ]
 
@@ -117,12 +117,12 @@ DriverText = Annotated[
 ]
 Sort = Annotated[
     str | None,
-    typer.Option(metavar="COLUMN", help="With several networks: sort their table by a column; -COLUMN: downwards."),
+    typer.Option(metavar="COLUMN", help="With several networks: sort their table by a column, with -COLUMN downwards."),
 ]
 Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
-Camera = Annotated[str | None, typer.Option(help="Image topic, where a bag has several.")]
+Camera = Annotated[str | None, typer.Option(help="Topic of the images, if a bag has several.")]
 RecordedSteering = Annotated[
     str | None, typer.Option(help="Recorded steering as TOPIC:FIELD, such as /cmd:drive.steering_angle.")
 ]

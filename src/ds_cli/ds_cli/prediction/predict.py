@@ -25,7 +25,7 @@ TestsFolder = Annotated[
 ]
 TwinName = Annotated[
     SimulatorName | None,
-    simulator_option("Simulator that plays the twin, all others the siblings; the campaign's own if left out."),
+    simulator_option("Simulator that plays the twin; others play the siblings. If left out, the twin of the campaign."),
 ]
 MOST_SHOWN = 10
 """Rows of the table that is always shown."""
