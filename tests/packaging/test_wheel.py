@@ -154,6 +154,6 @@ def test_in_an_empty_environment_it_drives_tests_checks_and_reports(wheel: Path,
     report.unlink()
     assert str(report.relative_to(tmp_path)) in run(ds, "report", "out") and report.is_file()
     (tmp_path / "page.py").write_text(short_script(gymnasium=False))
-    run("uv", "pip", "install", "--python", tmp_path / "env", f"{wheel}[recording,bullet]")
+    run("uv", "pip", "install", "--python", tmp_path / "env", f"{wheel}[analysis,bullet,recording]")
     run(tmp_path / "env/bin/python", "page.py")
     assert (tmp_path / "campaign/report.html").is_file() and list((tmp_path / "campaign/bags").iterdir())
