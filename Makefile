@@ -7,7 +7,7 @@ RUN_SETUP = $${PYTHON:-python3} tools/setup.py
 help:  ## show this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup:  ## create the virtual environment and build the colcon workspace, once
+setup:  ## create the virtual environment and build the ROS workspace, once
 	@$(RUN_SETUP)
 
 demo:  ## run the whole method, small, into demo/, while the rest is set up (ARGS="..." for `ds demo`)
