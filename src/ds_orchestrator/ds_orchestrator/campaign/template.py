@@ -91,7 +91,7 @@ def _conditions(ranges: Mapping[str, tuple[float, float]]) -> str:
 
 def _scalar(text: str) -> str:
     """Text as one YAML value within a flow sequence."""
-    return yaml.safe_dump([text], default_flow_style=True, width=10_000).strip()[1:-1]
+    return yaml.safe_dump([str(text)], default_flow_style=True, width=10_000).strip()[1:-1]
 
 
 _TEXT = """\
