@@ -89,11 +89,8 @@ def campaign(
     from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.campaign.folder import open_store
     from ds_orchestrator.campaign.status import driver_habits
-    from ds_orchestrator.engines.preflight import faster_choice
     from ds_studies.whole_campaign import run_campaign
 
-    if faster := faster_choice(config.driver, config.drive_settings(attach=attach).engine):
-        say(faster)
     started = time.monotonic()
     listener = ScreenListener()
 

@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.util import find_spec
 
-from ds_base.installation import install_command, missing_module
+from ds_base.installation import missing_module
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import BAG_MODULES, DriveSettings, usual_record
@@ -14,10 +13,6 @@ from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.graph.supervisor import check_ros
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.registry import SimulatorName, make_simulator, spec_of
-
-BFLOAT16_SHARE = {"graph": 0.6, "local": 0.85, "dask": 0.85}
-"""Processor time of a campaign with `local` in bfloat16 over that with an engine in single precision, for Dave-2;
-measured (benchmarks/campaign.py), but for `graph`: estimated from an earlier version's."""
 
 
 def preflight(settings: DriveSettings) -> None:
@@ -72,15 +67,3 @@ def check_driver(driver: DriverName, simulators: Sequence[SimulatorName]) -> Non
     if translation is not None:
         for name in simulators:
             translation.generators.generator(spec_of(name).name)
-
-
-def faster_choice(driver: DriverName, engine: str) -> str:
-    """Say in one line how a campaign would be faster on this machine; "" if it would not."""
-    from ds_driver.networks.backends import has_bfloat16
-
-    if not driver.has_weights or driver.backend != "auto" or not has_bfloat16():
-        return ""
-    choice = f"driver {driver.on('openvino-bf16')}" + (" and --engine local" if engine == "graph" else "")
-    needed = "" if find_spec("openvino") else f", after `{install_command('openvino')}`"
-    share = BFLOAT16_SHARE[engine]
-    return f"{choice} would take about {share:.0%} of the time here{needed}; verdicts differ rarely (docs/speed.md)"
