@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
-from ds_sim.scenario import Scenario
+from ds_sim.scenario import MAX_SEED, Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
 
@@ -42,7 +42,7 @@ def runs(draw: st.DrawFn) -> RunRecord:
     seen = draw(st.lists(observations, max_size=4))
     driven = max(0, len(seen) - 1)
     return RunRecord(
-        scenario=Scenario(ROAD, seed=draw(st.integers(0, 2**64))),
+        scenario=Scenario(ROAD, seed=draw(st.integers(0, MAX_SEED))),
         observations=seen,
         commands=draw(st.lists(commands, min_size=driven, max_size=driven)),
         outcome=draw(st.sampled_from(Outcome)),
