@@ -137,25 +137,31 @@ function gauge(edges, reach, colour) {
   };
 }
 
+/** A road from above with room for further points: the picture, and what places lines and cars in it. */
+function roadAbove({ lx, ly, rx, ry, cx = [], cy = [] }, margin, attributes, further = { xs: [], ys: [] }) {
+  const [xs, ys] = [[...lx, ...rx, ...further.xs], [...ly, ...ry, ...further.ys]];
+  const [left, top] = [Math.min(...xs) - margin, Math.max(...ys) + margin];
+  const [width, height] = [Math.max(...xs) + margin - left, top - Math.min(...ys) + margin];
+  const points = (x, y, end = x.length) => x.slice(0, end).map((v, i) => `${(v - left).toFixed(1)},${(top - y[i]).toFixed(1)}`).join(" ");
+  const node = svg("svg", { viewBox: `0 0 ${width.toFixed(1)} ${height.toFixed(1)}`, role: "img", ...attributes },
+    svg("polygon", { points: points([...lx, ...rx.slice().reverse()], [...ly, ...ry.slice().reverse()]), class: "lane" }),
+    ...[[lx, ly, "edge"], [rx, ry, "edge"], [cx, cy, "centre"]].map(([x, y, kind]) => svg("polyline", { points: points(x, y), class: kind })));
+  const place = (car, x, y, yaw, scale) => car.setAttribute("transform", `translate(${(x - left).toFixed(1)} ${(top - y).toFixed(1)}) rotate(${((-180 / Math.PI) * yaw).toFixed(0)}) scale(${scale.toFixed(2)})`);
+  return { node, points, place, size: Math.max(width, height) };
+}
+const carOf = (colour) => svg("path", { d: "M 2.4 0 L -1.8 1.5 L -1 0 L -1.8 -1.5 Z", fill: colour, class: "car" });
+
 /** The road from above, what is driven of every drive, and the cars. */
 function replayMap(test, parts) {
-  const { lx, ly, rx, ry, cx, cy } = test.road;
-  const xs = [...lx, ...rx, ...parts.flatMap(({ run }) => run.x)];
-  const ys = [...ly, ...ry, ...parts.flatMap(({ run }) => run.y)];
-  const [left, top] = [Math.min(...xs) - 8, Math.max(...ys) + 8];
-  const [width, height] = [Math.max(...xs) + 8 - left, top - Math.min(...ys) + 8];
-  const points = (x, y, end = x.length) => x.slice(0, end).map((v, i) => `${(v - left).toFixed(1)},${(top - y[i]).toFixed(1)}`).join(" ");
-  const size = Math.max(width, height);
+  const further = { xs: parts.flatMap(({ run }) => run.x), ys: parts.flatMap(({ run }) => run.y) };
+  const label = "The road from above, with every car at this moment";
+  const { node, points, place, size } = roadAbove(test.road, 8, { class: "above", "aria-label": label }, further);
   const cars = parts.map(({ run, index }) => {
     const { colour } = data.simulators[index];
     const trail = svg("polyline", { fill: "none", stroke: colour, "stroke-width": size / 160 });
-    const car = svg("path", { d: "M 2.4 0 L -1.8 1.5 L -1 0 L -1.8 -1.5 Z", fill: colour, class: "car" });
-    return { run, trail, car };
+    return { run, trail, car: carOf(colour) };
   });
-  const node = svg("svg", { viewBox: `0 0 ${width.toFixed(1)} ${height.toFixed(1)}`, class: "above", role: "img", "aria-label": "The road from above, with every car at this moment" },
-    svg("polygon", { points: points([...lx, ...rx.slice().reverse()], [...ly, ...ry.slice().reverse()]), class: "lane" }),
-    ...[[lx, ly, "edge"], [rx, ry, "edge"], [cx, cy, "centre"]].map(([x, y, kind]) => svg("polyline", { points: points(x, y), class: kind })),
-    ...cars.map(({ trail }) => trail), ...cars.map(({ car }) => car));
+  node.append(...cars.map(({ trail }) => trail), ...cars.map(({ car }) => car));
   return {
     node,
     show(t) {
@@ -163,8 +169,7 @@ function replayMap(test, parts) {
         const at = lastBefore(run.time, t);
         trail.setAttribute("points", points(run.x, run.y, at + 1));
         const [from, to] = at ? [at - 1, at] : [0, Math.min(1, run.x.length - 1)];
-        const heading = (-180 / Math.PI) * Math.atan2(run.y[to] - run.y[from], run.x[to] - run.x[from]);
-        car.setAttribute("transform", `translate(${(run.x[at] - left).toFixed(1)} ${(top - run.y[at]).toFixed(1)}) rotate(${heading.toFixed(0)}) scale(${(size / 62).toFixed(2)})`);
+        place(car, run.x[at], run.y[at], Math.atan2(run.y[to] - run.y[from], run.x[to] - run.x[from]), size / 62);
       }
     },
   };

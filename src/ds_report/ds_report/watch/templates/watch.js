@@ -52,14 +52,13 @@ function showNow(drives) {
 
 /** The road of a drive under way, with the car where the engine says. */
 function roadOf({ road: [lx, ly, rx, ry], car, simulator }) {
-  const [xs, ys] = [[...lx, ...rx], [...ly, ...ry]];
-  const [left, top] = [Math.min(...xs) - 6, Math.max(...ys) + 6];
-  const [width, height] = [Math.max(...xs) + 6 - left, top - Math.min(...ys) + 6];
-  const points = [...lx.map((x, i) => [x, ly[i]]), ...rx.map((x, i) => [x, ry[i]]).reverse()];
-  const node = svg("svg", { viewBox: `0 0 ${width.toFixed(1)} ${height.toFixed(1)}`, role: "img", "aria-label": car ? "The road from above, with the car" : "The road from above" },
-    svg("polygon", { points: points.map(([x, y]) => `${(x - left).toFixed(1)},${(top - y).toFixed(1)}`).join(" "), class: "lane" }));
+  const label = car ? "The road from above, with the car" : "The road from above";
+  const { node, place, size } = roadAbove({ lx, ly, rx, ry }, 6, { "aria-label": label });
+  if (!car) return node;
   const at = data.simulators.find(({ name }) => name === simulator);
-  if (car) node.append(svg("path", { d: "M 2.4 0 L -1.8 1.5 L -1 0 L -1.8 -1.5 Z", fill: at ? at.colour : "currentColor", transform: `translate(${(car[0] - left).toFixed(1)} ${(top - car[1]).toFixed(1)}) rotate(${((-180 / Math.PI) * car[2]).toFixed(0)}) scale(${(Math.max(width, height) / 45).toFixed(2)})` }));
+  const shape = carOf(at ? at.colour : "currentColor");
+  place(shape, ...car, size / 45);
+  node.append(shape);
   return node;
 }
 
