@@ -16,8 +16,8 @@ from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged
 from tests.fuzz.harness import Kind
 
 from ds_analysis.common.outcome_table import SIBLINGS, OutcomeTableError, table_of_comparison
+from ds_analysis.outcomes.column_names import guess_columns
 from ds_analysis.outcomes.columns import Columns, read_columns
-from ds_analysis.outcomes.guess import guess_columns
 from ds_analysis.outcomes.sbft import read_competition
 from ds_analysis.outcomes.study import import_outcomes, read_study, write_study
 from ds_analysis.real.proposal import PROPOSAL, read_proposed

@@ -101,8 +101,8 @@ def outcomes_import_command(
 def _guessed(tables: list[Path], out: Path) -> Columns:
     """What the columns are, by usual names; writes a first file to check where these do not say it."""
     from ds_analysis.common.outcome_table import OutcomeTableError
+    from ds_analysis.outcomes.column_names import FILE, guess_columns
     from ds_analysis.outcomes.columns import Columns
-    from ds_analysis.outcomes.guess import FILE, guess_columns
     from ds_base.atomic_files import write_whole
     from ds_base.folder_files import make_folder
 

@@ -67,10 +67,9 @@ def write_all(
     Returns:
         Path of the report.
     """
-    from ds_report.failure_section import failure_section
     from ds_report.heatmap import write_maps
     from ds_report.html_report import SHOWN_TESTS, write_report
-    from ds_report.sections import answer_section, further_map, merge_tables, sibling_section
+    from ds_report.sections import answer_section, failure_section, further_map, merge_tables, sibling_section
 
     report, listener = folder / "report.html", listener or Listener()
     count, results = store.count_results(), store.results()

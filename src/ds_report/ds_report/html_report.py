@@ -36,13 +36,12 @@ from ds_report.camera_pictures import (
     translates,
     worst_first,
 )
-from ds_report.failure_section import FailureSection
 from ds_report.findings import summarise
 from ds_report.first_screen import first_screen
 from ds_report.page_data import page_data
 from ds_report.pages import write_page
 from ds_report.plotly_figures import correlation_chart, density_chart, layouts
-from ds_report.sections import AnswerSection, FurtherMap, SiblingSection
+from ds_report.sections import AnswerSection, FailureSection, FurtherMap, SiblingSection
 from ds_sim.simulator import Outcome
 
 _VERDICTS = [outcome for outcome in Outcome if outcome.is_verdict]

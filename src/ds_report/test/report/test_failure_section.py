@@ -14,8 +14,8 @@ from ds_analysis.failures.reasons import Reason
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
-from ds_report.failure_section import failure_section
 from ds_report.pages import render
+from ds_report.sections import failure_section
 from ds_sim import BULLET, SOFTBODY
 
 
@@ -48,7 +48,7 @@ def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
         data = read_campaign(store)
     kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
     made = [Reason(test.test_id, BULLET, kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
-    monkeypatch.setattr("ds_report.failure_section.reasons_of", lambda data: made)
+    monkeypatch.setattr("ds_report.sections.reasons_of", lambda data: made)
     section = failure_section(data)
     assert section is not None and section.sentences[0].startswith(said)
 
