@@ -68,7 +68,8 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     rclpy.init(domain_id=domain.number)
     node = Node("asker")
     deadline = time.monotonic() + 90.0
-    while set(NODES) - set(node.get_node_names()) and time.monotonic() < deadline:
+    expected = {(name, f"/{name}_space") for name in NODES}
+    while expected - set(node.get_node_names_and_namespaces()) and time.monotonic() < deadline:
         supervisor.check(set(NODES))
         time.sleep(0.1)
     yield node
