@@ -235,7 +235,7 @@ def _new_parts(fold: Fold, added: Array) -> tuple[Array, Array]:
     new, new_test = [], []
     for k in range(added.shape[1]):
         before, at = _with_ones(train[:, : k + 1]), _with_ones(test[:, : k + 1])
-        weights = np.linalg.lstsq(before, train[:, k + 1])[0]
+        weights = np.linalg.lstsq(before, train[:, k + 1], rcond=None)[0]
         residual = train[:, k + 1] - before @ weights
         spread = float(residual.std())
         if spread > _NOTHING_NEW:
