@@ -109,6 +109,17 @@ def test_a_killed_process_loses_nothing(worker: Processes) -> None:
         assert [encode_run(future.result()) for future in futures] == undisturbed
 
 
+def test_what_a_stopped_process_was_given_is_driven_by_another(
+    worker: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(worker_process, "TAKE_TIME", 4.0)
+    process, drive = worker(), DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:QuickSimulator"))
+    undisturbed, pid = process.drive(drive), process.pid
+    assert pid is not None
+    os.kill(pid, signal.SIGSTOP)
+    assert encode_run(process.drive(drive)) == encode_run(undisturbed) and process.pid != pid
+
+
 def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
     process = worker()
     crash = process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:CrashingSimulator")))

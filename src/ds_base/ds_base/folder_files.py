@@ -150,7 +150,7 @@ def synchronise(path: Path) -> None:
         os.fsync(file)
     except OSError as error:
         if error.errno != errno.EINVAL:  # some file systems cannot do it for folders
-            raise
+            raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         os.close(file)
 

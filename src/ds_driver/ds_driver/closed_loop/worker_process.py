@@ -27,6 +27,8 @@ START_TIME = 90.0
 """Limit for loading the driver, s; as for the start of a ROS graph."""
 LOAD_TIME = 90.0
 """Limit for making a simulator and loading a road, s; chosen: importing a simulator on a busy machine takes 10 s."""
+TAKE_TIME = 30.0
+"""Limit for an idle process to take a drive, s, after which it is replaced; chosen: as for a frame."""
 FRAME_TIME = 30.0
 """Limit for one frame of a simulator, s; chosen: a thousand times the slowest one that is shipped."""
 DEATHS = 3
@@ -54,6 +56,7 @@ class WorkerProcess:
     def __init__(self, driver: DriverName, *, command_timeout: float, log: Path) -> None:
         self._driver = driver
         self._limits = {
+            Phase.IDLE: TAKE_TIME,
             Phase.LOADING: LOAD_TIME,
             Phase.SIMULATING: FRAME_TIME,
             Phase.DRIVING: command_timeout,
@@ -207,10 +210,11 @@ class _Process:
                 break
             changes, key, phase = self._memory.read()
             now = time.monotonic()
-            if changes != noted:
+            if changes != noted or not self._drives:
                 noted, since = changes, now
-            elif now - since > self._limits.get(phase, now):
-                self._blame(phase, key)
+            elif now - since > self._limits[phase]:
+                if phase is not Phase.IDLE:
+                    self._blame(phase, key)
                 self.child.kill()
                 break
         lost = self._lost()

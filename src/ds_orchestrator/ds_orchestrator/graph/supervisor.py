@@ -19,9 +19,12 @@ from ds_base.processes import USER_DOMAIN, ChildProcesses, last_line_of
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_sim.registry import SimulatorName
 
+MEMORY = Path("/dev/shm")
+"""Where ROS's tracing takes a page while it is imported; without room there, the process dies by SIGBUS."""
+
 
 class RosMissingError(RunError):
-    """ROS, or the workspace's messages, are not installed."""
+    """ROS, or the workspace's messages, are not installed, or cannot be imported."""
 
 
 def check_ros() -> None:
@@ -30,6 +33,8 @@ def check_ros() -> None:
     Raises:
         RosMissingError: they cannot.
     """
+    if MEMORY.is_dir() and (space := os.statvfs(MEMORY)).f_blocks and not space.f_bavail:  # without limit: no blocks
+        raise RosMissingError(f"{MEMORY} is full, and ROS needs a page of it: make room, or use --engine local")
     if missing := missing_of_ros():
         raise RosMissingError(
             f"{' and '.join(missing)} not found: nodes need ROS 2 and a built checkout (make setup); leave out "
