@@ -381,7 +381,9 @@ def table_of_comparison(folder: Path, *, twin: SimulatorName | None = None) -> R
         if not (np.isfinite(lateral).all() and (lateral >= 0.0).all()):
             raise ValueError
         states = np.where(failed, State.FAILED, State.COMPLETED).astype(np.int8)
-        table = RoadTable.of([roads[row["road_id"]] for row in rows], states, lateral, siblings=names)
+        table = RoadTable.of(
+            [roads[row["road_id"]] for row in rows], states, lateral, siblings=tuple(map(SimulatorName, names))
+        )
     except (StoreError, OutcomeTableError):
         raise
     except (OSError, ValueError, KeyError, AttributeError, TypeError, ArithmeticError):

@@ -77,7 +77,7 @@ class Study:
     @property
     def simulators(self) -> list[SimulatorName]:
         """Names, the twin last, without the car."""
-        names = [name for name in dict.fromkeys(self.rows["simulator"]) if name != self.car]
+        names = [SimulatorName(name) for name in dict.fromkeys(self.rows["simulator"]) if name != self.car]
         return sorted(names, key=lambda name: name == self.twin)
 
     def car_outcomes(self) -> dict[str, bool]:
@@ -407,7 +407,7 @@ def read_study(folder: Path) -> Study:
             rows=frame,
             features=tuple(map(str, about["features"])),
             axes={str(name): float(width) for name, width in about["axes"].items()},
-            twin=about["twin"],
+            twin=None if about["twin"] is None else SimulatorName(about["twin"]),
             car=about.get("car"),
             car_drawn=about.get("car_drawn") is True,
             conditions=tuple(map(str, about.get("conditions", ()))),

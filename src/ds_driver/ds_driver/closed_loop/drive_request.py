@@ -56,4 +56,5 @@ def request_from_json(value: Mapping[str, Any]) -> DriveRequest:
         ValueError: the road or the conditions cannot be.
     """
     scenario = Scenario(road_from_json(value["road"]), from_json(value["conditions"]), seed=value["seed"])
-    return DriveRequest(scenario, DriverName.parse(value["driver"]), value["simulator"], probed=value["probed"])
+    driver, simulator = DriverName.parse(value["driver"]), SimulatorName(value["simulator"])
+    return DriveRequest(scenario, driver, simulator, probed=value["probed"])

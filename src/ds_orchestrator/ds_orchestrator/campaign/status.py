@@ -65,7 +65,7 @@ class Tally:
     config: CampaignConfig
     drives: Mapping[Group, FailureCount]
     excluded: Mapping[Group, int]
-    migrating: Mapping[str, int] | None
+    migrating: Mapping[SimulatorName, int] | None
     results: Mapping[str, int]
     result_count: int
 

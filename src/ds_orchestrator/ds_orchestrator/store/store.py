@@ -293,10 +293,10 @@ class Store:
         rows = self._file.ask("SELECT test_id FROM tests WHERE rowid=?", (row,))
         return str(rows[0][0]) if rows else None
 
-    def latest_executions(self) -> dict[str, str]:
+    def latest_executions(self) -> dict[SimulatorName, str]:
         """Simulator -> test whose execution there was stored last."""
         rows = self._file.ask("SELECT simulator, test_id, max(rowid) FROM executions GROUP BY simulator")
-        return {str(simulator): str(test_id) for simulator, test_id, _ in rows}
+        return {SimulatorName(simulator): str(test_id) for simulator, test_id, _ in rows}
 
     def count_tests(self) -> int:
         """Number of tests."""
@@ -343,11 +343,14 @@ class Store:
             "GROUP BY sibling, run, simulator",
             (GateState.VALID.value,),
         )
-        return {(sibling, run, simulator): count for sibling, run, simulator, count in rows}
+        return {
+            (SimulatorName(sibling), run, SimulatorName(simulator)): count for sibling, run, simulator, count in rows
+        }
 
-    def count_tests_by_sibling(self) -> dict[str, int]:
+    def count_tests_by_sibling(self) -> dict[SimulatorName, int]:
         """Sibling -> number of tests that its searches generated."""
-        return dict(self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling"))
+        rows = self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling")
+        return {SimulatorName(sibling): count for sibling, count in rows}
 
     def bags(self) -> list[str]:
         """Bags of all executions, in their order."""

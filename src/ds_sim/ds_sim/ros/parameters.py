@@ -130,7 +130,7 @@ def declare_parameters(node: Node, simulator: SimulatorName) -> SimulatorParamet
         ValueError: a parameter has another type or is out of range.
     """
     return SimulatorParameters(
-        simulator=declare(node, "simulator", simulator, "Known simulator, or module:Class."),
+        simulator=SimulatorName(declare(node, "simulator", str(simulator), "Known simulator, or module:Class.")),
         sync=declare(node, "sync", "lockstep", "Which command counts for a frame.", choices=SYNC_MODES),
         command_timeout=declare(
             node, "command_timeout", 5.0, "Longest wait for a command, s of the wall clock.", low=0.01, high=3600.0

@@ -130,9 +130,9 @@ def drive_tests_goal(job: Job, trusted: Collection[str]) -> None:
         for number, (road, seed) in enumerate(zip(request.roads, seeds, strict=True))
     ]
     callbacks = Callbacks(listen=lambda: nullcontext(job.listener), stop=job.stop)
-    results = drive_tests(settings, dict.fromkeys(names, tests), job.folder, callbacks)
+    results = drive_tests(settings, dict.fromkeys(settings.siblings, tests), job.folder, callbacks)
     for test in tests:
-        for name in names:
+        for name in settings.siblings:
             key = (test.test_id, name)
             one = results.executions.get(key) or (results.gates.get(key) if key in results.excluded else None)
             message = outcome_message(request.folder, *key, one)
