@@ -240,6 +240,7 @@ def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign
         ({"folder": "new", "config": "siblings: [bullet"}, "not YAML: line 2"),
         ({"folder": "new", "config": "sibling: [bullet]"}, "sibling"),
         ({"folder": "new", "config": "driver: os:system"}, "os:system"),
+        ({"folder": "new", "config": "driver: ros@mine"}, "ros@mine is a ROS node that you start"),
         ({"folder": "new", "config": "siblings: [os:system]"}, "os:system"),
         ({"folder": "never"}, "run a campaign there first"),
     ],
@@ -301,6 +302,9 @@ def test_given_roads_are_driven(graph: Graph) -> None:
     again = graph.run(DriveTests, "drive_tests", **fields)[1]
     assert again.outcomes == result.outcomes
     assert engine == {path: path.stat().st_mtime_ns for path in engine}  # nothing is driven twice
+    nodes = {"folder": "nodes", "driver": "ros@mine", "engine": "attach", "simulators": ["bullet"]}
+    of_nodes = graph.run(DriveTests, "drive_tests", **fields | nodes)[1]
+    assert [one.fitness for one in of_nodes.outcomes] == [one.fitness for one in result.outcomes[::2]]
     status, result = graph.run(DriveTests, "drive_tests", **fields | {"folder": "other", "seeds": [1]})
     assert status == 6 and "a seed for each road" in result.message
 

@@ -51,6 +51,14 @@ def test_a_simulator_without_a_generator_is_noticed_before_anything_is_driven(we
     check_driver(driver.seeing("none"), [BULLET, DONKEY])
 
 
+def test_a_node_that_its_user_starts_is_no_network() -> None:
+    node = DriverName.parse("ros@torch")
+    assert node.is_node and str(node) == "ros@torch"
+    check_driver(node, [BULLET], attach=True)
+    with pytest.raises(DriverError, match="a ROS node that you start"):
+        check_driver(node, [BULLET])
+
+
 def test_a_campaigns_key_is_part_of_its_drivers_name(weights: Path) -> None:
     short = CampaignConfig(driver="dave2@onnx", sim2real="some/folder")  # type: ignore[arg-type]
     long, plain = CampaignConfig(driver=DriverName.parse("dave2+some/folder@onnx")), CampaignConfig()

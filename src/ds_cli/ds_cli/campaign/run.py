@@ -327,7 +327,7 @@ def campaign_run_command(
         changed = with_engine(read_config(config), workers, engine)
         if network:
             driver = driver_named(network)
-            check_driver(driver, changed.simulators)
+            check_driver(driver, changed.simulators, attach=attach)
             changed = changed.model_copy(update={"driver": driver})
         if dry_run:
             following = ds_command("campaign", "run", config, "--out", folder)

@@ -16,6 +16,8 @@ DESCRIPTIONS = (".yaml", ".yml")
 """Suffixes of the description of a network file."""
 WEIGHTS = ".safetensors"
 """Suffix of a file of weights of a built-in architecture."""
+NODE = "ros@"
+"""Before the name of a ROS node that its user starts."""
 NO_GENERATORS = "none"
 """In place of a set of generators: the network sees plain images, whatever it was trained on."""
 
@@ -26,7 +28,7 @@ class DriverName:
 
     Attributes:
         network: name of a shipped network or of an installed package's driver, a file of weights, the description of a
-            network file, or `module:Class`.
+            network file, `module:Class`, or `ros@NAME` for a ROS node that its user starts.
         generators: set of generators that translate images for the network; "" where the name has none.
         ending: what the name says of the backend: one of `ds_driver.networks.backends.BACKENDS`, or `cuda`; "" if
             nothing, which is the same as `auto`.
@@ -45,6 +47,8 @@ class DriverName:
     @classmethod
     def parse(cls, text: str) -> DriverName:
         """Parse a name; whether there is such a driver is seen when it is loaded."""
+        if text.startswith(NODE):
+            return cls(text)
         name, at, ending = text.rpartition("@")
         if at and ending in (*BACKENDS, "cuda"):
             return cls(*_split_generators(name), ending)
@@ -58,6 +62,11 @@ class DriverName:
     def __str__(self) -> str:
         generators = f"+{self.generators}" if self.generators else ""
         return f"{self.network}{generators}{'@' * bool(self.ending)}{self.ending}"
+
+    @property
+    def is_node(self) -> bool:
+        """Whether it is a ROS node that its user starts, whatever it runs; its name is but a label."""
+        return self.network.startswith(NODE)
 
     @property
     def backend(self) -> str:

@@ -243,6 +243,10 @@ def sees_translated(driver: DriverName) -> bool:
 def _load_network(name: DriverName) -> Pilot:
     """Load a network that is not of this project's architectures."""
     network = name.network
+    if name.is_node:
+        raise DriverError(
+            f"{network} is a ROS node that you start: `ds drive` and `ds campaign run` drive it, with --attach"
+        )
     if name.description is not None:
         return DescribedNetworkPilot(name.description, name.backend, name.device)
     if name.file_type in KINDS or not name.python_class:

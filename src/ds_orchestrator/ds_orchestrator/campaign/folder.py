@@ -143,7 +143,7 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> Dr
     from ds_driver.networks.network_driver import BACKEND_BEFORE, driver_sha256, on_backend
     from ds_sim.registry import make_simulator
 
-    if settings.driver != AUTOPILOT:
+    if settings.driver != AUTOPILOT and not settings.driver.is_node:
         weights = driver_sha256(settings.driver)
         notes = store.notes()
         driver = on_backend(settings.driver, notes.get(BACKEND, BACKEND_BEFORE if DRIVER_SHA256 in notes else ""))

@@ -39,7 +39,7 @@ def preflight(settings: DriveSettings) -> None:
         settings.cluster.check()
     if settings.record != "none" and usual_record() == "none":
         raise ConfigError(f"record: {settings.record} writes bags: {missing_module(BAG_MODULES[0])}, or set it to none")
-    check_driver(settings.driver, settings.simulators)
+    check_driver(settings.driver, settings.simulators, attach=settings.attach)
     for name in settings.simulators:
         simulator = make_simulator(name)
         simulator.close()
@@ -49,17 +49,18 @@ def preflight(settings: DriveSettings) -> None:
             raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
 
 
-def check_driver(driver: DriverName, simulators: Sequence[SimulatorName]) -> None:
+def check_driver(driver: DriverName, simulators: Sequence[SimulatorName], *, attach: bool = False) -> None:
     """Check a driver's name.
 
     Args:
         driver: what is to drive.
         simulators: names of the simulators that it will drive.
+        attach: whether running nodes drive, of which one may be this driver.
 
     Raises:
         ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
     """
-    if driver == AUTOPILOT:
+    if driver == AUTOPILOT or (attach and driver.is_node):
         return
     from ds_driver.networks.network_driver import load_pilot
 
