@@ -6,7 +6,7 @@ as the product runs them, with its own roads, conditions and families of mutants
 fixed before a result was seen. A claim is computed by the product's own functions.
 
 Under *noise* nothing that is searched has to do with the outcomes; under *noise in families* mutants of a road mostly
-end alike, for a reason that nothing searched knows. There, every statement is an error, which 5 % may make.
+end alike, for a reason that nothing searched knows. There, every statement is an error, which 5% may make.
 """
 
 from __future__ import annotations
@@ -197,7 +197,7 @@ def splits(size: int, axes: int, effect: Effect, number: int = CAMPAIGNS) -> lis
 
 
 FEWEST_STATED = 20
-"""Statements whose coverage is tabulated; chosen: fewer say nothing about 95 %."""
+"""Statements whose coverage is tabulated; chosen: fewer say nothing about 95%."""
 
 
 def second_splits(size: int, axes: int, second: Effect, number: int = CAMPAIGNS) -> list[Value]:

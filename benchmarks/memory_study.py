@@ -11,7 +11,7 @@ training each, on the same data; and these statistics.
 
 - Primary: *agreement* of a network is the mean, over the six pairs of simulators, of Spearman's correlation of the
   largest lateral positions over the tests. The contrast is the mean agreement of kinds with memory minus that of kinds
-  without; its 95 % interval resamples roads, the same for all networks (2,000 resamples). It is about these networks:
+  without; its 95% interval resamples roads, the same for all networks (2,000 resamples). It is about these networks:
   one training of a kind does not separate the kind from the training.
 - Secondary: failures; share of tests on which the simulators do not all say the same; nesting of failures; residual
   correlations beyond features; how each leaves the lane.

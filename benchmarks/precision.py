@@ -8,7 +8,7 @@ The roads are drawn as a search draws its first ones, with maximum angles of 100
 nothing else uses.
 
 The rule, fixed before the first drive: `openvino-bf16` is chosen for `ds_bringup/config/paper.yaml` only if, for each
-of the two networks, over all 200 roads, the 95 % interval of the paired difference of the failure rates (Bonett and
+of the two networks, over all 200 roads, the 95% interval of the paired difference of the failure rates (Bonett and
 Price 2012, which has a width even without any difference) contains 0 and its half width is at most 5 percentage points.
 """
 
@@ -64,7 +64,7 @@ def paired_difference(only_reduced: int, only_single: int, pairs: int) -> tuple[
         pairs: all roads.
 
     Returns:
-        Difference and the ends of its 95 % interval (D. G. Bonett, R. M. Price, "Adjusted Wald confidence interval for
+        Difference and the ends of its 95% interval (D. G. Bonett, R. M. Price, "Adjusted Wald confidence interval for
         a difference of binomial proportions based on paired data", J. Educ. Behav. Stat. 37(4), 2012).
     """
     p, q = (only_reduced + 1) / (pairs + 2), (only_single + 1) / (pairs + 2)

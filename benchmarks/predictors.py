@@ -9,9 +9,9 @@ Each simulator of a table is the car in turn, predicted from the others. A predi
 - `predict(drives)`: (tests,) probabilities of failure, of all tests, given the car's drives so far. The outcomes of
   driven tests are filled in for every predictor.
 
-Tests are drawn at random (mean of `DRAWS` orders). Scores are Brier scores over all tests, intervals are 95 % over cars
+Tests are drawn at random (mean of `DRAWS` orders). Scores are Brier scores over all tests, intervals are 95% over cars
 and families, resampled together. `calls` counts how often a test is called safe or failing, and is not, and how often
-the 90 % interval of the number of failures holds it. `help` counts what `ds real update` says of the siblings, of cars
+the 90% interval of the number of failures holds it. `help` counts what `ds real update` says of the siblings, of cars
 of four kinds: as it is; *control*, its outcomes moved to other tests; *opposite*, which fails where the siblings fail
 least; *other*, which follows a feature that they do not.
 `benchmarks/foreign` says what the columns of two of others' tables are. Fixed before the tables were scored: tables,
@@ -196,7 +196,7 @@ def answers(prediction: Prediction, failed: Bools, seed: Sequence[int]) -> Itera
 
 
 def interval(parts: Sequence[tuple[Array, Indices]]) -> tuple[float, float, float]:
-    """Mean over cars and tests, with its 95 % interval over cars and families."""
+    """Mean over cars and tests, with its 95% interval over cars and families."""
     rng = np.random.default_rng(SEED)
     sums = [(np.bincount(families, values), np.bincount(families)) for values, families in parts]
     means = []

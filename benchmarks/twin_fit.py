@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy of fitted parameters of the twin for noisy drives with known parameters and a start 30 % off.
+"""Accuracy of fitted parameters of the twin for noisy drives with known parameters and a start 30% off.
 
-Prints a row per seed and parameter, then per parameter how many seeds are within 5 % and inside the 95 % interval.
+Prints a row per seed and parameter, then per parameter how many seeds are within 5% and inside the 95% interval.
 `python benchmarks/twin_fit.py --seeds 1,2,3,4,5 --drives 12`; about two minutes per seed on an idle core.
 """
 
@@ -47,10 +47,10 @@ def main() -> None:
             determined[e.name] += e.determined
             error, half = 100.0 * (e.value - true) / size, 100.0 * (e.high - e.value) / size
             print(
-                f"  {e.name:20s} true {true:8.5f} found {e.value:8.5f} error {error:6.2f} % "
-                f"interval +-{half:5.2f} % {e.status}"
+                f"  {e.name:20s} true {true:8.5f} found {e.value:8.5f} error {error:6.2f}% "
+                f"interval +-{half:5.2f}% {e.status}"
             )
-    print(f"{'of ' + str(len(seeds)) + ' seeds':22s} within 5 %  in interval  determined")
+    print(f"{'of ' + str(len(seeds)) + ' seeds':22s} within 5%  in interval  determined")
     for name in FITTED:
         print(f"{name:22s} {close[name]:10d} {inside[name]:12d} {determined[name]:11d}")
     print(f"{'all':22s} {sum(close.values()):10d} {sum(inside.values()):12d} {sum(determined.values()):11d}")

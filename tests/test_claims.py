@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Claims of the product: hardly ever made under noise, mostly made under a clear effect; see docs/claims.md.
 
-Fast versions of `benchmarks/claims.py`. An error rate may exceed 5 % by two standard errors of the number of campaigns.
+Fast versions of `benchmarks/claims.py`. An error rate may exceed 5% by two standard errors of the number of campaigns.
 """
 
 from __future__ import annotations

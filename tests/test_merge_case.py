@@ -25,7 +25,7 @@ NUMBERS = 12
 """Tests of each search in a small campaign."""
 CAMPAIGNS = 300
 HIGHEST = 0.05 + 2.33 * (0.05 * 0.95 / CAMPAIGNS) ** 0.5
-"""A rate of 5 % gives a larger share in 1 % of the seeds."""
+"""A rate of 5% gives a larger share in 1% of the seeds."""
 
 
 @pytest.mark.parametrize("design", DESIGNS, ids=lambda design: design.name)

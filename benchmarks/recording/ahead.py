@@ -89,7 +89,7 @@ def compare(drives: Sequence[Drive], rest: Sequence[Drive], located: Located) ->
         errors[name] = offsets(located.track, predicted[known, -1, :2]) - then
     errors["keeps its offset"] = now - then
     errors["goes on straight"] = offsets(located.track, _straight(states[known])) - then
-    print(f"{int(known.sum())} windows; error of the offset after half a second, lane widths: rms, median, 95 %")
+    print(f"{int(known.sum())} windows; error of the offset after half a second, lane widths: rms, median, 95%")
     for name, error in errors.items():
         size = np.abs(error) / located.lane_width
         print(f"{name:30s} {np.sqrt((size**2).mean()):.3f} {np.median(size):.3f} {np.quantile(size, 0.95):.3f}")

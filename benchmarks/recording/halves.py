@@ -75,7 +75,7 @@ def main() -> None:
     away = distances(located.track.points, line) / located.lane_width
     ratio = Track(line, True).length / located.track.length
     rms, most = float(np.sqrt(np.square(away).mean())), float(np.quantile(away, 0.95))
-    print(f"length B / A {ratio:.3f}; distance of the centre lines: rms {rms:.2f}, 95 % {most:.2f} lane widths")
+    print(f"length B / A {ratio:.3f}; distance of the centre lines: rms {rms:.2f}, 95% {most:.2f} lane widths")
 
 
 if __name__ == "__main__":

@@ -124,7 +124,7 @@ def _driven(places: Array) -> float:
 
 
 def _track_error(found: Located, rows: NDArray[np.void], folder: Path) -> float:
-    """95 % of the distances of the centre line's points from the true one, m, after the best rigid motion."""
+    """95% of the distances of the centre line's points from the true one, m, after the best rigid motion."""
     line = np.loadtxt(folder / "track.csv", delimiter=",", skiprows=1)
     true = np.stack((rows["x_m"], rows["y_m"]), axis=1)
     ours = np.stack((found.column("x_m"), found.column("y_m")), axis=1)

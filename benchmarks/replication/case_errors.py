@@ -42,13 +42,13 @@ class Design:
 
 
 DESIGNS = (
-    Design("all equal, 10 %", (0.1, 0.1, 0.1)),
-    Design("all equal, 30 %", (0.3, 0.3, 0.3)),
+    Design("all equal, 10%", (0.1, 0.1, 0.1)),
+    Design("all equal, 30%", (0.3, 0.3, 0.3)),
     Design("all equal, one in lumps", (0.2, 0.2, 0.2), lumped=True),
     Design("one equal, one more often", (0.2, 0.6, 0.2)),
     Design("one in lumps less often, one equal", (0.05, 0.3, 0.3), lumped=True),
-    Design("one equal in lumps, 10 %, one more often", (0.1, 0.7, 0.1), lumped=True),
-    Design("one equal in lumps, 3 %, one more often", (0.03, 0.5, 0.03), lumped=True),
+    Design("one equal in lumps, 10%, one more often", (0.1, 0.7, 0.1), lumped=True),
+    Design("one equal in lumps, 3%, one more often", (0.03, 0.5, 0.03), lumped=True),
     Design("both more often", (0.4, 0.5, 0.2), "product"),
     Design("one more often, one less", (0.1, 0.5, 0.25), "mean"),
     Design("both less often", (0.1, 0.2, 0.4), "hardest sibling"),
@@ -96,7 +96,7 @@ def main() -> None:
     """Print the table, as for a page."""
     print("| | tests | in a family | a wrong case | the right case |\n|---|---|---|---|---|")
     for name, tests, size, wrong, right in table(int(sys.argv[1]) if len(sys.argv) > 1 else 2000):
-        print(f"| {name} | {tests} | {size} | {100 * wrong:.1f} % | {100 * right:.1f} % |")
+        print(f"| {name} | {tests} | {size} | {100 * wrong:.1f}% | {100 * right:.1f}% |")
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ class Case:
         case: by these rates.
         stated: what `ds evaluate` says of the same tests.
         better: r of the better sibling with the twin.
-        gains: operator -> its r minus the better sibling's, and the 95 % interval.
+        gains: operator -> its r minus the better sibling's, and the 95% interval.
     """
 
     key: tuple[str, str, str, str]

@@ -127,7 +127,7 @@ def scores_of(maps: Mapping[MapId, FeatureMap], config: CampaignConfig) -> dict[
 
 
 def over_runs(values: Sequence[float]) -> tuple[float, float, float]:
-    """Mean and 95 % interval (Student's t) over independent runs; NaN if fewer than two are defined."""
+    """Mean and 95% interval (Student's t) over independent runs; NaN if fewer than two are defined."""
     defined = np.array([value for value in values if np.isfinite(value)])
     if len(defined) < 2:
         return float(defined.mean()) if len(defined) else np.nan, np.nan, np.nan

@@ -25,7 +25,7 @@ def compare(record_property: Callable[[str, object], None]) -> Compare:
         rel: float = 0.0,
         off: float = 0.0,
     ) -> None:
-        tolerance = f"{100.0 * rel:g} %" if rel else f"{float(f'{off:.2g}'):g}"
+        tolerance = f"{100.0 * rel:g}%" if rel else f"{float(f'{off:.2g}'):g}"
         row = [vehicle, quantity, oracle, float(expected), float(measured), tolerance]
         record_property("evidence", row)
         assert measured == pytest.approx(expected, rel=rel, abs=off)

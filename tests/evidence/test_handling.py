@@ -45,19 +45,19 @@ def test_the_response_to_a_steering_step_is_that_of_the_single_track_model(case:
 
     oracle = (subject.sudden or subject.model).yaw_rate(before / subject.scale, subject.steered(angle), times(40))
     at, by = f"step at {3.6 * speed:.0f} km/h: ", "SciPy, single track"
-    # Measured: 0.15 % for tyres that do not slip; 1.5 to 2.6 % for those that do, increasing with steering, because
+    # Measured: 0.15% for tyres that do not slip; 1.5 to 2.6% for those that do, increasing with steering, because
     # they soften with growing slip and those of the oracle do not.
     band = 0.04 if subject.model.slips else 0.005
     worst = int(np.abs(measured - oracle).argmax())
     compare(
         name, at + "yaw rate where it is furthest off, rad/s", by, measured[worst], oracle[worst], off=band * oracle[-1]
     )
-    compare(name, at + "rise to 90 %, s", by, rise_time(measured), rise_time(oracle), off=0.01)
+    compare(name, at + "rise to 90%, s", by, rise_time(measured), rise_time(oracle), off=0.01)
     compare(name, at + "peak over end", by, measured.max() / measured[-1], oracle.max() / oracle[-1], off=0.02)
 
 
 def rise_time(rates: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
-    """s from the step until the rate first reaches 90 % of its end value."""
+    """s from the step until the rate first reaches 90% of its end value."""
     at = int(np.argmax(rates >= 0.9 * rates[-1]))
     share = (0.9 * rates[-1] - rates[at - 1]) / (rates[at] - rates[at - 1])
     return (at - 1 + float(share)) * FRAME_TIME

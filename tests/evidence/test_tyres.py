@@ -83,7 +83,7 @@ def test_the_soft_cars_tyre_is_a_brush_model_within_its_friction_circle(load: fl
     alone, driven = (softbody_tyre(along, 0.06, load, 3700.0)[1] for along in (0.0, 0.1))
     by_hand = brush(0.1, 0.06, load, 3700.0)[1] / brush(0.0, 0.06, load, 3700.0)[1]
     assert by_hand < 0.6
-    what = f"remaining side force at 10 % drive slip, {load:.0f} N"
+    what = f"remaining side force at 10% drive slip, {load:.0f} N"
     compare("softbody", what, "brush, Pacejka ch. 3", driven / alone, by_hand, rel=0.01)
 
 
@@ -185,7 +185,7 @@ def test_the_twin_slides_at_the_limit_of_friction(compare: Compare) -> None:
 
 
 def test_the_rigid_car_slides_near_the_coulomb_limit(compare: Compare) -> None:
-    """Measured 6 % above the value by hand, due to the engine's friction (see `BulletVehicle`), but below mu g."""
+    """Measured 6% above the value by hand, due to the engine's friction (see `BulletVehicle`), but below mu g."""
     lateral, angle = sliding(BulletVehicle(B), 8.0, 1.0)
     inner, outer = B.wheel_angles(angle)
     bars = {True: B.front_anti_roll, False: B.rear_anti_roll}

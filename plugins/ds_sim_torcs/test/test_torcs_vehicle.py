@@ -15,7 +15,7 @@ from ds_sim_torcs.vehicle import TorcsVehicle
 
 P = TorcsParameters()
 GRAVITY = 9.81
-# Of the car's file: tyres of 18 inches and 38 % of 245 mm, first gear times final drive, wheels with their brakes.
+# Of the car's file: tyres of 18 inches and 38% of 245 mm, first gear times final drive, wheels with their brakes.
 WHEEL_RADIUS = 0.0254 * 9.0 + 0.38 * 0.245
 GEAR_RATIO = 2.533333 * 6.0
 WHEEL_INERTIA = 2 * (1.12 + 0.1241) + 2 * (1.22 + 0.0714)
@@ -55,7 +55,7 @@ def test_left_and_right_wheel_stand_as_ackermann_says() -> None:
 
 @pytest.mark.parametrize("steering", [-0.05, -0.3, 0.6, 1.0])
 def test_a_slow_circle_has_the_kinematic_radius(host: TorcsHost, steering: float) -> None:
-    """Wider by 5 to 8 %: TORCS's limited-slip differentials and its rolling resistance oppose every turn.
+    """Wider by 5 to 8%: TORCS's limited-slip differentials and its rolling resistance oppose every turn.
 
     Of the mean, as the differentials let the yaw rate swing by an eighth, five times a second.
     """

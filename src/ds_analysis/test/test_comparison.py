@@ -80,7 +80,7 @@ def test_the_interval_has_width_where_no_test_changes_and_shrinks_with_more_test
 
 
 def test_p_values_are_adjusted_as_their_authors_do() -> None:
-    """Holm 1979: (n - rank) p, never falling; Benjamini and Hochberg 1995, table 1: four of fifteen stay below 5 %."""
+    """Holm 1979: (n - rank) p, never falling; Benjamini and Hochberg 1995, table 1: four of fifteen stay below 5%."""
     assert adjusted([0.01, 0.04, 0.03], "holm") == pytest.approx([0.03, 0.06, 0.06])
     values = "0.0001 0.0004 0.0019 0.0095 0.0201 0.0278 0.0298 0.0344 0.0459 0.3240 0.4262 0.5719 0.6528 0.7590 1.0"
     thrombolysis = [float(value) for value in values.split()]
@@ -111,7 +111,7 @@ def test_what_happened_is_said_before_what_is_significant() -> None:
     found = compared([*pairs("bullet", (6, 0, 0, 0)), *pairs("donkey", (0, 0, 6, 0))])
     assert answer_of(found) == "Merge? Look first: 6 drives newly fail, none is fixed: on these tests it is worse."
     said = "bullet: 6 of 6 tests passed and now fail, none the other way: on these it is worse. Whether that holds for "
-    assert sentences_of(found)[0].startswith(said + "other such roads: p = 0.062 after Holm, so it is open; 95 %: ")
+    assert sentences_of(found)[0].startswith(said + "other such roads: p = 0.062 after Holm, so it is open; 95%: ")
     assert sentences_of(found)[1].startswith(
         "donkey: the same outcomes on 6 tests. Other such roads: no difference is shown; 95 %"
     )
@@ -231,13 +231,13 @@ def test_criteria_name_what_they_miss() -> None:
     assert Criteria(fail_on="regression").unmet(tally, newly_failing=1) == ["1 drive newly fails"]
     assert Criteria(fail_on="worse").unmet(tally, newly_failing=9) == []
     assert Criteria(fail_on="worse").unmet(tally, newly_failing=9, worse=["donkey"])
-    # 5 % of 40 tests are 2.
+    # 5% of 40 tests are 2.
     limit = Criteria(max_failures=MaxFailures.parse("5%"))
-    assert limit.unmet(tally) == ["3 of 40 tests fail on donkey, expected 5 % at most"]
+    assert limit.unmet(tally) == ["3 of 40 tests fail on donkey, expected 5% at most"]
     assert Criteria(max_failures=MaxFailures.parse("3")).unmet(tally) == []
 
 
-@pytest.mark.parametrize("text", ["-1", "101%", "5 %", "nan", "inf%", "", "1.5", "5%%", "1e3", "99999999999"])
+@pytest.mark.parametrize("text", ["-1", "101%", "5%", "nan", "inf%", "", "1.5", "5%%", "1e3", "99999999999"])
 def test_a_threshold_without_sense_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match="expected a share from 0% to 100%, or a number of tests") as error:
         MaxFailures.parse(text)

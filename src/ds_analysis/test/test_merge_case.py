@@ -40,7 +40,7 @@ def first(failures: int, tests: int = 40) -> Bools:
 def test_case_and_sentence(one: int, other: int, twin: int, advice: str, words: str) -> None:
     found = merge_case({"a": first(one), "b": first(other), "donkey": first(twin)}, "donkey", np.arange(40))
     assert found.advice == advice and words in found.sentence
-    rates = f"a {one} ({100 * one / 40:.0f} %), b {other} ({100 * other / 40:.0f} %), donkey {twin} "
+    rates = f"a {one} ({100 * one / 40:.0f}%), b {other} ({100 * other / 40:.0f}%), donkey {twin} "
     assert rates in found.sentence and "Failures in 40 tests: " in found.sentence
 
 

@@ -22,22 +22,22 @@ Y = SimulatorName("y")
 
 TABLE = Table(
     name="t",
-    title="50 % of a_b & {c}",
+    title="50% of a_b & {c}",
     columns=[Column("name"), Column("r", "number"), Column("95 %", "number"), Column("p", "p"), Column("n", "count")],
     rows=[["x, y_1", -0.123456789, (-0.5, 0.25), 3.2e-7, 12], ["z", None, None, 0.025, 3]],
-    notes=["100 % sure"],
+    notes=["100% sure"],
 )
 
 
 def test_csv_keeps_every_digit() -> None:
     rows = list(csv.DictReader(io.StringIO(TABLE.csv())))
-    assert [float(rows[0]["r"]), float(rows[0]["95 %, low"]), float(rows[0]["95 %, high"])] == [
+    assert [float(rows[0]["r"]), float(rows[0]["95%, low"]), float(rows[0]["95%, high"])] == [
         -0.123456789,
         -0.5,
         0.25,
     ]
     assert rows[0]["name"] == "x, y_1" and float(rows[0]["p"]) == 3.2e-7
-    assert rows[1]["r"] == rows[1]["95 %, low"] == "" and rows[1]["n"] == "3"
+    assert rows[1]["r"] == rows[1]["95%, low"] == "" and rows[1]["n"] == "3"
 
 
 def test_latex_escapes_and_balances() -> None:
@@ -60,7 +60,7 @@ def test_shown_numbers_are_short() -> None:
     assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
     out = io.StringIO()
     TABLE.show(Console(file=out, width=40))
-    assert "[-0.500, 0.250]" in out.getvalue() and "100 % sure" in out.getvalue()
+    assert "[-0.500, 0.250]" in out.getvalue() and "100% sure" in out.getvalue()
 
 
 def test_a_p_value_is_never_0() -> None:

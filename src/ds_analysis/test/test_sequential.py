@@ -29,7 +29,7 @@ def test_bets_multiply_as_their_definition_says() -> None:
 
 @pytest.mark.parametrize(("newly", "fixed"), [(0.0, 0.0), (0.1, 0.1), (0.3, 0.3), (0.3, 0.0), (0.05, 0.2)])
 def test_the_truth_is_hardly_ever_missed_by_who_stops_when_it_suits(newly: float, fixed: float) -> None:
-    """Looking after each of 60 tests, and stopping at the worst moment: at most 5 %, and the noise of 400 series."""
+    """Looking after each of 60 tests, and stopping at the worst moment: at most 5%, and the noise of 400 series."""
     rng = np.random.default_rng(37)
     draws = rng.choice([1, -1, 0], size=(400, 60), p=[newly, fixed, 1 - newly - fixed])
     missed = false = 0
@@ -58,7 +58,7 @@ def test_an_answer_is_sure_when_it_is_worse_somewhere_or_bounded_everywhere() ->
 
 
 def test_most_drives_are_saved_where_a_network_is_much_worse() -> None:
-    """Of 40 roads, when 40 % newly fail: the median series ends before the 26th."""
+    """Of 40 roads, when 40% newly fail: the median series ends before the 26th."""
     rng = np.random.default_rng(3)
     ends = []
     for series in rng.random((100, 40)) < 0.4:

@@ -31,7 +31,7 @@ class FailureCount(NamedTuple):
 
 
 def jeffreys_interval(failures: int, tests: int) -> tuple[float, float]:
-    """Estimate a 95 % interval of a failure probability: equal tails of its Beta posterior under Jeffreys' prior.
+    """Estimate a 95% interval of a failure probability: equal tails of its Beta posterior under Jeffreys' prior.
 
     Without failures the lower end is 0, without successes the upper end is 1, so that the interval contains the
     observed share (Brown, Cai, DasGupta, Statistical Science 2001, section 4.1.2).

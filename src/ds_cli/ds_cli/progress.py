@@ -99,7 +99,7 @@ class DriveProgress:
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
-            TextColumn("{task.percentage:3.0f} %"),
+            TextColumn("{task.percentage:3.0f}%"),
             TextColumn("{task.fields[state]}"),
             console=console,
             disable=not self._live,

@@ -197,7 +197,7 @@ def _write_all_tables(
     from ds_analysis.siblings.analysis import analysis_tables
     from ds_base.atomic_files import whole_file
 
-    distances = Table("pair", "Cohen's kappa", "median apart, m", "95 %, m", f"over {APART:g} m apart", "correlation")
+    distances = Table("pair", "Cohen's kappa", "median apart, m", "95%, m", f"over {APART:g} m apart", "correlation")
     for pair in pairs:
         names = f"{pair.first}, {pair.second}"
         kappa = _with_interval(pair.kappa, pair.kappa_interval) or "undefined"

@@ -88,7 +88,7 @@ def twin_fit_command(
     document |= {"file": str(out), "picture": str(picture)}
 
     def show() -> None:
-        table = Table("parameter", "value", "95 % interval", "unit", "")
+        table = Table("parameter", "value", "95% interval", "unit", "")
         for name, row in document["parameters"].items():
             if row["status"] != "held":
                 interval = " to ".join(format_3sf(value) for value in row.get("interval_95", []))

@@ -68,7 +68,7 @@ class TrainingPlan:
         patience: number of epochs without a lower validation loss after which training stops.
         batch_size: images per batch (paper 4.2.2: 128).
         learning_rate: learning rate of Adam (paper 4.2.2: 1e-4).
-        validation: share of the roads held out (paper 3.2.2: 20 %).
+        validation: share of the roads held out (paper 3.2.2: 20%).
         images_per_simulator: largest number of images per simulator; None for all.
         without_dropout: epochs at the end that train without dropout, so that a network drives as it was trained.
         weights_at: steps (batches, over all epochs) after which `<network>_<step>.safetensors` is written, too.
@@ -244,7 +244,7 @@ def _same(what: str, parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _keep_freed_memory() -> None:
-    """Make glibc keep freed memory between batches: 14 to 35 % more images per second on a CPU."""
+    """Make glibc keep freed memory between batches: 14 to 35% more images per second on a CPU."""
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is not None:
         for option, value in ((M_MMAP_MAX, 0), (M_TRIM_THRESHOLD, 2**31 - 1), (M_TOP_PAD, 2**28)):

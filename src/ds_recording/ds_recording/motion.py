@@ -25,7 +25,7 @@ FARTHEST = 4.0
 """Distance of the farthest corners, lane widths; chosen: beyond, texture is finer than pixels and does not move."""
 WINDOW = 7
 """Side of the window around a corner, px; chosen: within it what is nearer moves more than what is farther, which
-shortens the motion by 2 % (by 3 % with 11 px, 9 to 14 % with 21), and smaller ones hold too little."""
+shortens the motion by 2% (by 3% with 11 px, 9 to 14% with 21), and smaller ones hold too little."""
 NOISE = 0.12
 """Error of a followed corner of full contrast, px; chosen on simulated recordings of 160 x 120."""
 LEAST_POINTS, LEAST_SHARE = 8, 0.35

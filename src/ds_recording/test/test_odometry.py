@@ -73,7 +73,7 @@ def test_scale_bias_and_delay_are_found() -> None:
     np.testing.assert_allclose(turns.steps, TRUE[:, 2], atol=0.006)
     np.testing.assert_allclose(ways.steps, SHORT * TRUE[:, 0], atol=0.004)
     assert 0.0005 < turns.std < 0.003
-    # An encoder of 2 % and images of 5 % agree on 0.86 of the difference.
+    # An encoder of 2% and images of 5% agree on 0.86 of the difference.
     assert stretch(found) * SHORT == pytest.approx(1.0 - 0.14 * (1.0 - SHORT), abs=0.006)
     hints = hints_of(found, len(SECONDS), LANE)
     assert np.isinf(hints[0].std).all() and math.isinf(hints[9].std[1])

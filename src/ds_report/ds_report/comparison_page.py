@@ -123,7 +123,7 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
     return GridCell(
         text=f"{' '.join(changes) or '0'}/{counts.tests}",
         title=f"{counts.newly_fail} newly fail, {counts.fixed} fixed, {counts.both_fail} fail in both, of "
-        f"{counts.tests}; difference {counts.difference:+.2f}, 95 %: {low:+.2f} to {high:+.2f}; "
+        f"{counts.tests}; difference {counts.difference:+.2f}, 95%: {low:+.2f} to {high:+.2f}; "
         f"{p_in_words(one.p_adjusted)} after Benjamini and Hochberg",
         style=style_of_difference(counts.difference),
     )

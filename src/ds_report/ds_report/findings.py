@@ -284,9 +284,9 @@ def _harder_than(split: Split, thing: str) -> str:
 
 
 def _percent(share: Share) -> str:
-    """Write a share with its interval: `75 % (95 % interval 28 to 97 %)`."""
+    """Write a share with its interval: `75% (95% interval 28 to 97%)`."""
     low, high = (100 * end for end in share.interval)
-    return f"{100 * share.failures / share.tests:.0f} % (95 % interval {low:.0f} to {high:.0f} %)"
+    return f"{100 * share.failures / share.tests:.0f}% (95% interval {low:.0f} to {high:.0f}%)"
 
 
 def _limits(driver: DriverName, outcomes: RoadOutcomes) -> str:
@@ -358,7 +358,7 @@ def _coverage(data: CampaignData) -> str:
 def _failures(data: CampaignData) -> str:
     parts = []
     for name, failed in data.failures.items():
-        share = "" if failed.rate is None else f" ({100 * failed.rate:.0f} %)"
+        share = "" if failed.rate is None else f" ({100 * failed.rate:.0f}%)"
         parts.append(f"{failed.failures} of {failed.tests}{share} on {name}")
     return f"It failed {listed(parts)}."
 

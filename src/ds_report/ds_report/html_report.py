@@ -189,8 +189,8 @@ def _tiles(data: CampaignData) -> list[tuple[str, str]]:
             continue
         failed = np.array([e.outcome.is_failure for e in judged])
         low, high = Share.of(failed, np.array([family[e.test_id] for e in judged])).interval
-        ends = f"95 %: {100 * low:.0f} to {100 * high:.0f} %"
-        tiles.append((f"{100 * failed.mean():.0f} %", f"{failed.sum()} of {len(failed)} fail on {where}, {ends}"))
+        ends = f"95%: {100 * low:.0f} to {100 * high:.0f}%"
+        tiles.append((f"{100 * failed.mean():.0f}%", f"{failed.sum()} of {len(failed)} fail on {where}, {ends}"))
     return tiles
 
 

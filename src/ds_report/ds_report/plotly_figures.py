@@ -143,7 +143,7 @@ def correlation_chart(
             },
             mode="markers",
             marker={"color": CAMPAIGN, "size": 10, **({"symbol": "circle-open"} if tentative else {})},
-            name="this campaign, too few cells for a conclusion" if tentative else "this campaign, with 95 % interval",
+            name="this campaign, too few cells for a conclusion" if tentative else "this campaign, with 95% interval",
             showlegend=axis == "x",
             hovertemplate="%{y}: %{x:.3f}<extra>this campaign</extra>",
         )

@@ -96,11 +96,11 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
 
 def _reading(verdicts: Verdicts, drives: int) -> str:
     framed = " Framed cells were driven by the car." if drives else ""
-    tolerated, wrong = (f"{100 * rate:.0f} %" for rate in (verdicts.tolerated, ERROR_RATE))
+    tolerated, wrong = (f"{100 * rate:.0f}%" for rate in (verdicts.tolerated, ERROR_RATE))
     return (
         f"A cell fails if more than {tolerated} of tests like its own would fail on the car, and is safe if fewer "
         f"would; either is meant to be wrong at most {wrong} of the time. Where that cannot be said, it is disputed. "
-        "Numbers: mean failure rate, 90 % interval, tests."
+        "Numbers: mean failure rate, 90% interval, tests."
         f"{framed}"
     )
 

@@ -51,7 +51,7 @@ def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
 
 def _densities(errors: dict[str, Array], figure: SubFigure) -> None:
     together = np.concatenate(list(errors.values()))
-    # Shows 99.5 % of the errors; the table has the largest one.
+    # Shows 99.5% of the errors; the table has the largest one.
     reach = float(np.clip(1.2 * np.quantile(np.abs(together), 0.995), 0.1, 2.0))
     axes = figure.subplots()
     axes.axvline(0.0, color="#969696", linewidth=1)

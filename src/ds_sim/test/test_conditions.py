@@ -157,7 +157,7 @@ def test_every_condition_has_a_phrase_with_its_code_name() -> None:
     ("name", "value", "side", "said"),
     [
         ("line_cover", 0.26, "or more", "where a quarter or more of the line paint is missing (line_cover 0.26)"),
-        ("line_cover", 0.3, "or more", "where 30 % or more of the line paint is missing (line_cover 0.3)"),
+        ("line_cover", 0.3, "or more", "where 30% or more of the line paint is missing (line_cover 0.3)"),
         ("visibility", 80.0, "or less", "in fog or haze with a visibility of 80 m or less (visibility)"),
         (
             "camera_yaw",
@@ -180,7 +180,7 @@ def test_conditions_in_the_words_of_a_driver(name: str, value: float, side: Side
 def test_ranges_of_conditions_in_words() -> None:
     assert (
         in_words("line_contrast", 0.2, 0.5)
-        == "where lines keep 20 to 50 % of new paint's contrast (line_contrast 0.2 to 0.5)"
+        == "where lines keep 20 to 50% of new paint's contrast (line_contrast 0.2 to 0.5)"
     )
     assert in_words("camera_pitch", -0.1, -0.05) == (
         "with the camera tilted 2.9 to 5.7 degrees up (camera_pitch -0.1 to -0.05 rad)"

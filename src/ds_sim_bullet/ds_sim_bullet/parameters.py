@@ -31,7 +31,7 @@ class BulletParameters:
         wheelbase: m; sheet.
         track: distance between the wheels of an axle, m; sheet: mean of 1.452 front and 1.425 rear.
         mass: kg; sheet: kerb weight, which includes the driver by the European definition.
-        unsprung_mass: unsprung mass of one corner, kg; Gillespie ch. 5: 13 to 15 % of the sprung mass.
+        unsprung_mass: unsprung mass of one corner, kg; Gillespie ch. 5: 13 to 15% of the sprung mass.
         wheel_mass: mass of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel.
         front_share: share of the static load on the front axle, 0 to 1; sheet (rear motor): 45 to 55.
         centre_of_mass_height: height of the sprung mass's centre, m; chosen: 0.36 of the car's height (Gillespie: 0.35

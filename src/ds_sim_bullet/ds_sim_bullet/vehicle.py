@@ -67,7 +67,7 @@ class BulletVehicle(Vehicle):
 
     Limitation of the engine: where a tyre slides, Bullet's cone friction is biased towards the direction in which the
     contact is harder to move. A sliding wheel therefore spins faster or slower than a real one, and at the limit of
-    grip the path depends on the heading in the world by 0.3 % of the distance. The car has no brakes that could lock
+    grip the path depends on the heading in the world by 0.3% of the distance. The car has no brakes that could lock
     its wheels.
 
     Args:

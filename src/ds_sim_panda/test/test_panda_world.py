@@ -110,7 +110,7 @@ def test_a_shadow_falls_away_from_the_sun_and_is_lit_by_the_sky(monkeypatch: pyt
 
 
 def test_contrast_fades_with_distance_by_koschmieders_law(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of the difference to the horizon's colour, 2 % are left at the visibility."""
+    """Of the difference to the horizon's colour, 2% are left at the visibility."""
     contrast = {}
     for distance in (40.0, 1500.0, 4000.0):
         scale = distance / 40.0  # so that each appears alike: a white block, seen from the front

@@ -36,8 +36,8 @@ class SoftbodyParameters:
         centre_of_mass_height: m; chosen: 0.34 of the car's height of 1.512 (Gillespie: 0.35 to 0.4), because the
             battery is under the floor.
 
-        unsprung_mass: mass of one corner, which is a node of its own, kg; Gillespie ch. 5: usually 13 to 15 % of the
-            sprung mass; chosen: 40, 12 %, for struts and alloy wheels.
+        unsprung_mass: mass of one corner, which is a node of its own, kg; Gillespie ch. 5: usually 13 to 15% of the
+            sprung mass; chosen: 40, 12%, for struts and alloy wheels.
         bumper_mass: mass of each of the four outermost frame nodes, kg; chosen: bumper beam, crash box, lamps.
         rail_half_width: distance of a side rail from the centre line at axles and bumpers, m; chosen: just inside the
             wheels.
@@ -74,7 +74,7 @@ class SoftbodyParameters:
         friction: friction coefficient of a tyre on dry asphalt at the static load; Pacejka ch. 1: about 1.
         load_sensitivity: relative loss of friction per relative increase of load; Pacejka ch. 4: 0.05 to 0.2.
         front_cornering_stiffness: cornering stiffness over load, 1/rad; Pacejka ch. 1: 10 to 20 for passenger tyres.
-        rear_cornering_stiffness: cornering stiffness over load, 1/rad; as above, the rear tyres are 10 % wider.
+        rear_cornering_stiffness: cornering stiffness over load, 1/rad; as above, the rear tyres are 10% wider.
         slip_stiffness: longitudinal slip stiffness over load; Pacejka ch. 4: about 1.5 times the cornering stiffness.
         lateral_relaxation: relaxation length, m; Pacejka ch. 7: of the order of the wheel's radius.
         longitudinal_relaxation: relaxation length, m; Pacejka ch. 7: about half the lateral one.

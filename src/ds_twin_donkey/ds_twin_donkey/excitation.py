@@ -85,7 +85,7 @@ def simulated_recording(
 
 
 def hidden_and_start(names: list[str], rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
-    """Draw true parameters up to 30 % off the nominal ones, and a start that is 30 % off the true ones, either way.
+    """Draw true parameters up to 30% off the nominal ones, and a start that is 30% off the true ones, either way.
 
     The trim, whose nominal value is 0, is up to 0.02 rad, and its start is 0.
     """

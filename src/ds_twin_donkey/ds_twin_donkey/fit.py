@@ -3,7 +3,7 @@
 
 Every drive is cut into windows. The model starts each window from its own initial state, which is fitted along with the
 parameters, so that neither noise of the first measurement nor slow drift of the model affects the result. Short windows
-come first, because a car with parameters 30 % off diverges quickly; longer ones then separate slow effects.
+come first, because a car with parameters 30% off diverges quickly; longer ones then separate slow effects.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ FITTED = {
 }  # fmt: skip
 """Fitted parameters, name -> unit. All others are held: lengths and masses are measured with ruler and scales; doubling
 `free_speed` and `stall_force` and halving both duties changes nothing, so one of them is taken from the data sheet; and
-the dead band can be known to one pulse count only, which is 19 % of it."""
+the dead band can be known to one pulse count only, which is 19% of it."""
 KNOWN, WIDEST = 0.05, 0.2
-"""Half-width of the 95 % interval over the value: up to the first a parameter is fitted, beyond the second it is not
-determined. Chosen: 5 % is the accuracy that the fit promises; at 20 % the nominal values are no worse."""
+"""Half-width of the 95% interval over the value: up to the first a parameter is fitted, beyond the second it is not
+determined. Chosen: 5% is the accuracy that the fit promises; at 20% the nominal values are no worse."""
 MAX_ROUNDS, SETTLED = 8, 0.1
 """Largest number of rounds of weighting and solving, and the relative change of the noise that ends them; chosen."""
 ROUGH_SECONDS, ROUGH_TOTAL, ROUGH_SUBSTEPS = 3.0, 120.0, 10
-"""Length of the short windows (s), their total (s), and substeps per step. Chosen: in 3 s a car 30 % off does not
+"""Length of the short windows (s), their total (s), and substeps per step. Chosen: in 3 s a car 30% off does not
 diverge yet; two minutes bring it close; 10 substeps differ from 20 by a third of a millimetre, in half the time."""
 
 TYPICAL, COST = (4, 4, 8), (1.0, 2.5, 6.0)
@@ -73,8 +73,8 @@ class Estimate:
         name: name of the parameter.
         unit: unit; "1" if dimensionless.
         value: fitted value, or the start if not determined.
-        low: lower end of the 95 % interval; NaN if not determined.
-        high: upper end of the 95 % interval; NaN if not determined.
+        low: lower end of the 95% interval; NaN if not determined.
+        high: upper end of the 95% interval; NaN if not determined.
         start: value from which the fit started.
         determined: whether the drives determine the value.
     """
@@ -89,7 +89,7 @@ class Estimate:
 
     @property
     def status(self) -> str:
-        """`fitted` (half-width of the interval at most 5 %), `weakly fitted`, or `not determined`."""
+        """`fitted` (half-width of the interval at most 5%), `weakly fitted`, or `not determined`."""
         if not self.determined:
             return "not determined"
         half = 0.5 * (self.high - self.low)

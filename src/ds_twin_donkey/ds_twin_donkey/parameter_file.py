@@ -69,7 +69,7 @@ def write_parameters(path: Path, document: dict[str, Any]) -> None:
     """
     head = (
         "# Parameters of the 1:16 car, fitted to recorded drives. SI units of the model car.\n"
-        "# Drive with them by naming the simulator donkey@THIS_FILE. Status: fitted (95 % interval within 5 %),\n"
+        "# Drive with them by naming the simulator donkey@THIS_FILE. Status: fitted (95% interval within 5%),\n"
         "# weakly fitted (wider), not determined by these logs (left at the start), or held (not fitted).\n"
     )
     write_whole(path, head + yaml.safe_dump(document, sort_keys=False, width=120))

@@ -72,7 +72,7 @@ class DonkeyParameters:
             period.
 
         throttle_pulse_steps: pulse counts from stop to full; template, 500 - 370.
-        throttle_dead_band: throttle below which the speed controller outputs nothing; chosen: a neutral range of 6 %,
+        throttle_dead_band: throttle below which the speed controller outputs nothing; chosen: a neutral range of 6%,
             as car controllers have, with the stop pulse calibrated towards its edge (template's MIN_THROTTLE:
             0.1). With a wider one, a car that stops with steering near 1 would not start again.
         start_duty: duty just above the dead band; chosen: the car then runs at the template's MIN_SPEED,
@@ -83,7 +83,7 @@ class DonkeyParameters:
         stall_force: force at the tyres at duty 1 and standstill, N; chosen: 380-size motor, 0.07 N m, geared 6.6
             to 1, wheels of 31.5 mm (template's WHEEL_RADIUS), efficiency 0.7.
         drag_brake: braking while the throttle is in the dead band, as a share of that of the shorted motor;
-            chosen: the lowest setting of speed controllers, 5 to 10 %.
+            chosen: the lowest setting of speed controllers, 5 to 10%.
         motor_lag: time constant from pulse to motor voltage, s; chosen: the speed controller's soft start.
         rotating_mass: inertia of wheels, gears and rotor as equivalent mass at the tyres, kg; a 380-size rotor of
             18 g cm^2 geared as above (0.08) and four wheels of 35 g (0.07).

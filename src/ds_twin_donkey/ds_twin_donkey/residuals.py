@@ -183,7 +183,7 @@ class Problem:
                 self.sigma[channel] = max(size, FLOORS[channel])
 
     def half_widths(self, names: Sequence[str], theta: Array, eta: Array) -> list[float]:
-        """Half-widths of the 95 % intervals of the parameters, with the initial states of all windows free."""
+        """Half-widths of the 95% intervals of the parameters, with the initial states of all windows free."""
         by_parameters, by_states, _ = self.jacobian(names, theta, eta)
         return self.widths(names, self.information(by_parameters, by_states))
 
@@ -196,7 +196,7 @@ class Problem:
         return 0.5 * (total + total.T)
 
     def widths(self, names: Sequence[str], information: Array) -> list[float]:
-        """Half-widths of the 95 % intervals from an information matrix, each in the unit of its parameter."""
+        """Half-widths of the 95% intervals from an information matrix, each in the unit of its parameter."""
         size = np.sqrt(np.maximum(np.diag(information), 1e-18))
         powers, axes = np.linalg.eigh(information / np.outer(size, size))
         # A direction without information gets a width beyond any limit.

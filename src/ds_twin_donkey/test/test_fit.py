@@ -77,7 +77,7 @@ def test_a_path_is_a_smooth_function_of_the_delay() -> None:
 
 @pytest.mark.long
 def test_true_parameters_are_recovered_from_a_start_30_percent_off() -> None:
-    """Ten parameters at once within 5 %; `benchmarks/twin_fit.py` fits all, with tracker noise and several seeds."""
+    """Ten parameters at once within 5%; `benchmarks/twin_fit.py` fits all, with tracker noise and several seeds."""
     names = (
         "max_steering_angle", "steering_trim", "servo_rate", "command_delay", "full_duty", "stall_force", "motor_lag",
         "rolling_resistance", "friction", "rear_stiffness",
@@ -92,7 +92,7 @@ def test_true_parameters_are_recovered_from_a_start_30_percent_off() -> None:
         assert e.status == "fitted", e
         assert abs(e.value - hidden[e.name]) <= 0.05 * size, e
         inside += e.low <= hidden[e.name] <= e.high
-    # Of ten 95 % intervals, fewer than 8 contain the true value with a probability of 1 in 90.
+    # Of ten 95% intervals, fewer than 8 contain the true value with a probability of 1 in 90.
     assert inside >= 8
     assert found.rms["x"] == pytest.approx(0.001, rel=0.15) and found.rms["yaw_rate"] == pytest.approx(0.01, rel=0.15)
     assert all(ratio < 1.3 for ratio in found.misfit.values())

@@ -49,7 +49,7 @@ class Share:
     Attributes:
         failures: number of failing tests.
         tests: number of tests, at least 1.
-        interval: 95 % interval of the failure probability.
+        interval: 95% interval of the failure probability.
     """
 
     failures: int
@@ -73,7 +73,7 @@ class Share:
 
 
 def _clopper_pearson(failures: float, tests: float) -> Interval:
-    """95 % interval of a probability (Biometrika 26, 1934), also of effective numbers that are not whole."""
+    """95% interval of a probability (Biometrika 26, 1934), also of effective numbers that are not whole."""
     tail, passes = ALPHA / 2.0, tests - failures
     low = float(beta.ppf(tail, failures, passes + 1.0)) if failures > _ROUNDING else 0.0
     high = float(beta.ppf(1.0 - tail, failures + 1.0, passes)) if passes > _ROUNDING else 1.0

@@ -223,7 +223,7 @@ def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indice
 def interval_over_families(
     samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float], families: Indices
 ) -> tuple[float, float] | None:
-    """Estimate a 95 % interval by a bootstrap over whole families; None for a single one. See `bootstrap_interval`.
+    """Estimate a 95% interval by a bootstrap over whole families; None for a single one. See `bootstrap_interval`.
 
     Args:
         samples: (tests,) values each.

@@ -38,7 +38,7 @@ def family_weights(families: Indices, resamples: int, seed: int) -> Array:
 
 
 def interval_of(scores: Array) -> tuple[float, float] | None:
-    """95 % percentile interval of a score's resamples.
+    """95% percentile interval of a score's resamples.
 
     None where the score is defined in no resample, or the same in all: such an interval has no width because the sample
     is degenerate, not because the score is known so well.

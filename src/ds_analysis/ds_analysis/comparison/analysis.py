@@ -381,7 +381,7 @@ def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:
     sentence = f"Whether that holds for other such roads: {p_in_words(row.p_adjusted)} after Holm, so it is open"
     if row.counts.newly_fail == row.counts.fixed:
         sentence = "Other such roads: no difference is shown"
-    return f"{said} {sentence}; 95 %: {low} to {high} failures in 100."
+    return f"{said} {sentence}; 95%: {low} to {high} failures in 100."
 
 
 def _changes(counts: PairedCounts, what: str) -> str:

@@ -43,7 +43,7 @@ class MaxFailures:
         """Parse `5%` or `3`.
 
         Raises:
-            ConfigError: it is neither a share from 0 to 100 % nor a number of tests.
+            ConfigError: it is neither a share from 0 to 100% nor a number of tests.
         """
         if re.fullmatch(r"\d{1,3}(\.\d{1,6})?%", text) and float(text[:-1]) <= 100.0:
             return cls(share=float(text[:-1]) / 100.0)
@@ -56,7 +56,7 @@ class MaxFailures:
         return failures <= (self.count if self.count is not None else (self.share or 0.0) * tests)
 
     def __str__(self) -> str:
-        return str(self.count) if self.count is not None else f"{100 * (self.share or 0.0):g} %"
+        return str(self.count) if self.count is not None else f"{100 * (self.share or 0.0):g}%"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -211,7 +211,7 @@ class PairedCounts:
 
     @property
     def interval(self) -> tuple[float, float] | None:
-        """95 % interval of the difference; see `difference_interval`."""
+        """95% interval of the difference; see `difference_interval`."""
         if not self.tests:
             return None
         if self.changes is not None:
@@ -233,7 +233,7 @@ class PairedCounts:
 
 @lru_cache(maxsize=4096)
 def difference_interval(newly_fail: int, fixed: int, both_fail: int, both_pass: int) -> tuple[float, float]:
-    """Estimate a 95 % interval of the difference of two failure probabilities on the same tests.
+    """Estimate a 95% interval of the difference of two failure probabilities on the same tests.
 
     Equal tails of the difference over draws from the Dirichlet posterior of the four outcomes under Jeffreys' prior,
     seeded by the counts: equal counts give equal intervals. An end is moved where the interval would not contain the

@@ -44,7 +44,7 @@ def simulator_table(comparison: Comparison) -> Table:
         rows=rows,
         notes=[
             "Reference, candidate: tests on which they fail. Difference: the candidate's failure probability minus the "
-            "reference's, with its 95 % interval; above 0 is worse. Margin: median change of the smallest distance to "
+            "reference's, with its 95% interval; above 0 is worse. Margin: median change of the smallest distance to "
             "the lane's edge. On other roads: whether such a difference is significant (p below 0.05)."
             + (" Random roads: newly fail, fixed, and all, of tests that no search chose." if with_random else "")
         ],
@@ -238,7 +238,7 @@ _READING = (
     "The twin is the most faithful simulator, the others are cheap ones that are wrong in different ways.",
     "p says whether that holds for other such roads: McNemar's exact test on the tests that changed, or, of mutants, "
     "random signs of whole families; Holm's adjustment takes the number of simulators into account. "
-    "Significant: below 0.05. 95 % intervals: Jeffreys.",
+    "Significant: below 0.05. 95% intervals: Jeffreys.",
 )
 
 

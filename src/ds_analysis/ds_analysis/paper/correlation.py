@@ -49,10 +49,10 @@ class Correlation:
         r: Pearson correlation with the twin's failure probability, or None if undefined.
         p: its two-sided p-value, or None.
         reason: why there is no r.
-        r_interval: 95 % bootstrap interval of r over cells; resamples in which r is undefined are left out. None if
+        r_interval: 95% bootstrap interval of r over cells; resamples in which r is undefined are left out. None if
             there are too few cells.
         auc: AUC-PRC, the average precision with which the map's value predicts that the twin fails in a cell.
-        auc_interval: 95 % bootstrap interval of the AUC-PRC over cells, or None as for r.
+        auc_interval: 95% bootstrap interval of the AUC-PRC over cells, or None as for r.
         auc_reason: why there is no AUC-PRC.
         baseline: share of cells in which the twin fails: the AUC-PRC of a map without information.
         failing: number of the compared cells in which the twin fails, or None in results of earlier versions.
@@ -94,9 +94,9 @@ class PairedDifference:
         value: compared value of both maps.
         cells: number of cells compared.
         r: Pearson correlation of the merged map minus that of the sibling's, or None if one is undefined.
-        r_interval: its 95 % bootstrap interval over cells, or None if there are too few cells.
+        r_interval: its 95% bootstrap interval over cells, or None if there are too few cells.
         auc: AUC-PRC of the merged map minus that of the sibling's, or None.
-        auc_interval: its 95 % bootstrap interval over cells, or None as for r.
+        auc_interval: its 95% bootstrap interval over cells, or None as for r.
         failing: number of the compared cells in which the twin fails, or None if not known.
     """
 

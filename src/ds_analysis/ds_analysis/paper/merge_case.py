@@ -28,7 +28,7 @@ FLIPS = 9_999
 CAR = "the car"
 _CAUTION = (
     "The rule was read off 54 cases of our own campaigns and has not been confirmed on others. "
-    f"Where a sibling in truth fails equally often, a case is stated in at most {100 * ERROR_RATE:.0f} % of campaigns."
+    f"Where a sibling in truth fails equally often, a case is stated in at most {100 * ERROR_RATE:.0f}% of campaigns."
 )
 
 
@@ -42,7 +42,7 @@ class FailureRate(NamedTuple):
     p: float | None = None
 
     def __str__(self) -> str:
-        return f"{self.simulator} {self.failures} ({100 * self.failures / self.tests:.0f} %)"
+        return f"{self.simulator} {self.failures} ({100 * self.failures / self.tests:.0f}%)"
 
 
 class MergeCase(NamedTuple):

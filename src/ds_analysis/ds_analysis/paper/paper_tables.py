@@ -95,7 +95,7 @@ _TITLES = {
     "probability": ("rq2", "RQ2: failure probability against the twin's"),
     "quality_loss": ("rq3", "RQ3: quality loss against the twin's failure probability"),
 }
-_BOOTSTRAP = "Intervals: 95 %, bootstrap over cells. AUC-PRC is the average precision."
+_BOOTSTRAP = "Intervals: 95%, bootstrap over cells. AUC-PRC is the average precision."
 NETWORKS = ("dave2", "chauffeur", "epoch")
 """Architectures that the paper tests."""
 

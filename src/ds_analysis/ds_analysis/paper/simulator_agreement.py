@@ -36,7 +36,7 @@ class PairComparison:
         only_second_fails: number of roads on which only the second run failed.
         both_complete: number of roads on which neither run failed.
         kappa: Cohen's kappa of the verdicts; None if undefined.
-        kappa_interval: asymptotic 95 % interval of kappa (statsmodels), clipped to [-1, 1].
+        kappa_interval: asymptotic 95% interval of kappa (statsmodels), clipped to [-1, 1].
         reason: why there is no kappa, or "".
         median_apart: median distance between the lateral positions over all places, m.
         apart_95: 95th percentile of that distance, m.

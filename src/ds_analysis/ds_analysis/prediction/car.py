@@ -85,7 +85,7 @@ class CarPrediction:
         cells = sum(counts.values()) - counts["untested"]
         rows = np.array([self.table.rows[one.test_id] for one in tests], np.intp)
         expected, low, high = self.prediction.failures(rows)
-        many = f"{expected:.0f} (90 %: {low} to {high})"
+        many = f"{expected:.0f} (90%: {low} to {high})"
         fails, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
         of_cells = (
             f"of {cells} cell{'' if cells == 1 else 's'} {fails} fail{'s' if fails == 1 else ''}, {safe} "

@@ -26,7 +26,7 @@ siblings that agree may all miss the car; chosen: four to one."""
 SAMPLE, SAMPLES = 60, 5
 """Tests of a sibling that weigh the experts, and samples of them; chosen: more tests leave one expert alone."""
 DRAWS = 2000
-"""Draws behind intervals; chosen: the ends of a 90 % interval are accurate to about 0.01."""
+"""Draws behind intervals; chosen: the ends of a 90% interval are accurate to about 0.01."""
 _SAMPLE_SEED, _DRAW_SEED = 3, 17
 _NEGLIGIBLE = 1e-9
 """Weight of an expert that is left out of sums; all of them together change no shown digit."""
@@ -116,7 +116,7 @@ class Prediction:
         return self._with_outcomes(likelihoods, rows) if outcomes else likelihoods
 
     def failures(self, rows: Indices) -> tuple[float, int, int]:
-        """Expected number of tests that fail, and its 90 % interval; the same on every call."""
+        """Expected number of tests that fail, and its 90% interval; the same on every call."""
         probabilities = self.draws(rows)
         rng = np.random.default_rng(_DRAW_SEED)
         counts = np.sort((rng.random(probabilities.shape) < probabilities).sum(axis=1))

@@ -97,7 +97,7 @@ _SEED = 18
 
 @dataclass(frozen=True, kw_only=True)
 class PredictorScore:
-    """Score of one predictor; intervals are 95 % bootstrap intervals over families of tests.
+    """Score of one predictor; intervals are 95% bootstrap intervals over families of tests.
 
     Attributes:
         predictor: name: a sibling, a merge operator, `FEATURES` or `MODEL`.
@@ -235,7 +235,7 @@ def comparison_tables(comparison: PredictorComparison) -> list[Table]:
             columns=[Column(name, "text" if name in text else "number") for name in names],
             rows=[tuple(asdict(one).values()) for one in comparison.scores],
             notes=[
-                "A predictor adds to the features alone if the 95 % interval of the difference lies below 0; intervals "
+                "A predictor adds to the features alone if the 95% interval of the difference lies below 0; intervals "
                 f"resample whole families of tests. With fewer than {FEWEST_OF_EACH_KIND} tests that fail, or that do "
                 "not, nothing is concluded."
             ],

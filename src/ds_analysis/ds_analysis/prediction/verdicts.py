@@ -61,7 +61,7 @@ class CellVerdict:
         tests: number of its tests.
         driven: number of them that the car drove.
         rate: posterior mean of the failure rate of tests like these; None if untested.
-        interval: 90 % interval of it.
+        interval: 90% interval of it.
         verdict: `fails` if the rate is above the tolerated one with a probability of at least 1 - `ERROR_RATE`, `safe`
             if it is below with that probability, `disputed` otherwise, `untested` without tests.
     """

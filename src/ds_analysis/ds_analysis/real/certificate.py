@@ -59,10 +59,10 @@ class Certificate:
     @property
     def sentence(self) -> str:
         """What is certain, in one line."""
-        shares = f"{100 * self.low / self.tests:.0f} to {100 * self.high / self.tests:.0f} %"
+        shares = f"{100 * self.low / self.tests:.0f} to {100 * self.high / self.tests:.0f}%"
         drives = f"{self.drawn} drive{'' if self.drawn == 1 else 's'} drawn at random"
         return (
-            f"Certain with 95 %, whenever you stop: the car fails on {self.low} to {self.high} of {self.tests} tests "
+            f"Certain with 95%, whenever you stop: the car fails on {self.low} to {self.high} of {self.tests} tests "
             f"({shares}), by {drives}."
         )
 

@@ -13,7 +13,7 @@ from ds_sim.conditions.scales import between
 from ds_sim.conditions.text import check_known
 
 LEVELS = 16
-"""Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6 % of the
+"""Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6% of the
 range."""
 RESOLUTIONS = (2, 4, 8, 16)
 """Numbers of levels that may be driven: every eighth, every fourth, every second, or each of `LEVELS`."""

@@ -25,7 +25,7 @@ from ds_sim.registry import SimulatorName
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Quality of cross-validated predictions; intervals are 95 % bootstrap intervals over families of roads.
+    """Quality of cross-validated predictions; intervals are 95% bootstrap intervals over families of roads.
 
     Attributes:
         auc: area under the ROC curve of the mean predicted probability: probability that a failing road is ranked
@@ -148,7 +148,7 @@ class AddedInformation:
         beyond: siblings whose outcomes are among the predictors already, besides road features and conditions.
         left: bits a road that these predictors leave: mean logarithmic loss on roads that the model has not seen.
         bits: reduction of that loss, bits a road; None where failures are too few.
-        interval: 95 % interval of the reduction, by a bootstrap over families (paired: every road keeps both losses).
+        interval: 95% interval of the reduction, by a bootstrap over families (paired: every road keeps both losses).
         caution: why there is no number, or "".
     """
 

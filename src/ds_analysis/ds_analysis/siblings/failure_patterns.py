@@ -32,7 +32,7 @@ class Nesting:
         only_second: number of roads on which only the second fails.
         neither: number of roads on which none fails.
         second_given_first: share of the first's failures on which the second fails too; None if the first never fails.
-        second_given_first_interval: its 95 % interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
+        second_given_first_interval: its 95% interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
             families where roads descend from each other.
         first_given_second: the same the other way round.
         first_given_second_interval: its interval.

@@ -37,7 +37,7 @@ FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualCorrelation:
-    """Correlation of two simulators' lateral positions; intervals are 95 % bootstrap intervals over families of roads.
+    """Correlation of two simulators' lateral positions; intervals are 95% bootstrap intervals over families of roads.
 
     Attributes:
         first: name of the first simulator.

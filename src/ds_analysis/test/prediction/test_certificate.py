@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bounds hold with 95 % under stopping rules that try to break them, and predictions make them narrower."""
+"""Bounds hold with 95% under stopping rules that try to break them, and predictions make them narrower."""
 
 from __future__ import annotations
 

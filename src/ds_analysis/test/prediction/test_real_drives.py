@@ -274,7 +274,7 @@ def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.Ca
     assert run(["real", "record", str(folder), str(filled)]) == 0
     shown = capsys.readouterr().out
     assert "The car drove 3 tests and failed 0" in shown and "it is open whether your simulators" in shown
-    assert "Certain with 95 %, whenever you stop: the car fails on 0 to " in shown
+    assert "Certain with 95%, whenever you stop: the car fails on 0 to " in shown
     assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
     more = {one["test_id"] for one in json.loads(capsys.readouterr().out)["drives"]}
     assert not more & driven and len(read_proposed(folder).tests) == 6

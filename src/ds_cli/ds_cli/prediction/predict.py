@@ -54,7 +54,7 @@ def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result
         print(f"no prediction: {reason}")
         for name, (failures, tests) in counts.items():
             low, high = jeffreys_interval(failures, tests) if tests else (0.0, 1.0)
-            print(f"{name} fails {failures} of {tests} tests (95 % of its failure rate: {low:.0%} to {high:.0%})")
+            print(f"{name} fails {failures} of {tests} tests (95% of its failure rate: {low:.0%} to {high:.0%})")
 
     document = {"verdicts": None, "reason": reason, "simulators": rows}
     return Result(document=document, show=show, next=ds_command("maps", folder))

@@ -28,7 +28,7 @@ BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16")
 """auto: `default_backend` for built-in networks and ONNX files, the native backend for other network files."""
 DEVICES = ("cpu", "cuda")
 LARGEST_BATCH = 8
-"""Images in one inference; chosen: Dave-2 gains 28 % from 1 to 4 and 3 % from 4 to 8 (benchmarks/inference.py)."""
+"""Images in one inference; chosen: Dave-2 gains 28% from 1 to 4 and 3% from 4 to 8 (benchmarks/inference.py)."""
 
 
 class BackendError(DriverError):

@@ -54,7 +54,7 @@ class DrivingNetwork(nn.Module):
 class FastDropout(nn.Module):
     """Dropout as the architectures describe it, with random bits from NumPy.
 
-    PyTorch draws one number a value on one thread, which took 38 % of the time of Chauffeur's training on a processor;
+    PyTorch draws one number a value on one thread, which took 38% of the time of Chauffeur's training on a processor;
     this takes a third of that. The generator is seeded from PyTorch's, so `torch.manual_seed` decides what is dropped.
 
     Args:

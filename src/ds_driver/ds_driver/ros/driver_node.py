@@ -169,7 +169,7 @@ class DriverNode(Node):
             median, slow, longest = np.percentile(self._milliseconds, (50, 99, 100))
             # ROS and its logger may be shut down by now.
             print(
-                f"{len(self._milliseconds)} frames answered: median {median:.1f} ms, 99 % within {slow:.1f} ms, "
+                f"{len(self._milliseconds)} frames answered: median {median:.1f} ms, 99% within {slow:.1f} ms, "
                 f"longest {longest:.1f} ms",
                 file=sys.stderr,
             )

@@ -108,7 +108,7 @@ def apply(operator: str, values: Sequence[float], tests: Sequence[int]) -> float
 
 
 def merged_interval(operator: str, counts: Sequence[tuple[int, int]]) -> tuple[float, float]:
-    """Estimate a 95 % interval of a merged probability from the siblings' posteriors, not from their intervals' ends.
+    """Estimate a 95% interval of a merged probability from the siblings' posteriors, not from their intervals' ends.
 
     Args:
         operator: name of the merge operator.

@@ -116,7 +116,7 @@ class MapCell:
         quality_loss: loss of driving quality, in [0, 1], higher is worse: mean of the tests' maximum lateral positions,
             normalised over the campaign (paper 4.2.5); in a union, the mean of its maps' values (paper 3.4).
         pooled_quality_loss: the same as the mean over all tests of the cell, as in maxitwo; None if not known.
-        interval: 95 % interval of the probability, or None if the counts are not known.
+        interval: 95% interval of the probability, or None if the counts are not known.
     """
 
     tests: int
@@ -221,7 +221,7 @@ def maps_frame(maps: Mapping[MapId, FeatureMap]) -> pd.DataFrame:
 
     Returns:
         Columns `map` (name), `kind`, `simulator`, `origin`, `operator`; one per feature with the cell's bin; `tests`,
-        `failures` (missing in merged maps), `probability`, `interval_low`, `interval_high` (95 %), `quality_loss`, and
+        `failures` (missing in merged maps), `probability`, `interval_low`, `interval_high` (95%), `quality_loss`, and
         `excluded`, the number of tests that the gates exclude.
 
     Raises:

@@ -123,7 +123,7 @@ class RecordingSimulator(RoadSimulator):
     def spec(self) -> SimulatorSpec:
         """Description of this simulator, with the largest share of a picture of the last run that nothing shows."""
         spec = super().spec
-        return replace(spec, extra=spec.extra | {"unseen": f"at most {100 * self._photos.unseen:.1f} % of a picture"})
+        return replace(spec, extra=spec.extra | {"unseen": f"at most {100 * self._photos.unseen:.1f}% of a picture"})
 
     @property
     def own_road(self) -> Road:

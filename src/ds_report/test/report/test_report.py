@@ -422,8 +422,8 @@ def test_the_headline_names_the_bend_from_which_roads_fail() -> None:
     assert text == (
         "On the twin T, net fails on roads with a bend of 5.0 m radius or tighter (curvature 0.200 1/m or more): "
         "4 of 5 such roads failed, and none of the 20 others. Among roads that did not choose this threshold, "
-        f"80 % (95 % interval {100 * ends[0][0]:.0f} to {100 * ends[0][1]:.0f} %) fail, against "
-        f"0 % (95 % interval 0 to {100 * ends[1][1]:.0f} %)."
+        f"80% (95% interval {100 * ends[0][0]:.0f} to {100 * ends[0][1]:.0f}%) fail, against "
+        f"0% (95% interval 0 to {100 * ends[1][1]:.0f}%)."
     )
 
 
@@ -469,7 +469,7 @@ def test_a_threshold_on_bends_names_the_conditions_under_which_it_was_found() ->
 def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
     mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
     text = where_it_fails(DriverName("net"), mixed)
-    assert text.startswith("net failed on 2 of 12 tests, 17 %")
+    assert text.startswith("net failed on 2 of 12 tests, 17%")
     assert "on the twin T, all tests in fog or haze with a visibility of 20 to 31 m (visibility). None of" in text
     assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
 
@@ -487,7 +487,7 @@ def test_the_headline_claims_no_threshold_that_chance_would_find() -> None:
     split = best_split(mixed)
     assert split is not None and not split.found.is_clear
     text = where_it_fails(DriverName("net"), mixed)
-    assert text.startswith("net failed on 2 of 12 roads, 17 %") and "Neither the tightest bend" in text
+    assert text.startswith("net failed on 2 of 12 roads, 17%") and "Neither the tightest bend" in text
     assert "There are 12 roads, which is few: from 16 random roads on" in text
     # One road that fails and one that does not carry no threshold, however well they are separated.
     assert "Neither" in where_it_fails(DriverName("net"), outcomes((0.1, 2, False), (0.2, 3, True)))
@@ -496,9 +496,9 @@ def test_the_headline_claims_no_threshold_that_chance_would_find() -> None:
 @pytest.mark.parametrize(
     ("roads", "start"),
     [
-        ([(0.1, 2, False)] * 9, "net failed on none of 9 roads, 0 % (95 % interval 0 to 34 %), on the twin T."),
-        ([(0.1, 2, True)] * 9, "net failed on all 9 roads, 100 % (95 % interval 66 to 100 %), on the twin T;"),
-        ([(0.1, 2, True)], "net failed on the only road, 100 %"),
+        ([(0.1, 2, False)] * 9, "net failed on none of 9 roads, 0% (95% interval 0 to 34%), on the twin T."),
+        ([(0.1, 2, True)] * 9, "net failed on all 9 roads, 100% (95% interval 66 to 100%), on the twin T;"),
+        ([(0.1, 2, True)], "net failed on the only road, 100%"),
         ([], "No road has an outcome on the twin T yet"),
     ],
 )

@@ -152,9 +152,9 @@ _ABOUT: dict[str, tuple[str, float, float, str, str, str]] = {
     "shadow_density": ("", 0.0, 0.9, "high", "illumination",
         "share of the road's length that lies in shadows across it; all of it would be no pattern any more"),
     "shadow_depth": ("", 0.0, 0.95, "high", "illumination",
-        "share of the light that a shadow takes; the blue sky alone gives 10 to 30 % of the light of sun and sky"),
+        "share of the light that a shadow takes; the blue sky alone gives 10 to 30% of the light of sun and sky"),
     "visibility": ("m", 20.0, math.inf, "low", "weather",
-        "meteorological visibility: contrast falls as exp(-3.912 distance / visibility) (Koschmieder, 2 % threshold); "
+        "meteorological visibility: contrast falls as exp(-3.912 distance / visibility) (Koschmieder, 2% threshold); "
         "WMO: fog is below 1,000 m, dense fog below 50 m"),
     "pavement_reflectance": ("", 0.04, 0.5, "high", "road surface",
         "mean diffuse reflectance of the pavement; new asphalt has 0.05, worn asphalt 0.12 to 0.18, new concrete 0.35 "

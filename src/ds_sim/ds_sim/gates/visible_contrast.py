@@ -30,7 +30,7 @@ BESIDE = 0.5
 """Distance of the pavement from a line's edge, m; chosen: three widths of a line, within the lane."""
 LEAST_WIDTH = 2.0
 """Width in the picture of the edge line where it is measured, px; chosen: where it is narrower, grass beyond the road
-blends with it, and looked like 4 to 14 % of contrast where no line was painted."""
+blends with it, and looked like 4 to 14% of contrast where no line was painted."""
 LEAST_POINTS = 4
 """Points in the picture without which a line is out of sight; chosen: 1 m of it."""
 DARKEST = 1.0 / 255.0 / 12.92

@@ -50,7 +50,7 @@ class FrameJitter:
         median, most, worst = (1e3 * self.lateness(q) for q in (0.5, 0.99, 1.0))
         return (
             f"real time: {self.beats} frames at {1.0 / self._period:g} Hz, late by {median:.1f} ms in the median, "
-            f"{most:.1f} ms at 99 %, {worst:.1f} ms at worst; {self.missed} frames missed"
+            f"{most:.1f} ms at 99%, {worst:.1f} ms at worst; {self.missed} frames missed"
         )
 
 

@@ -30,7 +30,7 @@ from ds_sim_panda.scene.textures import upload
 BLOCK = 18.0
 """Length of road of which a share is repaired as of all, m; chosen: about the view ahead, as for pieces of lines."""
 SPARE = 2.5
-"""Area of all patches over that of the road; chosen: overlapping at random, they leave 8 % of it, less than the 40 %
+"""Area of all patches over that of the road; chosen: overlapping at random, they leave 8% of it, less than the 40%
 that no share repairs."""
 _SHIFT = 6
 """Binary places of the corners of patches, in texels."""

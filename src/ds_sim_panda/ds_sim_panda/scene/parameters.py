@@ -44,7 +44,7 @@ CLOUD: Linear = (0.80, 0.82, 0.85)
 CLOUD_COVER = 0.35
 """Share of the sky; chosen: three oktas, "scattered"."""
 VISIBILITY = 10_000.0
-"""Distance at which 2 % of a contrast is left (Koschmieder); chosen: the lower end of what is called clear."""
+"""Distance at which 2% of a contrast is left (Koschmieder); chosen: the lower end of what is called clear."""
 KOSCHMIEDER = 3.912
 """Extinction coefficient times visibility: -ln(0.02) (Koschmieder 1924)."""
 HAZE = KOSCHMIEDER / VISIBILITY
