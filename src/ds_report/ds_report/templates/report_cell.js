@@ -70,7 +70,7 @@ function showTests(list, detail, tests, from, to) {
 
 function cellTable(key) {
   const names = [...data.groups.compared, ...data.groups.merges];
-  const head = ["map", "failed", "failure probability", "95 % interval", "quality loss"];
+  const head = ["map", "failed", "failure probability", "95% interval", "quality loss"];
   const rows = names.map((name) => {
     const cell = cells[name][key];
     const failed = !cell ? "no test" : cell.failures === null ? "–" : `${cell.failures} of ${cell.tests}`;

@@ -53,7 +53,7 @@ function hoverText(name, key) {
   const where = key.split("-").map((bin, i) => binWords(data.axes[i], Number(bin))).join("<br>");
   if (!cell) return `${where}<br><i>no test: nothing is known</i>`;
   const failed = cell.failures === null ? `${plural(cell.tests, "test")} on each sibling` : `${cell.failures} of ${plural(cell.tests, "test")} failed`;
-  return `${where}<br><b>${failed}</b><br>failure probability ${cell.probability.toFixed(2)}<br>95 %: ${range(cell.interval)}<br>quality loss ${cell.quality_loss.toFixed(2)}`;
+  return `${where}<br><b>${failed}</b><br>failure probability ${cell.probability.toFixed(2)}<br>95%: ${range(cell.interval)}<br>quality loss ${cell.quality_loss.toFixed(2)}`;
 }
 
 function trace(name, width) {
@@ -155,7 +155,7 @@ function readOut(key) {
   for (const { name, readout } of drawn) {
     const cell = cells[name][key];
     const failed = !cell ? "no test: nothing is known"
-      : `failure probability ${cell.probability.toFixed(2)}, 95 %: ${range(cell.interval)}${cell.failures === null ? "" : `; ${cell.failures} of ${plural(cell.tests, "test")} failed`}`;
+      : `failure probability ${cell.probability.toFixed(2)}, 95%: ${range(cell.interval)}${cell.failures === null ? "" : `; ${cell.failures} of ${plural(cell.tests, "test")} failed`}`;
     readout.replaceChildren(`${placeWords(key)}: ${failed}. `, html("a", { href: "#cell" }, "Its tests"));
   }
 }

@@ -42,7 +42,7 @@ function showProgress(state) {
 function showNow(drives) {
   element("no-drives").hidden = drives.length > 0;
   element("drives").replaceChildren(...drives.map((drive) => {
-    const said = drive.progress === null ? "; this engine does not say where the car is" : `, ${(100 * drive.progress).toFixed(0)} % of the road, ${Math.abs(drive.lateral).toFixed(2)} m ${drive.lateral >= 0 ? "right" : "left"}`;
+    const said = drive.progress === null ? "; this engine does not say where the car is" : `, ${(100 * drive.progress).toFixed(0)}% of the road, ${Math.abs(drive.lateral).toFixed(2)} m ${drive.lateral >= 0 ? "right" : "left"}`;
     const words = html("span", {}, `for ${drive.seconds.toFixed(0)} s${said}`);
     const item = html("li", {}, html("b", {}, `${drive.test || "a new test"} on ${drive.simulator}`), words);
     if (drive.road) item.append(roadOf(drive));
