@@ -113,7 +113,7 @@ def test_what_happened_is_said_before_what_is_significant() -> None:
     said = "bullet: 6 of 6 tests passed and now fail, none the other way: on these it is worse. Whether that holds for "
     assert sentences_of(found)[0].startswith(said + "other such roads: p = 0.062 after Holm, so it is open; 95%: ")
     assert sentences_of(found)[1].startswith(
-        "donkey: the same outcomes on 6 tests. Other such roads: no difference is shown; 95 %"
+        "donkey: the same outcomes on 6 tests. Other such roads: no difference is shown; 95%"
     )
     assert 2 * binomtest(6, 6, 0.5).pvalue == pytest.approx(0.0625)
     better = compared(pairs("bullet", (0, 1, 0, 0)))

@@ -122,7 +122,7 @@ def pair_table(table: OutcomeTable) -> Table:
         columns=[
             *styled("text", "first", "second"),
             *styled("count", "both fail", "only the first", "only the second", "none"),
-            *styled("number", "second fails where the first does", "95 %", "first fails where the second does", "95% "),
+            *styled("number", "second fails where the first does", "95%", "first fails where the second does", "95% "),
         ],
         rows=rows,
     )
