@@ -237,7 +237,7 @@ def test_criteria_name_what_they_miss() -> None:
     assert Criteria(max_failures=MaxFailures.parse("3")).unmet(tally) == []
 
 
-@pytest.mark.parametrize("text", ["-1", "101%", "5%", "nan", "inf%", "", "1.5", "5%%", "1e3", "99999999999"])
+@pytest.mark.parametrize("text", ["-1", "101%", "5 %", "nan", "inf%", "", "1.5", "5%%", "1e3", "99999999999"])
 def test_a_threshold_without_sense_is_refused_in_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match="expected a share from 0% to 100%, or a number of tests") as error:
         MaxFailures.parse(text)
