@@ -31,13 +31,13 @@ TABLE = Table(
 
 def test_csv_keeps_every_digit() -> None:
     rows = list(csv.DictReader(io.StringIO(TABLE.csv())))
-    assert [float(rows[0]["r"]), float(rows[0]["95%, low"]), float(rows[0]["95%, high"])] == [
+    assert [float(rows[0]["r"]), float(rows[0]["95 %, low"]), float(rows[0]["95 %, high"])] == [
         -0.123456789,
         -0.5,
         0.25,
     ]
     assert rows[0]["name"] == "x, y_1" and float(rows[0]["p"]) == 3.2e-7
-    assert rows[1]["r"] == rows[1]["95%, low"] == "" and rows[1]["n"] == "3"
+    assert rows[1]["r"] == rows[1]["95 %, low"] == "" and rows[1]["n"] == "3"
 
 
 def test_latex_escapes_and_balances() -> None:

@@ -80,7 +80,7 @@ def in_words(name: str, low: float, high: float | None = None, side: Side = "") 
     if "{value}" in phrase:
         return f"{phrase.format(value=f'{value} {side}'.rstrip())} ({name})"
     if "{share}" in phrase:
-        share = " to ".join(f"{100.0 * end:.0f}" for end in ends) + " %"
+        share = " to ".join(f"{100.0 * end:.0f}" for end in ends) + "%"
         fraction = min(_FRACTIONS, key=lambda one: abs(one - low))
         if len(ends) == 1 and abs(fraction - low) <= _NEAR:
             share = _FRACTIONS[fraction]
