@@ -22,10 +22,10 @@ Y = SimulatorName("y")
 
 TABLE = Table(
     name="t",
-    title="50% of a_b & {c}",
+    title="50 % of a_b & {c}",
     columns=[Column("name"), Column("r", "number"), Column("95 %", "number"), Column("p", "p"), Column("n", "count")],
     rows=[["x, y_1", -0.123456789, (-0.5, 0.25), 3.2e-7, 12], ["z", None, None, 0.025, 3]],
-    notes=["100% sure"],
+    notes=["100 % sure"],
 )
 
 
@@ -60,7 +60,7 @@ def test_shown_numbers_are_short() -> None:
     assert shown(0.0123456, "small") == "0.01235" and shown(None, "number") == ""
     out = io.StringIO()
     TABLE.show(Console(file=out, width=40))
-    assert "[-0.500, 0.250]" in out.getvalue() and "100% sure" in out.getvalue()
+    assert "[-0.500, 0.250]" in out.getvalue() and "100 % sure" in out.getvalue()
 
 
 def test_a_p_value_is_never_0() -> None:
