@@ -16,9 +16,9 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
-from benchmarks.replication.drive import NETWORKS, TABLES
+from benchmarks.replication.drive import NETWORKS, TABLES, title_of
 from benchmarks.replication.stored import read
-from benchmarks.replication.tables import third_table
+from benchmarks.replication.tables import THIRD, third_table
 
 from ds_analysis.common.statistics import Array, families_of
 from ds_analysis.paper.merge_case import Advice, merge_case
@@ -114,7 +114,15 @@ def main() -> None:
         writer.writerow([*heads, "case", "stated", "r of the better", *of_gains])
         for one in found:
             numbers = [one.better, *(value for operator in OPERATORS for value in one.gains[operator])]
-            row = [*one.key, *(f"{rate:.4f}" for rate in one.rates), one.case, one.stated]
+            campaign, *simulators = one.key
+            base = campaign.removesuffix(f"_{THIRD}")
+            row = [
+                campaign.replace(base, title_of(base)),
+                *simulators,
+                *(f"{rate:.4f}" for rate in one.rates),
+                one.case,
+                one.stated,
+            ]
             writer.writerow([*row, *(f"{value:z.4f}" for value in numbers)])
     for case in reversed(BY_RATES):
         of_case = [one for one in found if one.case == case]

@@ -309,9 +309,14 @@ def main() -> None:
                 three, two = read(table), of_runs(driven.data, {THIRD_RUN})
                 for name, run in ((f"{network}, first run", two), (f"{network}, with {THIRD}", three)):
                     cells |= {(name, *key): values for key, values in _counts(Driven(run, (run,)))}
-        for key, values in cells.items():
+        for (network, *key), values in cells.items():
+            base, comma, part = network.partition(",")
             writer.writerow(
-                [*key, *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)]
+                [
+                    f"{title_of(base)}{comma}{part}",
+                    *key,
+                    *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values),
+                ]
             )
     (arguments.pictures / "replication_maps.png").write_bytes(png(draw_maps(drawn)))
     (arguments.pictures / "idea.png").write_bytes(png(draw_idea(SHOWN, drawn[SHOWN])))
