@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -20,6 +21,7 @@ from ds_sim.registry import DONKEY
 pytestmark = pytest.mark.graph
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+LIBC = ctypes.CDLL(None)
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 SECOND = 1.0
 """Documented limit on a machine that is not overloaded, s; see `seconds_to_end`."""
@@ -27,7 +29,8 @@ Start = Callable[..., "subprocess.Popen[str]"]
 
 
 def heed_signals() -> None:
-    """Take back what a shell's background job or `nohup` hands down: signals that are ignored."""
+    """Take back what a shell's background job or `nohup` hands down: signals that are ignored. End with the tests."""
+    LIBC.prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG; a killed pytest leaves no orchestrator in a domain
     for number in (*SIGNALS, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 
@@ -163,7 +166,12 @@ def test_the_orchestrator_ends_within_5_s_whatever_it_does(domain: int) -> None:
 
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
     process = subprocess.Popen(
-        [sys.executable, "-c", BUSY], env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        [sys.executable, "-c", BUSY],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        preexec_fn=heed_signals,
     )
     rclpy.init(domain_id=domain)
     try:
