@@ -17,7 +17,7 @@ from tests.engines.quick_simulator import NONSENSE
 
 from ds_driver.closed_loop import worker_process
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.closed_loop.simulation import Phase, drive_road, make_driver
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate
@@ -109,14 +109,18 @@ def test_a_killed_process_loses_nothing(worker: Processes) -> None:
         assert [encode_run(future.result()) for future in futures] == undisturbed
 
 
+@pytest.mark.parametrize("noted", [Phase.IDLE, Phase.SIMULATING])
 def test_what_a_stopped_process_was_given_is_driven_by_another(
-    worker: Processes, monkeypatch: pytest.MonkeyPatch
+    worker: Processes, monkeypatch: pytest.MonkeyPatch, noted: Phase
 ) -> None:
+    """Also if it was stopped before it noted that its last drive is over."""
     monkeypatch.setattr(worker_process, "TAKE_TIME", 4.0)
     process, drive = worker(), DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:QuickSimulator"))
     undisturbed, pid = process.drive(drive), process.pid
     assert pid is not None
     os.kill(pid, signal.SIGSTOP)
+    assert process._process is not None
+    process._process._memory.note(noted, key=1)
     assert encode_run(process.drive(drive)) == encode_run(undisturbed) and process.pid != pid
 
 
