@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+WITHSTOOD = frozenset({"completes", "not applicable"})
+"""Verdicts that leave nothing to draw."""
+
+
 def draw_sensitivity(result: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
     """Draw a row for each factor in which something fails or cannot be judged, and name the others below.
 
@@ -35,8 +39,7 @@ def draw_sensitivity(result: Sensitivity, vector: Path | None = None) -> NDArray
     """
     colours = colours_of(result.simulators)
     withstood = {
-        position: {result.thresholds[position, name].verdict for name in result.simulators}
-        <= {"completes", "not applicable"}
+        position: {result.thresholds[position, name].verdict for name in result.simulators} <= WITHSTOOD
         for position in result.order
     }
     drawn = [position for position in result.order if not withstood[position]]
@@ -51,7 +54,7 @@ def draw_sensitivity(result: Sensitivity, vector: Path | None = None) -> NDArray
             for index, one in enumerate(thresholds):
                 at, colour = row + 0.6 * ((index + 0.5) / len(thresholds) - 0.5), colours[one.simulator]
                 if not (level := one.fails or one.excluded):
-                    if one.verdict not in ("completes", "not applicable"):
+                    if one.verdict not in WITHSTOOD:
                         axes.text(0.01, at, one.verdict, va="center", fontsize=8, color=colour)
                     continue
                 if one.fails:

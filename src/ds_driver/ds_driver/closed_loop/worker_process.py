@@ -209,9 +209,8 @@ class _Process:
             if self.child.poll() is not None:
                 break
             changes, key, phase = self._memory.read()
-            if (
-                key != ALL_DRIVES and key not in self._drives
-            ):  # stopped after it answered, before it noted that it is idle
+            # It may have been stopped after it answered, before it noted that it is idle.
+            if key != ALL_DRIVES and key not in self._drives:
                 phase = Phase.IDLE
             now = time.monotonic()
             if changes != noted or not self._drives:
