@@ -5,8 +5,7 @@
 busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little. The
 processor must have bfloat16.
 
-`--roads 2` also compares the steering on frames of drives on that many random roads, on every simulator, with PyTorch;
-`benchmarks.precision` compares outcomes.
+`--roads 2` also compares the steering on frames of drives on that many random roads, on every simulator, with PyTorch.
 """
 
 from __future__ import annotations
