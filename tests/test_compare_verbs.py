@@ -30,7 +30,7 @@ from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.campaign.executor import Listener
-from ds_orchestrator.campaign.folder import open_store, store_of
+from ds_orchestrator.campaign.folder import store_of
 from ds_orchestrator.campaign.forecast import Forecast, MeasuredDrive
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.template import SIZES, template
@@ -439,22 +439,6 @@ def test_a_test_that_fails_may_end_with_status_3(tmp_path: Path, engine: list[Of
     assert Path(done.stdout.splitlines()[-1]) == tmp_path / "out" / "report.html"
 
 
-def test_a_campaign_of_several_networks_is_one_each_and_a_sorted_table(tmp_path: Path, engine: list[OfDriver]) -> None:
-    file, out = tmp_path / "campaign.yaml", tmp_path / "out"
-    file.write_text("{driver: dave2, record: none, search: {method: random, population: 3, iterations: 0, runs: 1}}")
-    named = ("campaign", "run", file, "--out", out, "--driver", "autopilot,epoch", "--sort=-network", "--json")
-    done = ds(*named)
-    assert done.returncode == 0, done.stderr
-    rows = json.loads(done.stdout)["rows"]
-    assert [row["network"] for row in rows] == ["epoch", "autopilot"]
-    for row in rows:
-        with closing(open_store(out / row["network"])) as store:
-            lost = [one.outcome.is_failure for one in store.executions() if one.simulator == "donkey"]
-        assert row["tests"] == 6 == len(lost) and row["donkey"] == sum(lost) / 6
-    assert (out / "networks.csv").is_file() and (out / "epoch/report.html").is_file()
-    assert ds(*named, "--junit", tmp_path / "junit.xml").returncode == 2
-
-
 def test_a_dry_run_forecasts_from_one_drive_on_each_simulator_and_writes_nothing(
     tmp_path: Path, engine: list[OfDriver]
 ) -> None:
@@ -511,26 +495,3 @@ def test_an_error_prevails_over_a_criterion() -> None:
 def test_a_name_that_is_neither_a_campaign_nor_a_network_is_refused_in_one_line(tmp_path: Path) -> None:
     done = ds("compare", tmp_path / "gone", "autopilot", "--sims", "bullet", "--out", tmp_path / "out")
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "gone" in done.stderr, done.stderr
-
-
-def test_several_candidates_share_the_reference_and_come_in_one_sorted_table(
-    tmp_path: Path, engine: list[OfDriver]
-) -> None:
-    out = tmp_path / "cmp"
-    two = ("compare", "autopilot", "--driver", "dave2,chauffeur", "--roads", 3, "--sims", "bullet")
-    done = ds(*two, "--out", out, "--sort", "-fails", "--json")
-    assert done.returncode == 0, done.stderr
-    document = json.loads(done.stdout)
-    fails = [row["fails"] for row in document["rows"]]
-    assert len(fails) == 3 and fails == sorted(fails, reverse=True)
-    assert {one["candidate"]["driver"] for one in document["networks"]} == {"dave2", "chauffeur"}
-    assert sorted(path.name for path in (out / "drives").iterdir() if path.is_dir()) == [
-        "candidate_chauffeur_on_tests",
-        "candidate_dave2_on_tests",
-        "reference_on_tests",
-    ]
-    assert (out / "networks.csv").is_file() and (out / "chauffeur" / "comparison.html").is_file()
-    refused = ds(*two, "--out", out, "--sort", "speed")
-    assert refused.returncode == 2 and "expected one of network, fails on bullet, fails," in refused.stderr
-    assert ds("compare", "autopilot", "a/dave2.yaml,dave2", "--out", out).returncode == 2
-    assert ds(*two, "--out", out, "--junit", tmp_path / "j.xml").returncode == 2

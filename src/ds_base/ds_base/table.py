@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -35,7 +35,7 @@ _TEX |= {"\\": r"\textbackslash{}", "^": r"\textasciicircum{}", "<": r"\textless
 
 
 class TableError(InputError):
-    """Stored tables that cannot be read, or a column that a table does not have."""
+    """Stored tables that cannot be read."""
 
 
 @dataclass(frozen=True)
@@ -76,25 +76,6 @@ class Table:
     columns: Sequence[Column]
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = field(default=())
-
-    def sorted_by(self, column: str) -> Table:
-        """Sort the rows by a column, from small to large; missing values come last.
-
-        Args:
-            column: its name; a minus before it sorts from large to small.
-
-        Raises:
-            TableError: the table has no such column.
-        """
-        names = [c.name for c in self.columns]
-        name = column if column in names else column.removeprefix("-")
-        if name not in names:
-            raise TableError(f"no column {column!r:.60} to sort by: expected one of {', '.join(names)}")
-        place, ordered = names.index(name), []
-        for missing in (False, True):
-            part = [row for row in self.rows if (row[place] is None) is missing]
-            ordered += part if missing else sorted(part, key=lambda row: row[place], reverse=name != column)  # type: ignore[arg-type,return-value]
-        return replace(self, rows=ordered)
 
     def texts(self) -> list[list[str]]:
         """Format the rows for reading."""

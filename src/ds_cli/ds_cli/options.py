@@ -115,10 +115,6 @@ DriverText = Annotated[
         autocompletion=complete_driver,
     ),
 ]
-Sort = Annotated[
-    str | None,
-    typer.Option(metavar="COLUMN", help="With several networks: sort their table by a column, with -COLUMN downwards."),
-]
 Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
@@ -196,22 +192,10 @@ def every_or_named(text: str) -> list[SimulatorName]:
 
 
 def label_of_driver(driver: str) -> str:
-    """Name of a network's folder among others: its name, or the stem of its file."""
+    """Start of the name of a network's folder: its name, or the stem of its file."""
     from ds_sim.registry import label_of
 
     return label_of(Path(driver).stem or driver)
-
-
-def several(drivers: str) -> list[str]:
-    """Networks separated by commas, at least two, whose folders have different names; empty if there is one.
-
-    Raises:
-        typer.BadParameter: two have the same name.
-    """
-    names = [name.strip() for name in drivers.split(",") if name.strip()]
-    if len(names) > 1 and len({label_of_driver(name) for name in names}) < len(names):
-        raise typer.BadParameter(f"{drivers}: expected networks of different names: rename a file")
-    return names if len(names) > 1 else []
 
 
 def driver_named(text: str, backend: str = "auto", device: str = "cpu") -> DriverName:

@@ -22,7 +22,6 @@ from ds_base.progress import LOGGER, LinesTo
 from ds_base.words import duration
 
 if TYPE_CHECKING:
-    from ds_base.table import Table
     from ds_driver.control.command_habits import Habit
 
 NOT_PASSED = 3
@@ -170,31 +169,3 @@ def end(result: Result, as_json: bool) -> None:
     answer(result, as_json)
     if result.error or result.unmet:
         raise typer.Exit(1 if result.error else NOT_PASSED)
-
-
-def of_networks(table: Table, results: Sequence[Result], out: Path | None, sort: str | None) -> Result:
-    """Join the results of several networks under their table, which is written to `networks.csv`.
-
-    Raises:
-        ds_base.table.TableError: the table has no such column.
-    """
-    from rich.console import Console
-
-    from ds_base.table import write_tables
-
-    table = table.sorted_by(sort) if sort else table
-    if out is not None:
-        write_tables([table], out)
-
-    def show() -> None:
-        table.show(Console())
-        if out is not None:
-            print(out / "networks.csv")
-
-    return Result(
-        document={**table.document(), "networks": [one.document for one in results]},
-        show=show,
-        next=results[0].next,
-        error=any(one.error for one in results),
-        unmet=[sentence for one in results for sentence in one.unmet],
-    )

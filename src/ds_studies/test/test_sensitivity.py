@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from ds_analysis.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
-from ds_analysis.sensitivity.result import RoadResult, Sensitivity, coverage, networks_table, threshold_of
-from ds_base.table import TableError
+from ds_analysis.sensitivity.result import RoadResult, Sensitivity, coverage, threshold_of
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -243,20 +242,19 @@ def test_an_analysis_goes_on_where_it_stopped(
     monkeypatch.setattr(analysis, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
     factors = factors_named(["line_contrast", "steering_lag"])
 
-    def once(driver: str = "dave2") -> tuple[Sensitivity, MadeUpEngine]:
+    def once() -> tuple[Sensitivity, MadeUpEngine]:
         engine = MadeUpEngine()
         engines.append(engine)
         found = analysis.analyse_sensitivity(
             DriveSettings(
                 siblings=(BULLET, SimulatorName(SOFTBODY), SimulatorName(PANDA)),
-                driver=DriverName.parse(driver),
+                driver=DriverName.parse("dave2"),
                 retries=0,
             ),
             factors,
             roads=3,
             seed=1,
-            folder=tmp_path / driver,
-            gates=tmp_path / "gates",
+            folder=tmp_path,
         )
         return found, engine
 
@@ -269,8 +267,6 @@ def test_an_analysis_goes_on_where_it_stopped(
     again, engine = once()
     assert engine.driven == [(TESTED, "softbody")]  # the drive that ended in an error
     assert again.document() == found.document() and again.long_table().csv() == found.long_table().csv()
-    _, engine = once("chauffeur")
-    assert {who for who, _ in engine.driven} == {TESTED}  # gates are those of the first driver
     assert "the order is that of these 3 roads: on others, another condition may come first" in found.table().notes
     image = draw_sensitivity(found)
     assert image.ndim == 3 and len(np.unique(image.reshape(-1, 3), axis=0)) > 3
@@ -312,19 +308,3 @@ def test_results_name_values_that_json_can_hold() -> None:
     factor = Factor(name="visibility", start=math.inf, end=20.0)
     document = threshold_of(BULLET, factor, [RoadResult(completes=0, fails=1)]).document()
     assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0
-
-
-def test_several_networks_come_in_one_sorted_table(engines: list[MadeUpEngine]) -> None:
-    """The made-up driver fails from a lag of 5/16 of the range on, and never by worn lines."""
-    lines, lag = factors_named(["line_contrast", "steering_lag"])
-    found = []
-    for driver in ("dave2", "chauffeur"):
-        engines.append(MadeUpEngine())
-        settings = DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver))
-        found.append(analysis.analyse_sensitivity(settings, [lines, lag], roads=1, seed=1))
-    table = networks_table(found)
-    assert list(table.rows[1]) == ["chauffeur", 1, (5 / 16 + 1) / 2, lag.title, 1.0, 5 / 16]
-    assert [row[0] for row in table.sorted_by("network").rows] == ["chauffeur", "dave2"]
-    assert [row[0] for row in table.sorted_by("-network").rows] == ["dave2", "chauffeur"]
-    with pytest.raises(TableError, match="no column 'speed' to sort by: expected one of network, roads, mean"):
-        table.sorted_by("speed")

@@ -48,11 +48,6 @@ class SimulatorComparison:
     verdict: Verdict
     margin_change: float | None
 
-    @property
-    def p_of_verdict(self) -> float:
-        """The adjusted p on which the verdict rests."""
-        return self.unsearched_p_adjusted if self.verdict == "better" else self.p_adjusted
-
 
 @dataclass(frozen=True, kw_only=True)
 class CellComparison:

@@ -51,44 +51,6 @@ def simulator_table(comparison: Comparison) -> Table:
     )
 
 
-def networks_table(comparisons: Sequence[Comparison]) -> Table:
-    """Tabulate several candidates that were compared with one reference on the same tests: one row for each network.
-
-    Args:
-        comparisons: one for each candidate.
-    """
-    first = comparisons[0]
-    names = [row.simulator for row in first.simulators]
-    failures = [row.counts.reference_failures for row in first.simulators]
-    tests = [row.counts.tests for row in first.simulators]
-    rows: list[tuple[Value, ...]] = [(first.reference.label, *failures, sum(failures), 0, 0, "reference")]
-    for one in comparisons:
-        counts = [row.counts for row in one.simulators]
-        failures = [each.candidate_failures for each in counts]
-        verdicts = ", ".join(
-            f"{row.verdict} on {row.simulator}"
-            for row in one.simulators
-            if row.verdict != "not significant" and row.p_of_verdict * len(comparisons) < ALPHA
-        )
-        newly, fixed = sum(each.newly_fail for each in counts), sum(each.fixed for each in counts)
-        rows.append((one.candidate.label, *failures, sum(failures), newly, fixed, verdicts or "not significant"))
-    return Table(
-        name="networks",
-        title=f"Networks against {first.reference.label}",
-        columns=[
-            Column("network"),
-            *(Column(f"fails on {name}", "count") for name in names),
-            *styled("count", "fails", "newly fail", "fixed"),
-            Column("verdict"),
-        ],
-        rows=rows,
-        notes=[
-            f"Of {', '.join(f'{n} tests on {name}' for n, name in zip(tests, names, strict=True))}. Verdicts are "
-            "corrected for the simulators (Holm) and for the number of candidates (Bonferroni)."
-        ],
-    )
-
-
 def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
     """Tabulate cells in which some test changed, the worst first.
 

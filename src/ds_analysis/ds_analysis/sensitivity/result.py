@@ -262,39 +262,3 @@ class Sensitivity:
             ],
             rows=rows,
         )
-
-
-def networks_table(results: Sequence[Sensitivity]) -> Table:
-    """Tabulate which share of each condition's range every network withstands, on the simulator where that is least.
-
-    Args:
-        results: one analysis for each network, all of the same factors and simulators.
-    """
-    factors = results[0].factors
-    rows: list[list[Value]] = []
-    for one in results:
-        least: list[float | None] = []
-        for position in range(len(factors)):
-            withstood = [one.thresholds[position, name].withstood for name in one.simulators]
-            least.append(min((share for share in withstood if share is not None), default=None))
-        shares = [share for share in least if share is not None]
-        weakest = factors[one.order[0]].title if shares and min(shares) < 1.0 else "none"
-        completed = sum(map(len, one.roads.values()))
-        rows.append([str(one.driver), completed, sum(shares) / len(shares) if shares else None, weakest, *least])
-    return Table(
-        name="networks",
-        title="Share of each condition's range that a network withstands",
-        columns=[
-            Column("network"),
-            Column("roads", "count"),
-            Column("mean", "number"),
-            Column("weakest to"),
-            *(Column(factor.title, "number") for factor in factors),
-        ],
-        rows=rows,
-        notes=[
-            "On the simulator where that is least; 1: no failure up to the hardest value. Roads: completed without any "
-            f"condition, of {results[0].needed * len(results[0].simulators)}; each network is tested on its own. "
-            "Weakest to: the smallest of these shares, on these roads."
-        ],
-    )

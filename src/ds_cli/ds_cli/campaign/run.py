@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -31,19 +31,17 @@ from ds_cli.options import (
     Folder,
     JsonFlag,
     OutFolder,
-    Sort,
     Trust,
     Workers,
     cluster_of,
     complete_driver,
     driver_named,
     label_of_driver,
-    several,
     simulators_of,
     usual_workers,
     with_engine,
 )
-from ds_cli.output import Interrupted, Result, end, of_networks, say, warning
+from ds_cli.output import Interrupted, Result, end, say, warning
 from ds_sim import registry
 
 if TYPE_CHECKING:
@@ -131,32 +129,6 @@ def campaign(
     return Result(document=document, show=show, error=error, next=outcome.answer.command)
 
 
-def each_network(networks: Sequence[str], out: Path, run: Callable[[str, Path], Result], sort: str | None) -> Result:
-    """Run a campaign for each network, in a folder of its own, and join their failure rates in one table."""
-    from ds_base.table import Column, Table
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
-
-    results, rows, simulators = [], [], []
-    for name in networks:
-        folder = out / label_of_driver(name)
-        say(f"network {name}, in {folder}")
-        results.append(run(name, folder))
-        with closing(open_store(folder)) as store:
-            data = read_campaign(store)
-        simulators = data.config.simulators
-        rows.append((name, len(data.tests), *(count.rate for count in data.failures.values())))
-    table = Table(
-        name="networks",
-        title="Share of its tests on which each network fails",
-        columns=[Column("network"), Column("tests", "count"), *(Column(name, "number") for name in simulators)],
-        rows=rows,
-        notes=[
-            "Each network has tests of its own, which were searched to make it fail: `ds compare` drives the same ones"
-        ],
-    )
-    return of_networks(table, results, out, sort)
-
-
 def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None, videos: Path | None = None) -> Result:
     """Check a finished campaign against pass criteria; write its outcomes as JUnit XML, and videos of failures."""
     if criteria == type(criteria)() and junit is None and videos is None:
@@ -223,8 +195,7 @@ def search_command(
     network: Annotated[
         str,
         typer.Argument(
-            help="Network: a name, a .safetensors or .yaml file, or module:Class; or several, separated by commas.",
-            autocompletion=complete_driver,
+            help="Network: a name, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
         ),
     ],
     sims: SimulatorsOfTemplate = SIMULATORS,
@@ -249,7 +220,6 @@ def search_command(
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
     junit: Junit = None,
-    sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Search roads on which a network fails, and report where and why.
@@ -265,39 +235,30 @@ def search_command(
     from ds_base.folder_files import make_folder
     from ds_orchestrator.campaign.config import ConfigError, read_config
 
-    def tested(network: str, folder: Path) -> Result:
-        file = folder / "campaign.yaml"
-        text = _template_of(network, sims, size, sensitivity, file, angles, seed)
-        make_folder(folder)
-        if file.exists() and read_words(file) != text:
-            raise ConfigError(f"{folder} holds another test: choose another --out")
-        write_whole(file, text)
-        config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
-        if dry_run:
-            words = ("campaign", "run", file, "--out", folder, "--engine", config.engine)
-            return _dry_run(config, folder, cluster_of(None), ds_command(*words))
-        return judged(campaign(config, folder, staged=True), folder, criteria, junit)
-
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    if (networks := several(network)) and (dry_run or junit):
-        raise ConfigError("--dry-run and --junit are for one network: give one")
     limits = {"min_angle": min_angle, "max_angle": max_angle}
     angles = {name: angle for name, angle in limits.items() if angle is not None}
-    if networks:
-        end(each_network(networks, out or Path("networks_test"), tested, sort), as_json)
+    folder = out or Path(f"{label_of_driver(network)}_test")
+    file = folder / "campaign.yaml"
+    text = _template_of(network, sims, size, sensitivity, file, angles, seed)
+    make_folder(folder)
+    if file.exists() and read_words(file) != text:
+        raise ConfigError(f"{folder} holds another test: choose another --out")
+    write_whole(file, text)
+    config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
+    if dry_run:
+        following = ds_command("campaign", "run", file, "--out", folder, "--engine", config.engine)
+        end(_dry_run(config, folder, cluster_of(None), following), as_json)
     else:
-        end(tested(network, out or Path(f"{label_of_driver(network)}_test")), as_json)
+        end(judged(campaign(config, folder, staged=True), folder, criteria, junit), as_json)
 
 
 @campaign_app.command("run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
     out: OutFolder,
-    driver: Annotated[
-        str | None,
-        typer.Option(help="Network instead of the configuration's; or several, separated by commas, each in a folder."),
-    ] = None,
+    driver: Annotated[str | None, typer.Option(help="Network instead of the configuration's.")] = None,
     dry_run: DryRun = False,
     fail_on: FailOnFailure = None,
     max_failures: MaxFailures = None,
@@ -307,7 +268,6 @@ def campaign_run_command(
     engine: EngineName = None,
     cluster: Cluster = None,
     attach: AttachFlag = False,
-    sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Run a campaign; resume it if the folder holds one with the same configuration.
@@ -319,25 +279,19 @@ def campaign_run_command(
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    networks = several(driver) if driver else []
-    if networks and (dry_run or junit or videos):
-        raise ConfigError("--dry-run, --junit and --videos are for one network: give --driver one")
-
-    def run(network: str | None, folder: Path) -> Result:
-        changed = with_engine(read_config(config), workers, engine)
-        if network:
-            driver = driver_named(network)
-            check_driver(driver, changed.simulators, attach=attach)
-            changed = changed.model_copy(update={"driver": driver})
-        if dry_run:
-            following = ds_command("campaign", "run", config, "--out", folder)
-            return _dry_run(changed, folder, cluster_of(cluster), following)
-        result = campaign(changed, folder, attach=attach, cluster=cluster_of(cluster))
-        return judged(result, folder, criteria, junit, videos)
-
     if dry_run and attach:
         raise ConfigError("--dry-run starts the engine itself: leave out --attach")
-    end(each_network(networks, out, run, sort) if networks else run(driver, out), as_json)
+    changed = with_engine(read_config(config), workers, engine)
+    if driver:
+        network = driver_named(driver)
+        check_driver(network, changed.simulators, attach=attach)
+        changed = changed.model_copy(update={"driver": network})
+    if dry_run:
+        following = ds_command("campaign", "run", config, "--out", out)
+        end(_dry_run(changed, out, cluster_of(cluster), following), as_json)
+    else:
+        result = campaign(changed, out, attach=attach, cluster=cluster_of(cluster))
+        end(judged(result, out, criteria, junit, videos), as_json)
 
 
 @campaign_app.command("resume")

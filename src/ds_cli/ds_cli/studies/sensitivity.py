@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -19,20 +18,14 @@ from ds_cli.options import (
     JsonFlag,
     Seed,
     Simulators,
-    Sort,
     Workers,
     complete_condition,
     driver_named,
     every_or_named,
-    label_of_driver,
-    several,
     with_engine_without_ros,
 )
-from ds_cli.output import Result, ScreenProgress, end, of_networks, say, stopped_in
+from ds_cli.output import Result, ScreenProgress, end, say, stopped_in
 from ds_sim.conditions.model import ConditionsError
-
-if TYPE_CHECKING:
-    from ds_driver.networks.driver_name import DriverName
 
 app = typer.Typer()
 
@@ -65,21 +58,19 @@ def sensitivity_command(
     workers: Workers = None,
     engine: EngineName = None,
     cluster: Cluster = None,
-    sort: Sort = None,
     as_json: JsonFlag = False,
 ) -> None:
     """Find how strong each operating condition must be for a driver to fail.
 
     Each condition, such as fog or worn lines, becomes stronger by bisection until the driver fails on the median road.
     It goes only as far as the autopilot completes the same test. A condition that a simulator does not support is not
-    applicable. Several networks, separated by commas, come in one table.
+    applicable.
 
     Example: ds sensitivity --driver my_net.yaml --out sensitivity
     """
     from rich.console import Console
 
     from ds_analysis.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
-    from ds_analysis.sensitivity.result import Sensitivity, networks_table
     from ds_base.atomic_files import write_json, write_whole
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables
@@ -89,58 +80,42 @@ def sensitivity_command(
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import analyse_sensitivity
 
-    drivers = [driver_named(name, backend) for name in several(driver) or [driver]]
+    network = driver_named(driver, backend)
     names = every_or_named(sims)
     if levels not in RESOLUTIONS:
         raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
     factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
 
-    def analyse(driver: DriverName, out: Path | None, gates: Path | None) -> tuple[Sensitivity, Result]:
-        settings = with_engine_without_ros(
-            DriveSettings(siblings=tuple(names), driver=driver), workers, engine, cluster
+    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster)
+    folder = page = None
+    if out is not None:
+        make_folder(out)
+        folder, page = out / "drives", SensitivityPage(out / "sensitivity.html")
+        say(f"live in a browser: {page.path}")
+    with stopped_in(folder):
+        result = analyse_sensitivity(
+            settings,
+            factors,
+            roads=roads,
+            levels=levels,
+            segments=segments,
+            seed=seed,
+            folder=folder,
+            progress=ScreenProgress(),
+            watch=page.write if page else lambda result: None,
         )
-        if out is not None:
-            make_folder(out)
-        folder = None if out is None else out / "drives"
-        page = None if out is None else SensitivityPage(out / "sensitivity.html")
+    document = {"seed": seed, "segments": segments, "levels": levels, **result.document()}
+    if out is not None:
+        write_json(out / "sensitivity.json", document)
+        write_tables([result.table(), result.long_table()], out)
+        write_whole(out / "sensitivity.png", png(draw_sensitivity(result, out / "sensitivity")))
+
+    def show() -> None:
+        result.table().show(Console())
+        for line in result.errors:
+            print(f"error: {line}")
         if page is not None:
-            say(f"live in a browser: {page.path}")
-        with stopped_in(folder):
-            result = analyse_sensitivity(
-                settings,
-                factors,
-                roads=roads,
-                levels=levels,
-                segments=segments,
-                seed=seed,
-                folder=folder,
-                gates=gates,
-                progress=ScreenProgress(),
-                watch=page.write if page else lambda result: None,
-            )
-        document = {"seed": seed, "segments": segments, "levels": levels, **result.document()}
-        if out is not None:
-            write_json(out / "sensitivity.json", document)
-            write_tables([result.table(), result.long_table()], out)
-            write_whole(out / "sensitivity.png", png(draw_sensitivity(result, out / "sensitivity")))
+            print(page.path)
 
-        def show() -> None:
-            result.table().show(Console())
-            for line in result.errors:
-                print(f"error: {line}")
-            if page is not None:
-                print(page.path)
-
-        following = ds_command("test", driver, *(("--sensitivity", out) if out else ()))
-        return result, Result(document=document, show=show, error=bool(result.errors), next=following)
-
-    if len(drivers) == 1:
-        end(analyse(drivers[0], out, None)[1], as_json)
-        return
-    with TemporaryDirectory(prefix="ds_gates_") as shared:
-        gates = (out or Path(shared)) / "gates"
-        analyses = [analyse(name, out and out / label_of_driver(str(name)), gates) for name in drivers]
-    end(
-        of_networks(networks_table([result for result, _ in analyses]), [one for _, one in analyses], out, sort),
-        as_json,
-    )
+    following = ds_command("test", network, *(("--sensitivity", out) if out else ()))
+    end(Result(document=document, show=show, error=bool(result.errors), next=following), as_json)

@@ -185,7 +185,6 @@ def compare(
     out: Path,
     callbacks: Callbacks,
     recheck: bool = True,
-    label: str = "",
     sequential: bool = False,
 ) -> Comparison:
     """Compare two networks on given tests; drives that are not known are driven.
@@ -198,7 +197,6 @@ def compare(
         source: where they come from, in words.
         out: folder for the drives; a comparison that was stopped goes on there.
         callbacks: who hears of it.
-        label: of the candidate, safe within a file name, where several share a folder and the reference's drives.
         sequential: outcomes decide when drives end, as `compare_until_sure` does.
         recheck: drive one known test again on each simulator, to find out whether drives are repeatable here.
 
@@ -219,8 +217,8 @@ def compare(
             if recheck and drives and role not in checked:
                 checked.add(role)
                 _recheck(tests, role, network, drives, out, callbacks)
-            named = out / "drives" / f"{role}{'_' * bool(label) + label if role == 'candidate' else ''}_on_{tests.name}"
-            sides[role] = _complete(tests, role, network, drives, named, callbacks)
+            folder = out / "drives" / f"{role}_on_{tests.name}"
+            sides[role] = _complete(tests, role, network, drives, folder, callbacks)
         known_excluded = {key for key, gate in tests.gates.items() if not gate.is_valid}
         excluded += len(known_excluded | sides["reference"].excluded | sides["candidate"].excluded)
         paired, missing = _paired(tests, sides)
@@ -250,7 +248,6 @@ def compare_until_sure(
     source: str,
     out: Path,
     callbacks: Callbacks,
-    label: str,
 ) -> Comparison:
     """Compare two networks on random roads, some more at a time, until the answer is sure or no road is left.
 
@@ -261,7 +258,6 @@ def compare_until_sure(
         source: where the tests come from, in words.
         out: folder for the drives.
         callbacks: who hears of it.
-        label: of the candidate.
     """
     roads = max(map(len, tests.work.values()))
     for last in [*range(BATCH, roads, BATCH), roads]:
@@ -274,7 +270,6 @@ def compare_until_sure(
             source=source,
             out=out,
             callbacks=callbacks,
-            label=label,
             sequential=True,
         )
         if is_sure(comparison) or last == roads:

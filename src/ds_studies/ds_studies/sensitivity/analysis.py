@@ -99,7 +99,6 @@ def analyse_sensitivity(
     levels: int = LEVELS,
     segments: int = SEGMENTS,
     folder: Path | None = None,
-    gates: Path | None = None,
     progress: Progress = SILENT,
     watch: Watch = lambda update: None,
 ) -> Sensitivity:
@@ -113,7 +112,6 @@ def analyse_sensitivity(
         levels: levels of strength that may be driven, one of `RESOLUTIONS`.
         segments: segments of 25 m of each road, at most `MOST_SEGMENTS`.
         folder: keeps every finished drive, so that the same call goes on; None keeps nothing.
-        gates: keeps the gates, which analyses of several drivers on the same simulators may share; in `folder` if None.
         progress: counts the measurements.
         watch: called with what is known after each measurement.
 
@@ -129,7 +127,7 @@ def analyse_sensitivity(
         place = folder or Path(stack.enter_context(TemporaryDirectory(prefix="ds_sensitivity_")))
         tested, driven = stack.enter_context(open_drives(settings, place / TESTED))
         autopilot = replace(settings, driver=AUTOPILOT)
-        gate_store, _ = stack.enter_context(open_drives(autopilot, gates or place / GATE))
+        gate_store, _ = stack.enter_context(open_drives(autopilot, place / GATE))
         engine = stack.enter_context(running_engine(driven, logs=place / "logs"))
         capacity = engine.capacity or settings.workers * len(settings.simulators)
         pool = stack.enter_context(ThreadPoolExecutor(capacity))
