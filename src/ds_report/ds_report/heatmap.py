@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws feature maps in the style of the paper's figures (4.4.2), with a colour for each share of failures."""
+"""Draws feature maps in the style of the paper's figures (4.4.2), and verdicts about their cells."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -12,64 +11,42 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_analysis.prediction.verdicts import CellVerdict, Verdicts
 from ds_base.atomic_files import write_whole
-from ds_base.palette import INK, Rgb, colour_of_share, ink_on, rgb
+from ds_base.palette import BETWEEN, FAIL, INK, PASS, Rgb, colour_of_share, ink_on, rgb
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
 from ds_orchestrator.search.features import Cell, Feature
 from ds_sim.camera.encodings import png
 from ds_sim.registry import label_of
 
 Picture = NDArray[np.uint8]
+Bounds = tuple[range, range]
+"""Bins that a picture shows: of the first feature from left to right, of the second from top to bottom."""
 Value = Literal["probability", "quality_loss"]
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 
-VALUE_TITLES: dict[Value, str] = {
-    "probability": "failure probability",
-    "quality_loss": "lack of driving quality",
-}
+VALUE_TITLES: dict[Value, str] = {"probability": "failure probability", "quality_loss": "lack of driving quality"}
 _FILE_ENDINGS: dict[Value, str] = {"probability": "probability", "quality_loss": "quality"}
 """End of the PNG files' names; the same as in earlier versions."""
 EMPTY: Rgb = (240, 240, 240)
 _HATCH: Rgb = (205, 205, 205)
 _INK = rgb(INK)
-GRID: Rgb = (150, 150, 150)
-_CELL_WIDTH, _CELL_HEIGHT = 60, 34
+_GRID: Rgb = (150, 150, 150)
+_FILLS: Mapping[str, Rgb] = {"safe": rgb(PASS), "disputed": rgb(BETWEEN), "fails": rgb(FAIL), "untested": EMPTY}
+_CELL = _CELL_WIDTH, _CELL_HEIGHT = 60, 34
+_VERDICT_CELL = 78, 40
 _LEFT, _TOP, _RIGHT, _BOTTOM = 72, 66, 78, 52
 _BAR_WIDTH, _BAR_HEIGHT = 16, 160
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bounds:
-    """Part of the feature space that a picture shows, ends included.
-
-    Attributes:
-        turns: smallest and largest turns count.
-        curvature: smallest and largest curvature bin, int(100 x curvature).
-    """
-
-    turns: tuple[int, int]
-    curvature: tuple[int, int]
-
-    @property
-    def columns(self) -> range:
-        """Turns counts from left to right."""
-        return range(self.turns[0], self.turns[1] + 1)
-
-    @property
-    def rows(self) -> range:
-        """Curvature bins from top to bottom, the tightest bend first."""
-        return range(self.curvature[1], self.curvature[0] - 1, -1)
-
-
 def bounds_of(maps: Iterable[FeatureMap]) -> Bounds:
     """Compute the smallest bounds with every filled cell of all maps, so that pictures are comparable cell by cell."""
-    return bounds_of_cells([cell for one in maps for cell in (*one.cells, *one.excluded)] or [(0, 0)])
+    return _bounds_of_cells([cell for one in maps for cell in (*one.cells, *one.excluded)])
 
 
-def bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
-    """Compute the smallest bounds with some cells, at least one."""
-    turns, curvature = [cell[0] for cell in cells], [cell[1] for cell in cells]
-    return Bounds(turns=(min(turns), max(turns)), curvature=(min(curvature), max(curvature)))
+def _bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
+    across, upwards = ([cell[axis] for cell in cells] or [0] for axis in (0, 1))
+    return range(min(across), max(across) + 1), range(max(upwards), min(upwards) - 1, -1)
 
 
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Picture:
@@ -92,48 +69,67 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Pictur
     def draw(patch: Picture, cell: Cell) -> None:
         _draw_cell(patch, feature_map.cells.get(cell), value, feature_map.excluded.get(cell, 0))
 
-    image = draw_grid(titles, feature_map.features, bounds, (_CELL_WIDTH, _CELL_HEIGHT), draw)
-    _draw_colour_bar(image, (_LEFT + _CELL_WIDTH * len(bounds.columns) + 18, _TOP + 8))
+    image = _draw_grid(titles, feature_map.features, bounds, _CELL, draw)
+    _draw_colour_bar(image, (_LEFT + _CELL_WIDTH * len(bounds[0]) + 18, _TOP + 8))
     return image
 
 
-def draw_grid(
+def draw_verdicts(verdicts: Verdicts, title: str) -> Picture:
+    """Draw the cells over the first two axes; maps of three axes get one panel for each bin of the third.
+
+    A cell shows its verdict, the mean failure rate, and the number of tests; a cell that the car drove has a frame, and
+    the number of its drives.
+
+    Args:
+        verdicts: with at least one cell.
+        title: heading.
+
+    Returns:
+        (rows, columns, 3) uint8 RGB.
+    """
+    panels = []
+    for rest in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):
+        cells = {one.cell[:2]: one for one in verdicts.cells if one.cell[2:] == rest}
+        further = zip(verdicts.features[2:], rest, strict=True)
+        heading = ", ".join([title, *(f"{feature.title} {feature.label(bin_)}" for feature, bin_ in further)])
+        titles = heading, "failure rate, n: tests; framed: driven by the car"
+
+        def draw(patch: Picture, cell: Cell, cells: Mapping[Cell, CellVerdict] = cells) -> None:
+            _draw_verdict(patch, cells.get(cell))
+
+        panels.append(_draw_grid(titles, verdicts.features, _bounds_of_cells(list(cells)), _VERDICT_CELL, draw))
+    return _stacked(panels)
+
+
+def _draw_grid(
     titles: tuple[str, str],
     features: Sequence[Feature],
     bounds: Bounds,
     size: tuple[int, int],
     draw: Callable[[Picture, Cell], None],
 ) -> Picture:
-    """Draw the cells over two features, with the features' labels, and room for a colour bar to the right.
+    """Draw two titles and the cells over two features, with room for a colour bar to the right.
 
-    Args:
-        titles: heading, and a line below it.
-        features: the features.
-        bounds: part of the feature space to show.
-        size: width and height of a cell, pixels.
-        draw: called with the (height + 1, width + 1, 3) pixels of each cell and the cell.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
+    `draw` is called with the (height + 1, width + 1, 3) pixels of each cell and the cell; `size` is width and height.
     """
-    wide, high = size
-    grid_width, grid_height = wide * len(bounds.columns), high * len(bounds.rows)
-    title_width = max(text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
+    (columns, rows), (wide, high) = bounds, size
+    grid_width, grid_height = wide * len(columns), high * len(rows)
+    title_width = max(_text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
     width = max(_LEFT + grid_width + _RIGHT, title_width + 24)
     image = np.full((_TOP + max(grid_height, _BAR_HEIGHT + 40) + _BOTTOM, width, 3), 255, np.uint8)
-    write(image, titles[0], (12, 24), 0.6, thickness=2)
-    write(image, titles[1], (12, 46), 0.5)
+    _write(image, titles[0], (12, 24), 0.6, thickness=2)
+    _write(image, titles[1], (12, 46), 0.5)
     across, upwards = features[:2]
-    for column, a in enumerate(bounds.columns):
-        for row, b in enumerate(bounds.rows):
+    for column, a in enumerate(columns):
+        for row, b in enumerate(rows):
             left, top = _LEFT + column * wide, _TOP + row * high
             draw(image[top : top + high + 1, left : left + wide + 1], (a, b))
         middle = _LEFT + column * wide + wide // 2
-        write(image, across.label(a), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
-    for row, b in enumerate(bounds.rows):
+        _write(image, across.label(a), (middle, _TOP + grid_height + 18), 0.45, anchor="middle")
+    for row, b in enumerate(rows):
         baseline = _TOP + row * high + high // 2 + 5
-        write(image, upwards.label(b), (_LEFT - 8, baseline), 0.42, anchor="end")
-    write(image, across.title, (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
+        _write(image, upwards.label(b), (_LEFT - 8, baseline), 0.42, anchor="end")
+    _write(image, across.title, (_LEFT + grid_width // 2, _TOP + grid_height + 40), 0.45, anchor="middle")
     _write_upwards(image, upwards.title, (8, _TOP + grid_height // 2))
     return image
 
@@ -149,21 +145,22 @@ def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
         folder: folder for the pictures, created if missing; existing pictures are replaced.
     """
     bounds = bounds_of(maps.values())
-    values: tuple[Value, ...] = ("probability", "quality_loss")
     for map_id, feature_map in maps.items():
-        for value in values:
+        for value, ending in _FILE_ENDINGS.items():
             parts = [draw_map(part, value, bounds=bounds) for part in slices_of(feature_map)]
-            _save(folder / f"{label_of(map_id.name)}_{_FILE_ENDINGS[value]}.png", np.hstack(parts))
+            write_whole(folder / f"{label_of(map_id.name)}_{ending}.png", png(np.hstack(parts)))
     compared = [maps[map_id] for map_id in compared_ids(maps)]
     if compared and len(compared[0].features) == 2:
-        rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in values]
-        width = max(row.shape[1] for row in rows)
-        rows = [np.pad(row, ((0, 0), (0, width - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
-        _save(folder / "overview.png", np.vstack(rows))
+        rows = [np.hstack([draw_map(m, value, bounds=bounds) for m in compared]) for value in VALUE_TITLES]
+        write_whole(folder / "overview.png", png(_stacked(rows)))
 
 
-def _save(path: Path, image: Picture) -> None:
-    write_whole(path, png(image))
+def _stacked(pictures: Sequence[Picture]) -> Picture:
+    """Put pictures below each other, on white."""
+    width = max(picture.shape[1] for picture in pictures)
+    return np.vstack(
+        [np.pad(one, ((0, 0), (0, width - one.shape[1]), (0, 0)), constant_values=255) for one in pictures]
+    )
 
 
 def _draw_cell(patch: Picture, cell: MapCell | None, value: Value, excluded: int) -> None:
@@ -172,18 +169,36 @@ def _draw_cell(patch: Picture, cell: MapCell | None, value: Value, excluded: int
     apart = f"-{excluded}" if excluded else ""
     inside = patch[:_CELL_HEIGHT, :_CELL_WIDTH]
     if cell is None:
-        inside[:] = EMPTY
-        for offset in range(-_CELL_HEIGHT, _CELL_WIDTH, 10):
-            cv2.line(inside, (offset, _CELL_HEIGHT), (offset + _CELL_HEIGHT, 0), _HATCH, 1, cv2.LINE_AA)
-        write(patch, apart, (middle, 29), 0.33, anchor="middle")
+        _hatch(inside, 10)
+        _write(patch, apart, (middle, 29), 0.33, anchor="middle")
     else:
         number = float(getattr(cell, value))
         colour = colour_of_share(number)
         ink = ink_on(colour)
         inside[:] = colour
-        write(patch, f"{number:.2f}", (middle, 17), 0.5, ink=ink, anchor="middle")
-        write(patch, f"n={cell.tests} {apart}".rstrip(), (middle, 29), 0.33, ink=ink, anchor="middle")
-    cv2.rectangle(patch, (0, 0), (_CELL_WIDTH, _CELL_HEIGHT), GRID, 1)
+        _write(patch, f"{number:.2f}", (middle, 17), 0.5, ink=ink, anchor="middle")
+        _write(patch, f"n={cell.tests} {apart}".rstrip(), (middle, 29), 0.33, ink=ink, anchor="middle")
+    cv2.rectangle(patch, (0, 0), _CELL, _GRID, 1)
+
+
+def _hatch(patch: Picture, apart: int) -> None:
+    patch[:] = EMPTY
+    height, width = patch.shape[:2]
+    for offset in range(-height, width, apart):
+        cv2.line(patch, (offset, height), (offset + height, 0), _HATCH, 1, cv2.LINE_AA)
+
+
+def _draw_verdict(patch: Picture, cell: CellVerdict | None) -> None:
+    fill = _FILLS["untested" if cell is None else cell.verdict]
+    patch[:] = fill
+    cv2.rectangle(patch, (0, 0), _VERDICT_CELL, _GRID, 1)
+    if cell is None or cell.rate is None:
+        return
+    driven, ink = f", {cell.driven} real" if cell.driven else "", ink_on(fill)
+    _write(patch, cell.verdict, (6, 16), 0.4, ink=ink)
+    _write(patch, f"{cell.rate:.2f} n={cell.tests}{driven}", (6, 32), 0.3 if driven else 0.35, ink=ink)
+    if cell.driven:
+        cv2.rectangle(patch, (2, 2), (_VERDICT_CELL[0] - 2, _VERDICT_CELL[1] - 2), _INK, 2)
 
 
 def _draw_colour_bar(image: Picture, corner: tuple[int, int]) -> None:
@@ -191,29 +206,27 @@ def _draw_colour_bar(image: Picture, corner: tuple[int, int]) -> None:
     left, top = corner
     for row in range(_BAR_HEIGHT):
         image[top + row, left : left + _BAR_WIDTH] = colour_of_share(1.0 - row / (_BAR_HEIGHT - 1))
-    cv2.rectangle(image, (left, top), (left + _BAR_WIDTH, top + _BAR_HEIGHT), GRID, 1)
+    cv2.rectangle(image, (left, top), (left + _BAR_WIDTH, top + _BAR_HEIGHT), _GRID, 1)
     for number in (0.0, 0.5, 1.0):
         baseline = top + round((1.0 - number) * _BAR_HEIGHT) + 4
-        write(image, f"{number:g}", (left + _BAR_WIDTH + 5, baseline), 0.4)
+        _write(image, f"{number:g}", (left + _BAR_WIDTH + 5, baseline), 0.4)
     patch = image[top + _BAR_HEIGHT + 10 :, left:][:_BAR_WIDTH, :_BAR_WIDTH]
-    patch[:] = EMPTY
-    for offset in (-8, 0, 8):
-        cv2.line(patch, (offset, _BAR_WIDTH), (offset + _BAR_WIDTH, 0), _HATCH, 1, cv2.LINE_AA)
-    cv2.rectangle(patch, (0, 0), (_BAR_WIDTH - 1, _BAR_WIDTH - 1), GRID, 1)
-    write(image, "no", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 18), 0.33)
-    write(image, "test", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 28), 0.33)
+    _hatch(patch, 8)
+    cv2.rectangle(patch, (0, 0), (_BAR_WIDTH - 1, _BAR_WIDTH - 1), _GRID, 1)
+    _write(image, "no", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 18), 0.33)
+    _write(image, "test", (left + _BAR_WIDTH + 5, top + _BAR_HEIGHT + 28), 0.33)
 
 
 def _write_upwards(image: Picture, text: str, at: tuple[int, int]) -> None:
     """Write text rotated by 90 degrees, centred beside a pixel."""
-    strip = np.full((18, text_width(text, 0.45) + 4, 3), 255, np.uint8)
-    write(strip, text, (2, 13), 0.45)
+    strip = np.full((18, _text_width(text, 0.45) + 4, 3), 255, np.uint8)
+    _write(strip, text, (2, 13), 0.45)
     turned = cv2.rotate(strip, cv2.ROTATE_90_COUNTERCLOCKWISE)
     top = min(max(at[1] - turned.shape[0] // 2, 0), image.shape[0] - turned.shape[0])
     image[top : top + turned.shape[0], at[0] : at[0] + turned.shape[1]] = turned
 
 
-def write(
+def _write(
     image: Picture,
     text: str,
     at: tuple[int, int],
@@ -224,11 +237,11 @@ def write(
     thickness: int = 1,
 ) -> None:
     """Write text with its start, middle or end at a pixel of the baseline."""
-    width = text_width(text, size, thickness)
+    width = _text_width(text, size, thickness)
     left = at[0] - {"start": 0, "middle": width // 2, "end": width}[anchor]
     cv2.putText(image, text, (left, at[1]), _FONT, size, ink, thickness, cv2.LINE_AA)
 
 
-def text_width(text: str, size: float, thickness: int = 2) -> int:
+def _text_width(text: str, size: float, thickness: int = 2) -> int:
     """Width of a text, pixels."""
     return int(cv2.getTextSize(text, _FONT, size, thickness)[0][0])

@@ -16,7 +16,7 @@ from ds_analysis.common.statistics import families_of
 from ds_analysis.failures.reasons import Reason, groups_of, reasons_of, where
 from ds_analysis.paper.merge_case import merge_case_table, merge_cases
 from ds_analysis.prediction.car import predict_car
-from ds_analysis.prediction.verdicts import ERROR_RATE, CellVerdict, Verdicts
+from ds_analysis.prediction.verdicts import ERROR_RATE, Verdicts, cell_table
 from ds_analysis.real.records import RecordError, read_drives
 from ds_analysis.siblings.analysis import analyse, analysis_tables
 from ds_base.folder_files import StoreError
@@ -27,7 +27,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_report.camera_pictures import worst_first
-from ds_report.heatmap import bounds_of, draw_map
+from ds_report.heatmap import bounds_of, draw_map, draw_verdicts
 from ds_report.pages import data_address
 from ds_report.sibling_pictures import draw_failures, draw_matrix
 
@@ -36,37 +36,22 @@ MOST_GROUPS = 12
 
 
 @dataclass(frozen=True, kw_only=True)
-class AnswerPanel:
-    """One map over two axes.
-
-    Attributes:
-        title: bin of a third axis, or "".
-        columns: labels of the first axis' bins.
-        rows: label of each bin of the second axis, from the largest, and its cells; None without one.
-    """
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[tuple[str, Sequence[CellVerdict | None]]]
-
-
-@dataclass(frozen=True, kw_only=True)
 class AnswerSection:
     """What is predicted of a car, for a page.
 
     Attributes:
-        sentence: the answer in one line; why there is none, if there are no panels.
+        sentence: the answer in one line; why there is none, if there is no picture.
         reading: how to read the map.
         notes: whether the siblings have helped to predict the car, and what its drives certify.
-        axes: titles of the first two axes.
-        panels: the map; several for maps of three axes.
+        picture: the map, as a `data:` address.
+        cells: the same as a table.
     """
 
     sentence: str
     reading: str = ""
     notes: Sequence[str] = ()
-    axes: tuple[str, str] = ("", "")
-    panels: Sequence[AnswerPanel] = ()
+    picture: str = ""
+    cells: Table | None = None
 
 
 def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
@@ -81,7 +66,6 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
         car = predict_car(folder, table_of_campaign(data, most=None if read_drives(folder) else MOST_ANALYSED))
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
-    titles = [feature.title for feature in car.verdicts.features]
     certified = "" if car.certificate is None else car.certificate.sentence
     command = ds_command("real", "propose", folder)
     undecided = "" if car.drives else f"A few drives on the car decide most cells: `{command}` draws them."
@@ -89,8 +73,8 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
         sentence=car.sentence,
         reading=" ".join(filter(None, (_reading(car.verdicts, len(car.drives)), undecided, car.table.sample_note))),
         notes=[one for one in (car.help.sentence, certified) if one],
-        axes=(titles[0], titles[1]),
-        panels=_panels(car.verdicts),
+        picture=data_address(draw_verdicts(car.verdicts, "Predicted failures on a car")),
+        cells=cell_table(car.verdicts),
     )
 
 
@@ -100,28 +84,8 @@ def _reading(verdicts: Verdicts, drives: int) -> str:
     return (
         f"A cell fails if more than {tolerated} of tests like its own would fail on the car, and is safe if fewer "
         f"would; either is meant to be wrong at most {wrong} of the time. Where that cannot be said, it is disputed. "
-        "Numbers: mean failure rate, 90% interval, tests."
-        f"{framed}"
+        f"The table has 90% intervals.{framed}"
     )
-
-
-def _panels(verdicts: Verdicts) -> list[AnswerPanel]:
-    across, up = verdicts.features[:2]
-    panels = []
-    for third in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):
-        cells = {one.cell[:2]: one for one in verdicts.cells if one.cell[2:] == third}
-        columns, rows = sorted({a for a, _ in cells}), sorted({b for _, b in cells}, reverse=True)
-        panels.append(
-            AnswerPanel(
-                title=", ".join(
-                    f"{feature.title} {feature.label(bin_)}"
-                    for feature, bin_ in zip(verdicts.features[2:], third, strict=True)
-                ),
-                columns=[across.label(a) for a in columns],
-                rows=[(up.label(b), [cells.get((a, b)) for a in columns]) for b in rows],
-            )
-        )
-    return panels
 
 
 def merge_tables(folder: Path, data: CampaignData) -> list[Table]:

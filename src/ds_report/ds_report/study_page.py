@@ -19,9 +19,8 @@ from ds_analysis.siblings.failure_patterns import nestings
 from ds_base.installation import ds_command
 from ds_base.table import Column, Table, styled
 from ds_orchestrator.maps.feature_map import slices_of
-from ds_report.heatmap import bounds_of, draw_map
+from ds_report.heatmap import bounds_of, draw_map, draw_verdicts
 from ds_report.pages import data_address, write_page
-from ds_report.verdict_picture import draw_verdicts
 from ds_sim.registry import SimulatorName
 
 PAGE = "report.html"

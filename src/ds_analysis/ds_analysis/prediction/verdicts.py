@@ -101,6 +101,10 @@ class Verdicts:
         """Tests that the car has not driven."""
         return [one for one in self.tests if not one.driven]
 
+    def labels(self, cell: tuple[int, ...]) -> list[str]:
+        """Format the bins of a cell, one text per axis."""
+        return [axis.label(bin_) for axis, bin_ in zip(self.features, cell, strict=True)]
+
     def document(self) -> dict[str, Any]:
         """Convert to JSON values."""
         return {
@@ -193,13 +197,8 @@ def _judge_cell(
     )
 
 
-def cell_table(verdicts: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
-    """Tabulate the cells that have tests.
-
-    Args:
-        verdicts: verdict of every cell.
-        labels: of every cell of `verdicts`, one per axis.
-    """
+def cell_table(verdicts: Verdicts) -> Table:
+    """Tabulate the cells that have tests."""
     return Table(
         name="cell_verdicts",
         title="Predicted failures per cell",
@@ -210,8 +209,8 @@ def cell_table(verdicts: Verdicts, labels: Sequence[Sequence[str]]) -> Table:
             Column("verdict"),
         ],
         rows=[
-            (*label, one.tests, one.driven, one.rate, one.interval, one.verdict)
-            for one, label in zip(verdicts.cells, labels, strict=True)
+            (*verdicts.labels(one.cell), one.tests, one.driven, one.rate, one.interval, one.verdict)
+            for one in verdicts.cells
             if one.tests
         ],
         notes=[

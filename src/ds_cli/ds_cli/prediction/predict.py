@@ -16,7 +16,6 @@ from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
-    from ds_analysis.prediction.verdicts import Verdicts
 
 app = typer.Typer()
 
@@ -29,14 +28,6 @@ TwinName = Annotated[
 ]
 MOST_SHOWN = 10
 """Rows of the table that is always shown."""
-
-
-def cell_labels(verdicts: Verdicts) -> list[tuple[str, ...]]:
-    """Format the bins of every cell, one text per axis."""
-    return [
-        tuple(axis.label(bin_) for axis, bin_ in zip(verdicts.features, one.cell, strict=True))
-        for one in verdicts.cells
-    ]
 
 
 def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result:
@@ -90,7 +81,7 @@ def predict_command(
     from ds_base.atomic_files import write_json, write_whole
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables
-    from ds_report.verdict_picture import draw_verdicts
+    from ds_report.heatmap import draw_verdicts
     from ds_sim.camera.encodings import png
 
     table = read_table(folder, twin=twin, most=MOST_ANALYSED)
@@ -117,7 +108,7 @@ def predict_command(
         sentence = f"On {twin}, never driven, {expected:.0f} of {len(verdicts.tests)} tests are expected to fail."
         document = {"sentence": sentence, "siblings": list(table.siblings), "verdicts": verdicts.document()}
         following = ds_command("predict", folder, "--twin", twin, "--tables")
-    cells = cell_table(verdicts, cell_labels(verdicts))
+    cells = cell_table(verdicts)
     tables, missing = [cells], ""
     document |= {"twin": table.twin, "tests_left_out": table.left_out, "comparison": None}
     try:

@@ -15,7 +15,7 @@ from rich.console import Console
 from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag
 from ds_cli.output import Result, answer, say
-from ds_cli.prediction.predict import TestsFolder, cell_labels
+from ds_cli.prediction.predict import TestsFolder
 
 if TYPE_CHECKING:
     from ds_analysis.common.outcome_table import OutcomeTable
@@ -73,7 +73,7 @@ def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.records import FOLDER, RecordError
     from ds_base.atomic_files import write_json, write_whole
-    from ds_report.verdict_picture import draw_verdicts
+    from ds_report.heatmap import draw_verdicts
     from ds_sim.camera.encodings import png
 
     car = predict_car(folder, read_table(folder), tolerated=tolerated)
@@ -99,8 +99,9 @@ def _show(car: CarPrediction, path: Path) -> None:
         print(car.certificate.sentence)
     if car.open:
         print(_open(car.open))
-    labels = dict(zip((one.cell for one in car.verdicts.cells), cell_labels(car.verdicts), strict=True))
-    changed = [f"{', '.join(labels[one['cell']])}: {one['before']} -> {one['after']}" for one in car.changed]
+    changed = [
+        f"{', '.join(car.verdicts.labels(one['cell']))}: {one['before']} -> {one['after']}" for one in car.changed
+    ]
     if changed:
         shown = "; ".join(changed[:6])
         print(f"The drives changed the verdict of {len(changed)} cells: {shown}{'; ...' if len(changed) > 6 else ''}")

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from report_campaigns import make_campaign, results
@@ -13,8 +14,9 @@ from report_campaigns import make_campaign, results
 from ds_analysis.real.records import RealDrive, write_drives
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_orchestrator.search.features import feature_of
 from ds_report.html_report import write_report
-from ds_report.sections import answer_section
+from ds_report.sections import AnswerSection, answer_section
 from ds_sim import SimulatorName
 
 CONFIG = CampaignConfig(
@@ -40,25 +42,29 @@ def drive(test_id: str, *, failed: bool) -> RealDrive:
     )
 
 
+def rows_of(section: AnswerSection) -> list[dict[str, Any]]:
+    assert section.cells is not None
+    return list(section.cells.document()["rows"])
+
+
 def test_real_drives_are_marked_and_change_the_answer(tmp_path: Path) -> None:
     data = data_of(tmp_path)
     before = answer_section(tmp_path, data)
-    cells = [cell for panel in before.panels for _, row in panel.rows for cell in row if cell is not None]
-    assert sum(cell.tests for cell in cells) == len(data.tests) == 16 and not any(cell.driven for cell in cells)
-    counted = {name: sum(cell.verdict == name for cell in cells) for name in ("fails", "safe", "disputed")}
+    cells = rows_of(before)
+    assert sum(cell["tests"] for cell in cells) == len(data.tests) == 16 and not any(cell["driven"] for cell in cells)
+    counted = {name: sum(cell["verdict"] == name for cell in cells) for name in ("fails", "safe", "disputed")}
     said = re.findall(r"(\d+) (?:fails?,|(?:is|are) (?:safe|disputed))", before.sentence)
     assert [int(n) for n in said] == [*counted.values()]
     assert "a:One, b:Two and c:Three without a real drive" in before.sentence and "Framed" not in before.reading
     chosen = data.tests[3].test_id
     write_drives(tmp_path, [drive(chosen, failed=True)])
     after = answer_section(tmp_path, data)
-    marked = [
-        cell for panel in after.panels for _, row in panel.rows for cell in row if cell is not None and cell.driven
-    ]
-    assert [cell.cell for cell in marked] == [data.cells[chosen]]
+    (marked,) = (cell for cell in rows_of(after) if cell["driven"])
+    labels = [feature_of(name).label(bin_) for name, bin_ in zip(CONFIG.features, data.cells[chosen], strict=True)]
+    assert [marked[name] for name in CONFIG.features] == labels and after.picture != before.picture
     assert "The car drove 1 test and failed 1" in after.sentence
-    (same,) = (cell for cell in cells if cell.cell == data.cells[chosen])
-    assert marked[0].rate is not None and same.rate is not None and marked[0].rate > same.rate
+    (same,) = (cell for cell in cells if [cell[name] for name in CONFIG.features] == labels)
+    assert marked["failure rate"] > same["failure rate"]
 
 
 def test_the_page_has_the_car_after_the_maps(tmp_path: Path) -> None:
@@ -68,18 +74,14 @@ def test_the_page_has_the_car_after_the_maps(tmp_path: Path) -> None:
     maps, correlations = results(data)
     html = write_report(tmp_path, data, maps, correlations, answer=section).read_text()
     assert html.index('id="finding"') < html.index('id="maps"') < html.index('id="answer"')
-    table = html[html.index('<table class="answer">') : html.index('id="comparison"')]
-    shown = [cell for panel in section.panels for _, row in panel.rows for cell in row if cell is not None]
-    for verdict in ("fails", "safe", "disputed"):
-        found = re.findall(rf'<td class="{verdict}( driven)?">', table)
-        assert len(found) == sum(cell.verdict == verdict for cell in shown)
-    assert table.count(" driven") == 1 and "1 real" in table
+    part = html[html.index('id="answer"') : html.index('id="comparison"')]
+    assert section.picture in part and part.count("<tr>") == len(rows_of(section)) + 1
 
 
 def test_a_campaign_without_a_twin_has_an_answer(tmp_path: Path) -> None:
     data = data_of(tmp_path, CONFIG.model_copy(update={"twin": None}))
     section = answer_section(tmp_path, data)
-    assert section.panels and "predicted from a:One and b:Two without" in section.sentence
+    assert section.picture and "predicted from a:One and b:Two without" in section.sentence
 
 
 @pytest.mark.parametrize("what", ["few", "damaged", "foreign"])
@@ -92,6 +94,6 @@ def test_without_an_answer_the_section_says_why(tmp_path: Path, what: str) -> No
         write_drives(tmp_path, [drive("panda-0-0000", failed=True)])
     section = answer_section(tmp_path, data)
     problem = {"few": "expected at least 10", "damaged": "drives.json", "foreign": "of no test here"}[what]
-    assert not section.panels and problem in section.sentence and section.sentence.startswith("No prediction")
+    assert not section.picture and problem in section.sentence and section.sentence.startswith("No prediction")
     maps, correlations = results(data)
     assert section.sentence[:30] in write_report(tmp_path, data, maps, correlations, answer=section).read_text()

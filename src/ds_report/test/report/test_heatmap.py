@@ -13,18 +13,12 @@ from numpy.typing import NDArray
 
 from ds_base.palette import FAIL, PASS, rgb
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, map_ids
-from ds_report.heatmap import (
-    EMPTY,
-    Bounds,
-    bounds_of,
-    draw_map,
-    write_maps,
-)
+from ds_report.heatmap import EMPTY, bounds_of, draw_map, write_maps
 from ds_sim import SimulatorName
 
 A, T = map(SimulatorName, "at")
 
-BOUNDS = Bounds(turns=(2, 4), curvature=(15, 17))
+BOUNDS = range(2, 5), range(17, 14, -1)
 
 
 def make_map(map_id: MapId, cells: dict[tuple[int, int], tuple[float, float]]) -> FeatureMap:
@@ -71,7 +65,7 @@ def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:
     plain = make_map(MapId.union(A), {(3, 16): (0.0, 1.0)})
     apart = replace(plain, excluded={(3, 16): 2, (2, 17): 4, (4, 18): 1})
     bounds = bounds_of([apart])
-    assert (bounds.turns, bounds.curvature) == ((2, 4), (16, 18))
+    assert bounds == (range(2, 5), range(18, 15, -1))
     without, drawn = (draw_map(m, "probability", bounds=bounds) for m in (plain, apart))
     without = np.pad(without, ((0, 0), (0, drawn.shape[1] - without.shape[1]), (0, 0)), constant_values=255)
     changed = (without != drawn).any(axis=2)
@@ -88,7 +82,6 @@ def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:
         make_map(MapId.union(A), {}),
     ]
     assert bounds_of(maps) == BOUNDS
-    assert list(BOUNDS.columns) == [2, 3, 4] and list(BOUNDS.rows) == [17, 16, 15]
     assert len({draw_map(m, "probability", bounds=BOUNDS).shape for m in maps}) == 1
     empty = draw_map(make_map(MapId.merged(), {}), "quality_loss", bounds=bounds_of([make_map(MapId.merged(), {})]))
     assert len(pixels_of(empty, EMPTY)) > 500
