@@ -74,20 +74,6 @@ class CarState(NamedTuple):
     duty: float = 0.0
 
 
-class Pulse(NamedTuple):
-    """Input of servo and speed controller.
-
-    Attributes:
-        angle: angle of the wheels, rad, left positive.
-        duty: duty of the motor, 0 to 1.
-        brake: share of the shorted motor's braking, 0 to 1.
-    """
-
-    angle: float = 0.0
-    duty: float = 0.0
-    brake: float = 0.0
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constants:
     """What follows from the parameters of a car.
@@ -157,57 +143,59 @@ class CarModel:
 
     Args:
         parameters: parameters of the car.
-        substeps: substeps per step; `SUBSTEPS` if omitted.
+        substeps: substeps per step.
+
+    Attributes:
+        frames_kept: number of commands that a step needs, up to that of its own frame.
     """
 
-    def __init__(self, parameters: DonkeyParameters, *, substeps: int | None = None) -> None:
+    def __init__(self, parameters: DonkeyParameters, *, substeps: int = SUBSTEPS) -> None:
         p = self.parameters = parameters
-        count = substeps or SUBSTEPS
-        step = FRAME_TIME / count
+        step = FRAME_TIME / substeps
         self._car = np.zeros(1, CAR)
         self._car[0]["parameters"], self._car[0]["constants"] = values(p), values(Constants.of(p, step))
-        self.frames_of_delay, rest = divmod(p.command_delay, FRAME_TIME)
-        ends = (np.arange(count) + 1.0) * step
+        frames_of_delay, rest = divmod(p.command_delay, FRAME_TIME)
+        self.frames_kept = int(frames_of_delay) + 2
+        ends = (np.arange(substeps) + 1.0) * step
         newer = np.clip((ends - rest) / step, 0.0, 1.0)
         # Per substep: share of the newer pulse, and gain and largest move of the servo under either pulse.
         gains = [(-np.expm1(-part * step / p.servo_lag), part * step * p.servo_rate) for part in (1.0 - newer, newer)]
         self._shares = np.column_stack([newer, *gains[0], *gains[1]])
-        self._advance = load("ds_twin_donkey.advance", *[c_void_p] * 2, c_int64, *[c_void_p] * 2)
+        self._advance = load("ds_twin_donkey.advance", *[c_void_p] * 2, c_int64, *[c_void_p] * 2, c_int64)
 
-    @property
-    def pulses_kept(self) -> int:
-        """Number of pulses that `advance` needs, one per frame up to the current one."""
-        return int(self.frames_of_delay) + 2
-
-    def pulse(self, command: Command) -> Pulse:
-        """Convert a command to a pulse: whole pulse counts, dead band, minimum duty, drag brake."""
-        p = self.parameters
-        steering = round(command.steering * p.steering_pulse_steps) / p.steering_pulse_steps
-        throttle = round(command.throttle * p.throttle_pulse_steps) / p.throttle_pulse_steps
-        angle = p.steering_trim - steering * p.max_steering_angle
-        # The edge of the dead band itself counts as driving.
-        above = (throttle - p.throttle_dead_band) / (1.0 - p.throttle_dead_band)
-        if above < 0.0:
-            return Pulse(angle, 0.0, p.drag_brake)
-        return Pulse(angle, p.start_duty + (p.full_duty - p.start_duty) * above, 0.0)
-
-    def advance(self, state: CarState, pulses: list[Pulse]) -> CarState:
-        """Return the state one step later.
+    def run(self, state: ArrayLike, commands: ArrayLike) -> NDArray[np.float64]:
+        """Return the states from the given one on, (steps + 1, 17), columns as in `CarState`.
 
         Args:
-            state: state at the start of the step.
-            pulses: pulses of all frames so far, the current one last; at least `pulses_kept` of them.
+            state: state at the start of the first step.
+            commands: steering and throttle by frames, (steps + `frames_kept` - 1, 2), that of the last step last.
         """
-        kept, after = len(pulses) - self.pulses_kept, np.array(state)
-        older_and_newer = np.array(pulses[kept : kept + 2])
+        rows = np.ascontiguousarray(commands, np.float64)
+        states = np.empty((len(rows) - self.frames_kept + 2, len(CarState._fields)))
+        states[0] = state
         self._advance(
             self._car.ctypes.data,
             self._shares.ctypes.data,
             len(self._shares),
-            after.ctypes.data,
-            older_and_newer.ctypes.data,
+            states.ctypes.data,
+            rows.ctypes.data,
+            len(states) - 1,
         )
-        return CarState(*after.tolist())
+        return states
+
+
+def pulse(p: DonkeyParameters, steering: float, throttle: float) -> tuple[float, float, float]:
+    """Convert a command to whole pulse counts: angle of the wheels (rad, left positive), duty of the motor, brake.
+
+    The brake, in the dead band, is a share of that of the shorted motor.
+    """
+    angle = p.steering_trim - np.rint(steering * p.steering_pulse_steps) / p.steering_pulse_steps * p.max_steering_angle
+    # The edge of the dead band itself counts as driving.
+    counts = np.rint(throttle * p.throttle_pulse_steps) / p.throttle_pulse_steps
+    above = (counts - p.throttle_dead_band) / (1.0 - p.throttle_dead_band)
+    if above < 0.0:
+        return angle, 0.0, p.drag_brake
+    return angle, p.start_duty + (p.full_duty - p.start_duty) * above, 0.0
 
 
 def move(car: Any, s: NDArray[np.float64], steering: float, duty: float, brake: float) -> None:
@@ -365,12 +353,7 @@ def rollout(
     rows = np.asarray(commands, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 2:
         raise ValueError(f"commands have shape {rows.shape}, expected (n, 2): steering and throttle per frame")
+    for row in rows.tolist():
+        Command(*row)
     model = CarModel(parameters)
-    state = initial_state or CarState()
-    pulses = [model.pulse(Command(0.0, 0.0))] * model.pulses_kept
-    states = [state]
-    for steering, throttle in rows.tolist():
-        pulses.append(model.pulse(Command(steering, throttle)))
-        state = model.advance(state, pulses)
-        states.append(state)
-    return np.array(states)
+    return model.run(initial_state or CarState(), np.vstack((np.zeros((model.frames_kept - 1, 2)), rows)))

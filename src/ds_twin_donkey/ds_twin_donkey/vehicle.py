@@ -10,7 +10,7 @@ import numpy as np
 
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import Command, VehicleState
-from ds_twin_donkey.dynamics import CarModel, CarState, Pulse
+from ds_twin_donkey.dynamics import CarModel, CarState
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 
 
@@ -27,8 +27,6 @@ class DonkeyVehicle(Vehicle):
     def __init__(self, parameters: DonkeyParameters | None = None) -> None:
         self._nominal = parameters or DonkeyParameters()
         self._model = CarModel(self._nominal)
-        self._state = CarState()
-        self._pulses: list[Pulse] = []
         self.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
 
     @property
@@ -55,12 +53,12 @@ class DonkeyVehicle(Vehicle):
         """Put the car at rest with its centre at (x, y), road metres, heading yaw (rad); `rng` is not used."""
         ahead = self._centre_of_mass_ahead()
         self._state = CarState(x=x / SCALE + ahead * math.cos(yaw), y=y / SCALE + ahead * math.sin(yaw), yaw=yaw)
-        self._pulses = [self._model.pulse(Command(0.0, 0.0))] * self._model.pulses_kept
+        self._commands = [(0.0, 0.0)] * self._model.frames_kept
 
     def advance(self, command: Command) -> None:
         """Advance by one step of 1/20 s with the command held; it reaches the car after the command delay."""
-        self._pulses = [*self._pulses[1:], self._model.pulse(command)]
-        self._state = self._model.advance(self._state, self._pulses)
+        self._commands = [*self._commands[1:], (command.steering, command.throttle)]
+        self._state = CarState(*self._model.run(self._state, self._commands)[1].tolist())
 
     def state(self) -> VehicleState:
         """State of the car's centre, in road metres."""

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from ds_base.errors import InputError
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.batch import Lanes
-from ds_twin_donkey.dynamics import MOTION
+from ds_twin_donkey.dynamics import MOTION, CarModel, CarState, pulse
 from ds_twin_donkey.logs import CHANNELS, Drive
 from ds_twin_donkey.parameters import DonkeyParameters
 
@@ -89,7 +88,7 @@ class Windows:
             places = [places[i] for i in np.linspace(0, len(places) - 1, max_count).round().astype(int)]
         self.count = len(places)
         frames = self._before + RUN_IN + self._length
-        self._commands = np.zeros((frames, self.count, 2))
+        self._commands = np.zeros((self.count, frames, 2))
         self.measured = np.full((self.count, self._length, len(CHANNELS)), np.nan)
         self.initial_states = np.zeros((self.count, UNKNOWNS))
         self.initial_spread = np.tile(_INITIAL_SPREAD, (self.count, 1))
@@ -97,7 +96,7 @@ class Windows:
         for window, (drive, begin) in enumerate(places):
             commands = np.concatenate((np.zeros((self._before, 2)), drive.commands))[begin : begin + frames]
             rows = drive.measured[begin + RUN_IN : begin + RUN_IN + self._length]
-            self._commands[: len(commands), window] = commands
+            self._commands[window, : len(commands)] = commands
             self.measured[window, : len(rows)] = rows
             self.initial_states[window, :6] = _state_at(drive.measured, begin, rear)
             if self.initial_states[window, 3] < _STANDING_SPEED:
@@ -129,24 +128,33 @@ class Windows:
 
     def predict(self, cars: Sequence[DonkeyParameters], states: Array, substeps: int) -> Array:
         """Simulate every window from its initial state: (cars, windows, 7) -> (cars, windows, frames, 5)."""
-        sets = len(cars)
-        lanes = Lanes(cars, np.repeat(np.arange(sets), self.count), substeps)
-        pulses = lanes.pulses(np.tile(self._commands, (1, sets, 1)))
-        first = states.reshape(-1, UNKNOWNS).T
-        actuators = lanes.settle(pulses, range(self._before - _SETTLING, self._before), first[6])
-        motion = np.zeros((MOTION, sets * self.count))
-        motion[:6] = first[:6]
-        _set_steady_state(motion, actuators[1], self._car)
-        kept = np.empty((self._length, 6, sets * self.count))
-        for frame in range(RUN_IN + self._length):
-            if frame >= RUN_IN:
-                kept[frame - RUN_IN] = motion[:6]
-            if frame < RUN_IN + self._length - 1:
-                motion, actuators = lanes.advance(motion, actuators, *lanes.delayed(pulses, self._before + frame))
-        x, y, yaw, speed, _, rate = np.moveaxis(kept, 1, 0)
+        kept = np.empty((len(cars), self.count, self._length, 6))
+        for car, first, paths in zip(cars, states, kept, strict=True):
+            model = CarModel(car, substeps=substeps)
+            at = self._before - model.frames_kept + 1
+            starts = self._starts(model, first, self._commands[:, at - _SETTLING : self._before])
+            for start, commands, path in zip(starts, self._commands[:, at:], paths, strict=True):
+                path[:] = model.run(start, commands[:-1])[RUN_IN:, :6]
+        x, y, yaw, speed, _, rate = np.moveaxis(kept, -1, 0)
         ahead = self._car.wheelbase * (self._car.front_share - 0.5)
-        rows = np.stack((x - ahead * np.cos(yaw), y - ahead * np.sin(yaw), yaw, speed, rate), axis=-1)
-        return rows.reshape(self._length, sets, self.count, len(CHANNELS)).transpose(1, 2, 0, 3)
+        return np.stack((x - ahead * np.cos(yaw), y - ahead * np.sin(yaw), yaw, speed, rate), axis=-1)
+
+    def _starts(self, model: CarModel, first: Array, commands: Array) -> Array:
+        """States in which the windows start, (windows, 17), from initial states, (windows, `UNKNOWNS`).
+
+        The wheels are between where they end up after starting at either end of the play. The path is a smooth function
+        of that final position, but not of the initial one, which is forgotten once the steering moves.
+        """
+        half = 0.5 * model.parameters.servo_backlash
+        starts = np.zeros((self.count, len(CarState._fields)))
+        for start, of_window, play in zip(starts, commands, first[:, -1], strict=True):
+            angle, duty, _ = pulse(model.parameters, *of_window[0])
+            ends = [CarState(servo=angle, steering_angle=angle + side, duty=duty) for side in (-half, half)]
+            low, high = (model.run(end, of_window)[-1, MOTION:] for end in ends)
+            start[MOTION:] = 0.5 * ((1.0 - play) * low + (1.0 + play) * high)
+        starts[:, :6] = first[:, :6]
+        _set_steady_state(starts.T, starts[:, MOTION + 1], self._car)
+        return starts
 
     def difference(self, predicted: Array) -> Array:
         """Model minus measurement; 0 where nothing was measured."""

@@ -147,6 +147,7 @@ def test_invalid_parameters_and_commands_are_refused_in_one_line() -> None:
 
 def test_the_model_is_stateless() -> None:
     model = CarModel(P)
-    pulses = [model.pulse(Command(0.5, 0.6))] * model.pulses_kept
-    state = CarState(speed=0.4)
-    assert model.advance(state, pulses) == model.advance(state, pulses)
+    commands, state = [(0.5, 0.6)] * (model.frames_kept + 9), CarState(speed=0.4)
+    path = model.run(state, commands)
+    assert len(path) == 11 and model.run(state, commands).tobytes() == path.tobytes()
+    assert model.run(path[4], commands[4:]).tobytes() == path[4:].tobytes()

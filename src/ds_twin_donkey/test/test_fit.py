@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compares fits with known parameters, lanes with the scalar model, and logs and files with their contents."""
+"""Compares fits with known parameters, windows with rollouts, and logs and files with their contents."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from ds_bags.messages import typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_report.fit_picture import draw_fit
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.batch import Lanes
-from ds_twin_donkey.dynamics import rollout
+from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
 from ds_twin_donkey.excitation import (
     coast,
     hard_bends,
@@ -32,7 +31,7 @@ from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.residuals import Problem
 from ds_twin_donkey.simulator import DonkeySimulator
-from ds_twin_donkey.windows import FitError, Windows
+from ds_twin_donkey.windows import RUN_IN, UNKNOWNS, FitError, Windows
 
 P = DonkeyParameters()
 MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
@@ -48,22 +47,20 @@ def tub_of(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, 
     return write_tub(folder, rows, deleted=[3])
 
 
-def test_lanes_equal_the_scalar_model() -> None:
+def test_a_window_from_rest_is_the_rollout() -> None:
     cars = [
         P,
         P.changed(command_delay=0.1115, friction=0.5, servo_backlash=0.05, steering_trim=0.02),
-        P.changed(command_delay=0.0, front_share=0.55, full_duty=0.5, drag_brake=0.3),
+        P.changed(command_delay=0.0, full_duty=0.5, drag_brake=0.3),
     ]
     commands = random_commands(np.random.default_rng(3), 4.0)
-    lanes = Lanes(cars, np.arange(3))
-    padded = np.zeros((lanes.history + len(commands), 3, 2))
-    padded[lanes.history :] = commands[:, None]
-    pulses = lanes.pulses(padded)
-    motion, actuators = np.zeros((14, 3)), (np.zeros(3), np.zeros(3), np.zeros(3))
-    for frame in range(lanes.history, len(padded)):
-        motion, actuators = lanes.advance(motion, actuators, *lanes.delayed(pulses, frame))
-    for lane, car in enumerate(cars):
-        np.testing.assert_allclose(motion[:, lane], rollout(car, commands)[-1, :14], rtol=0, atol=1e-11)
+    drive = Drive(commands=commands, measured=rollout(P, commands)[:-1, [0, 1, 2, 3, 5]], from_rest=True)
+    windows = Windows([drive], P, 3.0, 3.0, 0.2)
+    paths = windows.predict(cars, np.zeros((3, 1, UNKNOWNS)), SUBSTEPS)[:, 0]
+    for car, path in zip(cars, paths, strict=True):
+        trimmed = CarState(servo=car.steering_trim, steering_angle=car.steering_trim)
+        expected = rollout(car, commands, trimmed)[RUN_IN : RUN_IN + 60, [0, 1, 2, 3, 5]]
+        np.testing.assert_allclose(path, expected, rtol=0, atol=1e-11)
 
 
 def test_a_path_is_a_smooth_function_of_the_delay() -> None:
