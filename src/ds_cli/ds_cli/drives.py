@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,16 +29,13 @@ from ds_cli.options import (
 from ds_cli.output import Interrupted, Result, end, say, warning
 from ds_sim.conditions.model import Conditions, ConditionsError
 from ds_sim.registry import SimulatorName
-from ds_sim.scenario import OfScenario, Scenario
+from ds_sim.scenario import Scenario
 
 if TYPE_CHECKING:
     from ds_driver.networks.driver_name import DriverName
-    from ds_driver.networks.network_driver import Translation
-    from ds_orchestrator.campaign.engine import EngineName
     from ds_road import Road
     from ds_sim.session import RunRecord
 
-FailOn = Literal["error", "failure"]
 Level = Literal["telemetry", "compressed", "raw"]
 """That of `ds_bags.layout`, whose import would delay every help text."""
 COMMAND_TIMEOUT = 10.0
@@ -48,35 +44,6 @@ START_WAIT = 90.0
 """Seconds that nodes get to come up, importing their libraries on a busy machine included."""
 
 app = typer.Typer()
-
-
-@dataclass(frozen=True, kw_only=True)
-class DriveOptions(OfScenario):
-    """What `ds drive` was asked to do.
-
-    Attributes:
-        sim: simulator name.
-        driver: driver name, with its backend.
-        scenario: to drive; default conditions leave them to a running node.
-        bag: rosbag2 folder to write, or None.
-        level: what the bag holds.
-        video: .mp4 to write, or None.
-        attach: use running nodes; whatever driver runs there drives.
-        wait: s to wait for the nodes.
-        namespace: of the simulator.
-        engine: what drives, `graph` or `local`.
-    """
-
-    sim: SimulatorName
-    driver: DriverName
-    scenario: Scenario
-    bag: Path | None
-    level: Level
-    video: Path | None
-    attach: bool
-    wait: float
-    namespace: str
-    engine: EngineName
 
 
 def in_words(document: dict[str, Any], road: Road) -> list[str]:
@@ -101,86 +68,44 @@ def in_words(document: dict[str, Any], road: Road) -> list[str]:
     return lines
 
 
-def _check(request: DriveOptions) -> None:
-    """Refuse what cannot work before anything starts."""
-    import ds_road
-    from ds_bags.layout import BagError
-    from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.engines.preflight import check_driver
-    from ds_orchestrator.graph.supervisor import check_ros
-    from ds_sim.registry import spec_of
-    from ds_sim.video import check_path
-
-    if request.attach and request.engine != "graph":
-        raise ConfigError(f"--engine {request.engine} starts no nodes: leave out --attach")
-    if request.engine == "graph":
-        check_ros()
-
-    spec_of(request.sim).check(request.conditions)
-    if not request.attach:
-        check_driver(request.driver, [request.sim])
-    road = request.road
-    if not road.validity.valid:
-        raise ds_road.RoadError(f"the road is not valid: {road.validity.reason}")
-    if request.bag is not None and request.bag.exists():
-        raise BagError(f"{request.bag} exists already: choose another folder")
-    if request.bag is not None and request.attach and request.level != "telemetry":
-        raise BagError(
-            f"--level {request.level}: images of running nodes are not written: choose --level telemetry, and record "
-            f"the images with `ros2 bag record {request.namespace}/camera/image_raw`"
-        )
-    if request.video is not None:
-        check_path(request.video)
-
-
-def _run_without_ros(request: DriveOptions) -> RunRecord:
+def _run_without_ros(sim: SimulatorName, driver: DriverName, scenario: Scenario) -> RunRecord:
     from ds_driver.closed_loop.drive_request import DriveRequest
     from ds_orchestrator.engines.local import running_local
 
-    say(f"{request.sim} drives")
+    say(f"{sim} drives")
     with (
         tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
-        running_local(request.driver, workers=1, command_timeout=COMMAND_TIMEOUT, logs=Path(logs)) as engine,
+        running_local(driver, workers=1, command_timeout=COMMAND_TIMEOUT, logs=Path(logs)) as engine,
     ):
-        return engine.drive(DriveRequest(request.scenario, request.driver, request.sim))
+        return engine.drive(DriveRequest(scenario, driver, sim))
 
 
-def _run(request: DriveOptions) -> RunRecord:
-    if request.engine == "local":
-        return _run_without_ros(request)
+def _run_on_nodes(
+    sim: SimulatorName, driver: DriverName, scenario: Scenario, namespace: str, *, attach: bool, wait: float
+) -> RunRecord:
+    """Drive on nodes that are started, or on running ones, whose own conditions count where none are named."""
     from ds_cli.progress import DriveProgress
     from ds_orchestrator.graph.session import running_graph
 
-    sim, namespace = request.sim, request.namespace
-    if request.attach:
-        say(f"waiting up to {duration(request.wait)} for the nodes in namespace {namespace}, ROS domain {_domain()}")
+    if attach:
+        domain = os.environ.get("ROS_DOMAIN_ID", "0")
+        say(f"waiting up to {duration(wait)} for the nodes in namespace {namespace}, ROS domain {domain}")
     else:
-        say(f"starting {sim} and {request.driver}")
+        say(f"starting {sim} and {driver}")
     with (
         tempfile.TemporaryDirectory(prefix="ds_drive_") as logs,
         running_graph(
             {sim: namespace},
-            request.driver,
+            driver,
             command_timeout=COMMAND_TIMEOUT,
             logs=Path(logs),
-            attach=request.attach,
-            wait=request.wait if request.attach else START_WAIT,
+            attach=attach,
+            wait=wait if attach else START_WAIT,
         ) as client,
         DriveProgress(f"{sim} drives") as progress,
     ):
-        own = request.attach and request.conditions.is_default  # those of the running node
-        return client.execute(sim, request.scenario, conditions_of_node=own, watch=progress.update)
-
-
-def _domain() -> str:
-    return os.environ.get("ROS_DOMAIN_ID", "0")
-
-
-def _translation(request: DriveOptions) -> Translation | None:
-    """How the driver saw the images; None if as they are, or if an unknown driver drove."""
-    from ds_driver.networks.network_driver import translation_of
-
-    return None if request.attach else translation_of(request.driver, request.sim)
+        own = attach and scenario.conditions.is_default
+        return client.execute(sim, scenario, conditions_of_node=own, watch=progress.update)
 
 
 def seed_of(road: Path | None) -> int:
@@ -253,7 +178,8 @@ def drive_command(
         ),
     ] = "auto",
     fail_on: Annotated[
-        FailOn, typer.Option(help="With failure: exit with 3 if the driver fails on the road; 1 is an error.")
+        Literal["error", "failure"],
+        typer.Option(help="With failure: exit with 3 if the driver fails on the road; 1 is an error."),
     ] = "error",
     as_json: JsonFlag = False,
 ) -> None:
@@ -268,56 +194,63 @@ def drive_command(
     """
     import numpy as np
 
+    from ds_bags.layout import BagError
     from ds_cli.roads import one_road
     from ds_driver.control.command_habits import command_habits
+    from ds_driver.networks.network_driver import translation_of
+    from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import engine_here
     from ds_orchestrator.campaign.executor import trajectory_sha256
+    from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.graph.supervisor import check_ros
+    from ds_road import RoadError
     from ds_sim.conditions.text import parse_conditions
-    from ds_sim.registry import own_road_of
+    from ds_sim.registry import own_road_of, spec_of
     from ds_sim.resimulation import resimulate
-    from ds_sim.video import write_video
+    from ds_sim.video import check_path, write_video
 
     chosen = seed if seed is not None else seed_of(road)
     network = driver_named(driver, backend, device)
     under = conditions_in(road) if conditions is None else parse_conditions(conditions)
     way = one_road(road, chosen, max_angle, lane, own=own_road_of(sim) if road is None else None)
-    request = DriveOptions(
-        sim=sim,
-        driver=network,
-        scenario=Scenario(way, under, seed=chosen),
-        bag=bag,
-        level=level,
-        video=video,
-        attach=attach,
-        wait=wait,
-        namespace=namespace,
-        engine=engine_here(engine, attach=attach),
-    )
+    scenario, used_engine = Scenario(way, under, seed=chosen), engine_here(engine, attach=attach)
     if bag is not None:
         from ds_bags.run_writer import write_bag  # before the drive, where its libraries are missing
-    _check(request)
+    if attach and used_engine != "graph":
+        raise ConfigError(f"--engine {used_engine} starts no nodes: leave out --attach")
+    if used_engine == "graph":
+        check_ros()
+    spec_of(sim).check(under)
+    if not attach:
+        check_driver(network, [sim])
+    if not way.validity.valid:
+        raise RoadError(f"the road is not valid: {way.validity.reason}")
+    if bag is not None and bag.exists():
+        raise BagError(f"{bag} exists already: choose another folder")
+    if bag is not None and attach and level != "telemetry":
+        raise BagError(
+            f"--level {level}: images of running nodes are not written: choose --level telemetry, and record the "
+            f"images with `ros2 bag record {namespace}/camera/image_raw`"
+        )
+    if video is not None:
+        check_path(video)
     started = time.monotonic()
     try:
-        run = _run(request)
+        if used_engine == "local":
+            run = _run_without_ros(sim, network, scenario)
+        else:
+            run = _run_on_nodes(sim, network, scenario, namespace, attach=attach, wait=wait)
         whose = "attached" if attach else str(network)
+        translate = None if attach or not (bag or video) else translation_of(network, sim)
         if bag is not None:
-            write_bag(bag, namespace, sim, run, {"driver": whose}, level, translate=_translation(request))
+            write_bag(bag, namespace, sim, run, {"driver": whose}, level, translate=translate)
         if video is not None:
             say(f"rendering {video}")
             # The images went to the driver alone; the same commands show them again.
-            write_video(
-                video,
-                f"{sim}, {Path(whose).name}",
-                request.road,
-                resimulate(sim, run),
-                run.commands,
-                run.conditions,
-                _translation(request),
-            )
+            title, frames = f"{sim}, {Path(whose).name}", resimulate(sim, run)
+            write_video(video, title, way, frames, run.commands, run.conditions, translate)
     except KeyboardInterrupt:
-        if bag is not None and bag.exists():
-            raise Interrupted(f"the bag is in {bag}") from None
-        raise Interrupted from None
+        raise Interrupted(f"the bag is in {bag}" if bag is not None and bag.exists() else "") from None
     wall = time.monotonic() - started
     habits = command_habits(
         np.array([one.steering for one in run.commands]), np.array([one.vehicle.speed for one in run.observations])
@@ -325,8 +258,8 @@ def drive_command(
     document: dict[str, Any] = {
         "simulator": sim,
         "driver": whose,
-        "road_id": request.road.road_id,
-        "seed": request.seed,
+        "road_id": way.road_id,
+        "seed": chosen,
         "conditions": run.conditions.changed,
         "outcome": run.outcome.name,
         "message": run.message,
@@ -342,7 +275,7 @@ def drive_command(
     }
 
     def show() -> None:
-        for line in in_words(document, request.road):
+        for line in in_words(document, way):
             print(line)
         for habit in habits:
             print(warning(whose, habit))

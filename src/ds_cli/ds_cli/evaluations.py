@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from contextlib import closing, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +13,7 @@ from rich.console import Console
 
 from ds_base.installation import ds_command
 from ds_cli.options import JsonFlag, Trust, driver_named, simulator_option
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer
+from ds_cli.output import Result, ScreenProgress, answer
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
@@ -41,12 +41,11 @@ def evaluation(
     from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
     from ds_analysis.paper.open_loop import OpenLoopError
     from ds_base.table import keep_tables
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
     from ds_report.build import RQ1
     from ds_report.sections import merge_tables, sibling_section
 
-    with closing(open_store(folder)) as store:
-        campaign = read_campaign(store)
+    campaign = read_folder(folder)
     config, maps = campaign.config, maps_of(campaign)
     cases = merge_tables(folder, campaign)
     if config.twin is None and (data is not None or not cases):
@@ -77,10 +76,7 @@ def _offline_tables(
     from ds_analysis.paper.paper_tables import error_tables
     from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
 
-    try:
-        answers = predict(data, driver, ScreenProgress(), images=images, trusted=trusted)
-    except KeyboardInterrupt:
-        raise Interrupted from None
+    answers = predict(data, driver, ScreenProgress(), images=images, trusted=trusted)
     names = siblings if siblings is not None else [name for name in answers if name != twin]
     missing = [name for name in (*names, twin) if name not in answers]
     if missing:
@@ -118,10 +114,6 @@ def tables_result(tables: list[Table], out: Path | None, following: str, *, ever
     return Result(document=document, show=show, next=following)
 
 
-Images = Annotated[int | None, typer.Option(min=1, help="Images of each simulator at most.")]
-Everything = Annotated[bool, typer.Option("--all", help="Print the robustness checks and densities too.")]
-
-
 @app.command("evaluate")
 def evaluate_command(
     folder: Annotated[
@@ -138,9 +130,9 @@ def evaluate_command(
     twin: Annotated[
         SimulatorName | None, simulator_option("Without DIR: simulator that acts as the twin; else donkey.")
     ] = None,
-    images: Images = None,
+    images: Annotated[int | None, typer.Option(min=1, help="Images of each simulator at most.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
-    everything: Everything = False,
+    everything: Annotated[bool, typer.Option("--all", help="Print the robustness checks and densities too.")] = False,
     trust: Trust = None,
     as_json: JsonFlag = False,
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
-from contextlib import closing
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -146,7 +145,7 @@ def maps_command(
     from ds_analysis.common.outcome_table import is_study
     from ds_analysis.paper.campaign_contents import exclusion_lines, maps_of
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
     from ds_orchestrator.maps.feature_map import compared_ids, slices_of, to_json
 
     data = None
@@ -158,8 +157,7 @@ def maps_command(
         every = maps_of_study(read_study(folder), named)
     else:
         named = None if axes is None else axes_named(axes)
-        with closing(open_store(folder)) as store:
-            data = read_campaign(store)
+        data = read_folder(folder)
         every = maps_of(data, features=named)
     if named is not None and not any(drawn.cells or drawn.excluded for drawn in every.values()):
         raise ConfigError(

@@ -15,8 +15,8 @@ from ds_base.bounded_json import read_json
 from ds_base.installation import ds_command
 from ds_cli.options import (
     ALL,
-    Camera,
     ImageRows,
+    ImageTopic,
     JsonFlag,
     RecordedSteering,
     Seed,
@@ -81,7 +81,7 @@ def import_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Donkey Car tubs and bags with images.")],
     out: Annotated[Path, typer.Option(help="Folder of the data set, new or existing.")],
     name: Annotated[str, typer.Option(help="Name of the car, in the place of a simulator's.")] = "car",
-    camera: Camera = None,
+    camera: ImageTopic = None,
     steering: RecordedSteering = None,
     factor: SteeringFactor = 1.0,
     rows: ImageRows = None,
@@ -101,12 +101,9 @@ def import_command(
     from ds_driver.data.recordings import Reading, import_recordings, open_recording
 
     reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), trusted=tuple(trust or ()))
-    try:
-        left_out = LeftOut("images", strict)
-        recordings = [open_recording(folder, reading) for folder in folders]
-        imported = import_recordings(recordings, out, name, ScreenProgress(), left_out)
-    except KeyboardInterrupt:
-        raise Interrupted from None
+    left_out = LeftOut("images", strict)
+    recordings = [open_recording(folder, reading) for folder in folders]
+    imported = import_recordings(recordings, out, name, ScreenProgress(), left_out)
 
     def show() -> None:
         left = f"; {imported.unlabelled} images without recorded steering are left out" if imported.unlabelled else ""

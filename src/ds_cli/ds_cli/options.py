@@ -118,7 +118,7 @@ DriverText = Annotated[
 Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
 Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
-Camera = Annotated[str | None, typer.Option(help="Topic of the images, if a bag has several.")]
+ImageTopic = Annotated[str | None, typer.Option(help="Topic of the images, if a bag has several.")]
 RecordedSteering = Annotated[
     str | None, typer.Option(help="Recorded steering as TOPIC:FIELD, such as /cmd:drive.steering_angle.")
 ]

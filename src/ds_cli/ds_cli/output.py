@@ -29,14 +29,7 @@ NOT_PASSED = 3
 
 
 class Interrupted(Exception):
-    """The user stopped a verb.
-
-    Args:
-        kept: what is kept and how to go on, for the user; empty if nothing was written.
-    """
-
-    def __init__(self, kept: str = "") -> None:
-        super().__init__(kept)
+    """The user stopped a verb; says what is kept and how to go on, empty if nothing was written."""
 
 
 @contextmanager

@@ -10,7 +10,17 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli.campaign.compare_results import FailOnFailure
-from ds_cli.options import Backend, DriverText, JsonFlag, Workers, driver_named, with_engine_without_ros
+from ds_cli.options import (
+    Backend,
+    DriverText,
+    ImageTopic,
+    JsonFlag,
+    RecordedSteering,
+    SteeringFactor,
+    Workers,
+    driver_named,
+    with_engine_without_ros,
+)
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
 
 app = typer.Typer()
@@ -25,9 +35,6 @@ LaneWidth = Annotated[
     float, typer.Option(min=0.02, max=50.0, help="From the middle of the centre line to that of an edge line, m.")
 ]
 CameraFile = Annotated[Path, typer.Option(help="YAML file of the camera, as of `ds recording calibrate`.")]
-Topic = Annotated[str | None, typer.Option(help="Topic of the images, for bags with several.")]
-Steering = Annotated[str | None, typer.Option(help="TOPIC:FIELD of the steering, for bags of others.")]
-Factor = Annotated[float, typer.Option(help="Converts that field to steering, -1 left to +1 right.")]
 Odometry = Annotated[
     str | None, typer.Option(help="Field or topic of speeds, yaw rates or poses; `none`; all if omitted.")
 ]
@@ -53,9 +60,9 @@ def recording_test_command(
             help="Of 160 image rows, those at the top that the network does not see; 40 for shipped ones, or 0.",
         ),
     ] = None,
-    topic: Topic = None,
-    steering: Steering = None,
-    factor: Factor = 1.0,
+    topic: ImageTopic = None,
+    steering: RecordedSteering = None,
+    factor: SteeringFactor = 1.0,
     odometry: Odometry = None,
     centre: Centre = "yellow",
     workers: Workers = None,
@@ -110,9 +117,9 @@ def locate_command(
     lane_width: LaneWidth,
     out: Annotated[Path, typer.Option(help="Folder for the result.")],
     camera: CameraFile,
-    topic: Topic = None,
-    steering: Steering = None,
-    factor: Factor = 1.0,
+    topic: ImageTopic = None,
+    steering: RecordedSteering = None,
+    factor: SteeringFactor = 1.0,
     odometry: Odometry = None,
     centre: Centre = "yellow",
     as_json: JsonFlag = False,

@@ -11,7 +11,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli.options import Lane, MaxAngle, Seed, Simulator, complete_value
-from ds_cli.output import Interrupted, say_next
+from ds_cli.output import say_next
 from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
@@ -58,7 +58,4 @@ def serve_donkey_command(
         print(f"serving {sim} on {host}:{chosen}", flush=True)
         say_next(ds_command("drive", "--sim", sim, "--driver", "autopilot"))
 
-    try:
-        asyncio.run(server.serve(host, port, listening))
-    except KeyboardInterrupt:
-        raise Interrupted from None
+    asyncio.run(server.serve(host, port, listening))

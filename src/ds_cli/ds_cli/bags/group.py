@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -14,8 +14,8 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli.options import (
-    Camera,
     ImageRows,
+    ImageTopic,
     JsonFlag,
     RecordedSteering,
     SteeringFactor,
@@ -24,14 +24,16 @@ from ds_cli.options import (
     rows_of,
     simulator_option,
 )
-from ds_cli.output import Interrupted, Result, answer, end, say
+from ds_cli.output import Result, ScreenProgress, answer, end, say
 from ds_sim.registry import SimulatorName
+
+if TYPE_CHECKING:
+    from ds_driver.networks.images import Crop
 
 app = typer.Typer()
 bag_app = typer.Typer(help="Inspect, re-simulate and repair rosbag2 recordings.", no_args_is_help=True)
 app.add_typer(bag_app, name="bag")
 
-Truth = Literal["recorded", "autopilot"]
 BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
 
 
@@ -134,13 +136,10 @@ def redrive_command(
 
     if video is not None:
         check_path(video)
-    try:
-        verification = verify_bag(folder, sim, seed=seed, trusted=trust or [])
-        same = verification.step is None
-        if video is not None and same:
-            _write_video(folder, verification.simulator, video, seed, trust or [])
-    except KeyboardInterrupt:
-        raise Interrupted from None
+    verification = verify_bag(folder, sim, seed=seed, trusted=trust or [])
+    same = verification.step is None
+    if video is not None and same:
+        _write_video(folder, verification.simulator, video, seed, trust or [])
     shown = str(video) if video is not None and same else None
     document = {"bag": str(folder), "same": same, "video": shown} | asdict(verification)
 
@@ -166,12 +165,13 @@ def drive_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Bags with images, and Donkey Car tubs.")],
     driver: Annotated[str, typer.Option(help="Network: dave2, or a .safetensors or .yaml file.")] = "dave2",
     out: Annotated[Path | None, typer.Option(help="Folder for errors.png, answers.csv and summary.json.")] = None,
-    camera: Camera = None,
+    camera: ImageTopic = None,
     steering: RecordedSteering = None,
     factor: SteeringFactor = 1.0,
     rows: ImageRows = None,
     truth: Annotated[
-        Truth, typer.Option(help="Reference: the recorded steering, or what the autopilot would steer.")
+        Literal["recorded", "autopilot"],
+        typer.Option(help="Reference: the recorded steering, or what the autopilot would steer."),
     ] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Images of each recording at most.")] = None,
     trust: Trust = None,
@@ -183,10 +183,70 @@ def drive_command(
 
     Example: ds bag drive runs/seven --driver dave2 --out open_loop
     """
-    from ds_cli.bags.open_loop import bag_drive
-    from ds_driver.data.recordings import Reading
+    from ds_analysis.paper.open_loop import evaluate_recording, write_answers
+    from ds_analysis.paper.steering_error_stats import distances, pooled_errors, summarise
+    from ds_bags.layout import BagError
+    from ds_base.atomic_files import write_json
+    from ds_base.folder_files import enter_folder
+    from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
+    from ds_driver.networks.driver_name import AUTOPILOT
+    from ds_driver.networks.network_driver import NetworkDriver
+    from ds_report.steering_error_pictures import draw_errors
 
     reading = Reading(
         camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth, trusted=tuple(trust or ())
     )
-    answer(bag_drive(folders, driver, reading, out, limit), as_json)
+    recordings = [open_recording(folder, reading) for folder in folders]
+    if out is not None and out.exists() and not out.is_dir():
+        raise BagError(f"{out} is a file: choose another --out")
+    name = driver_named(driver)
+    if name == AUTOPILOT:
+        raise BagError(
+            "the autopilot follows the road, not images: give a network; `--truth autopilot` compares with it"
+        )
+    network = NetworkDriver(name)
+
+    def steer(frame: RecordedFrame, crop: Crop) -> float:
+        return network.command(frame.seen(crop)).steering
+
+    progress, answers = ScreenProgress(), []
+    progress.start(len(recordings))
+    for recording in recordings:
+        one = evaluate_recording(recording, steer, limit=limit)
+        answers.append(one)
+        for line in one.trouble[:3]:
+            say(f"an image is left out: {line}")
+        progress.advance(line=f"{recording.path}: {one.images} images")
+    summaries = summarise(answers)
+    apart = distances(pooled_errors(answers))
+    document: dict[str, Any] = {
+        "driver": driver,
+        "groups": [asdict(summary) for summary in summaries],
+        "distances": [{"one": one, "other": other, "wasserstein": value} for one, other, value in apart],
+        "left_out": [line for one in answers for line in one.trouble],
+    }
+    if out is not None:
+        enter_folder(out)
+        write_answers(out / "answers.csv", answers)
+        draw_errors(f"{Path(driver).name} on recorded images", answers, out / "errors.png")
+        document |= {"answers": str(out / "answers.csv"), "picture": str(out / "errors.png")}
+        write_json(out / "summary.json", document)
+
+    def show() -> None:
+        table = Table("errors on", "images", "answered", "mean", "mean size", "rms", "largest")
+        for s in summaries:
+            numbers = (s.mean, s.mean_absolute, s.root_mean_square, s.largest)
+            cells = ["" if value is None else f"{value:.4f}" for value in numbers]
+            table.add_row(s.group, str(s.images), str(s.answered), *cells)
+        Console().print(table)
+        for s in summaries:
+            if s.compared < s.answered:
+                print(f"{s.group}: {s.answered - s.compared} answers have no recorded steering to compare with")
+            if s.outputs_apart is not None:
+                print(f"Wasserstein distance between answers and recorded steering on {s.group}: {s.outputs_apart:.4f}")
+        for one, other, value in apart:
+            print(f"Wasserstein distance between the errors on {one} and on {other}: {value:.4f}")
+        if out is not None:
+            print(f"{out / 'errors.png'}\n{out / 'answers.csv'}")
+
+    answer(Result(document=document, show=show, next=ds_command("check", driver)), as_json)

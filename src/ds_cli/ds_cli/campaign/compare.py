@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -101,11 +100,10 @@ def is_campaign(text: str) -> bool:
 
 def _trusted(folder: Path, trust: Sequence[str]) -> CampaignData:
     """Read a campaign; the code that it names is shipped or trusted."""
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
     from ds_studies.whole_campaign import check_trust
 
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
+    data = read_folder(folder)
     check_trust(data.config, trust)
     return data
 

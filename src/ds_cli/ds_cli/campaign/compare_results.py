@@ -20,7 +20,6 @@ from ds_cli.output import Result
 if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison
     from ds_analysis.comparison.ci_results import Criteria
-    from ds_orchestrator.campaign.folder import CampaignData
     from ds_report.comparison_page import Grid
     from ds_studies.suite.suite_file import Suite
 
@@ -74,11 +73,6 @@ def lost_by(criteria: Criteria, comparison: Comparison, suite: Suite) -> bool:
     tests = {name: sum(name in one.outcomes for one in suite.tests) for name in suite.simulators}
     tally = {name: (failures, tests[name]) for name, (failures, _) in comparison.tally().items()}
     return bool(criteria.unmet(tally, newly_failing=len(comparison.newly_failing)))
-
-
-def unmet_in_campaign(criteria: Criteria, data: CampaignData) -> list[str]:
-    """Criteria that a campaign does not meet."""
-    return criteria.unmet(data.failures)
 
 
 def check_writable(*paths: Path | None) -> None:

@@ -162,10 +162,9 @@ def campaign_export_command(
     from ds_analysis.common.outcome_table import table_of_campaign
     from ds_analysis.outcomes.frames import write_frames
     from ds_analysis.outcomes.study import study_of, write_study
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
 
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
+    data = read_folder(folder)
     print(write_study(out, study_of(table_of_campaign(data))))
     if frames:
         print(write_frames(out, data))

@@ -22,7 +22,6 @@ from ds_cli.campaign.compare_results import (
     Videos,
     check_writable,
     criteria_of,
-    unmet_in_campaign,
 )
 from ds_cli.options import (
     AttachFlag,
@@ -78,11 +77,7 @@ def campaign(
     cluster: ClusterOptions | None = None,
     staged: bool = False,
 ) -> Result:
-    """Run a campaign to its report, or resume it; staged: print a first answer from few tests, and go on.
-
-    Raises:
-        Interrupted: the user stopped it.
-    """
+    """Run a campaign to its report, or resume it; staged: print a first answer from few tests, and go on."""
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.campaign.folder import open_store
@@ -135,10 +130,9 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
     from ds_base.atomic_files import write_whole
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
 
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
+    data = read_folder(folder)
     if junit is not None:
         write_whole(junit, junit_of(str(data.config.driver), cases_of_campaign(data)))
     if videos is not None:
@@ -148,7 +142,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
         lost = [(tests[one.test_id], one.simulator) for one in data.verdicts if one.outcome.is_failure]
         failed = [FailedDrive(test.test_id, name, test.scenario) for test, name in lost]
         write_failure_videos(data.driver, failed, videos)
-    return replace(result, unmet=unmet_in_campaign(criteria, data))
+    return replace(result, unmet=criteria.unmet(data.failures))
 
 
 def _kept(out: Path, done: int) -> str:
@@ -322,11 +316,7 @@ def campaign_resume_command(
 
 
 def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions, following: str) -> Result:
-    """Forecast a campaign from one drive on every simulator; nothing is written.
-
-    Raises:
-        Interrupted: the user stopped it.
-    """
+    """Forecast a campaign from one drive on every simulator; nothing is written."""
     from ds_orchestrator.campaign.forecast import measure
     from ds_orchestrator.engines.preflight import preflight
     from ds_orchestrator.engines.start import running_engine
@@ -335,14 +325,11 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions, followi
     preflight(settings)
     say(f"{config.executions_at_most} drives at most; measuring one on {', '.join(config.simulators)} each")
     began = time.monotonic()
-    try:
-        with (
-            tempfile.TemporaryDirectory(prefix="ds_forecast_") as logs,
-            running_engine(settings, logs=Path(logs)) as engine,
-        ):
-            forecast = measure(config, engine, out, start_seconds=time.monotonic() - began)
-    except KeyboardInterrupt:
-        raise Interrupted from None
+    with (
+        tempfile.TemporaryDirectory(prefix="ds_forecast_") as logs,
+        running_engine(settings, logs=Path(logs)) as engine,
+    ):
+        forecast = measure(config, engine, out, start_seconds=time.monotonic() - began)
     document = {
         **asdict(forecast),
         "engine": settings.engine,

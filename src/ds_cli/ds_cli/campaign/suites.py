@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 from typing import Annotated
 
@@ -61,15 +60,14 @@ def suite_make_command(
     Example: ds suite make out --out suite.json
     """
     from ds_base.words import count
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
     from ds_orchestrator.search.features import feature_of
     from ds_studies.suite.suite_file import SuiteError, suite_of, write_suite
 
     check_writable(out)
     if out.exists() and not force:
         raise SuiteError(f"{out} exists already: choose another --out, or --force")
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
+    data = read_folder(folder)
     suite = suite_of(folder, data, most=tests)
     write_suite(suite, out)
     reasons = [reason for test in suite.tests for reason in test.why]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from contextlib import closing, nullcontext
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -64,7 +64,7 @@ def explain_command(
     from ds_base.table import write_tables
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError
-    from ds_orchestrator.campaign.folder import open_store, read_campaign
+    from ds_orchestrator.campaign.folder import read_folder
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.explanation.experiment import drive_experiments, experiment_on, experiments_on
     from ds_studies.whole_campaign import check_trust
@@ -73,16 +73,15 @@ def explain_command(
         raise ConfigError("--sim and --against choose the simulators of one test: give --test, too")
     if engine == "graph":
         raise ConfigError("--engine graph would start a node for every exchange: expected local or dask")
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
-        if test is not None or groups:  # something is driven, and so made
-            check_trust(data.config, trust or ())
-        failure_groups = groups_of(reasons_of(data))
-        experiments = (
-            experiments_on(data, failure_groups, groups) if test is None else [experiment_on(data, test, sim, against)]
-        )
-        failed = {(e.test_id, e.simulator): e for e in data.executions}
-        reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
+    data = read_folder(folder)
+    if test is not None or groups:  # something is driven, and so made
+        check_trust(data.config, trust or ())
+    failure_groups = groups_of(reasons_of(data))
+    experiments = (
+        experiments_on(data, failure_groups, groups) if test is None else [experiment_on(data, test, sim, against)]
+    )
+    failed = {(e.test_id, e.simulator): e for e in data.executions}
+    reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
     without = "local" if engine == "auto" else engine
     settings = replace(data.config.drive_settings(), driver=data.driver)
     settings = with_engine_without_ros(settings, workers, without, cluster)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -283,3 +284,9 @@ def read_campaign(store: Store) -> CampaignData:
         searches=tuple(store.searches()),
         results=store.results(),
     )
+
+
+def read_folder(folder: Path) -> CampaignData:
+    """Read the campaign in a folder; errors as in `open_store` and `read_campaign`."""
+    with closing(open_store(folder)) as store:
+        return read_campaign(store)

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.folder import open_store, read_campaign
+from ds_orchestrator.campaign.folder import read_folder
 from ds_orchestrator.search.features import Cell, Feature, feature_of
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
@@ -42,8 +41,7 @@ def roads_of(
     Raises:
         ConfigError: the campaign has no such simulator, cell or test.
     """
-    with closing(open_store(folder)) as store:
-        data = read_campaign(store)
+    data = read_folder(folder)
     config, tests, cells = data.config, data.tests, data.cells
     if simulator is not None and simulator not in config.simulators:
         raise ConfigError(f"{folder} has no simulator {simulator!r}: expected one of {', '.join(config.simulators)}")
