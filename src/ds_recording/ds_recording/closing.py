@@ -44,16 +44,9 @@ class Closed:
 
 
 def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Closed | None:
-    """Join the ends of a lap.
+    """Join the ends of a lap on an open line; None if nothing was driven twice, or does not look alike.
 
-    Args:
-        track: open line of more than a lap.
-        along: station of each pose, (n,).
-        lateral: offset to the right, (n,).
-        heading: relative to the line, (n,).
-
-    Returns:
-        The closed line; None if nothing was driven twice, or does not look alike.
+    Station, offset to the right, and heading relative to the line, are those of each pose, (n,).
     """
     spacing = float(track.lengths.mean())
     first, last = int(along.min() / spacing) + 1, int(along.max() / spacing)

@@ -37,15 +37,9 @@ SPACING = 0.25
 
 
 def arc_offsets(points: Array, headings: Array, curvatures: Array) -> Array:
-    """Distance to the left of arcs through the origin, in closed form.
+    """Distance of points, (n, 2), to the left of arcs through the origin, in closed form, (m, n).
 
-    Args:
-        points: (n, 2).
-        headings: direction of each arc at the origin, (m,) rad.
-        curvatures: left positive, (m,).
-
-    Returns:
-        (m, n).
+    Headings are the direction of each arc at the origin, (m,) rad; curvatures are left positive, (m,).
     """
     cos, sin = np.cos(headings)[:, None], np.sin(headings)[:, None]
     x, y = points.T
@@ -64,14 +58,9 @@ def chained(steps: Array) -> Array:
 
 
 def guess_track(lines: list[LinePoints], poses: Array) -> Track | None:
-    """Guess the centre line along a dead-reckoned path.
+    """Guess the centre line along a dead-reckoned path, (n, 3), from the lines of each frame.
 
-    Args:
-        lines: of each frame.
-        poses: dead-reckoned, (n, 3).
-
-    Returns:
-        The line, from behind the first pose to ahead of the last; None if hardly any frame shows one.
+    It reaches from behind the first pose to ahead of the last; None if hardly any frame shows one.
     """
     moments = np.arange(0, len(lines), EVERY)
     candidates = [candidate_shapes(*_joined(lines, poses, int(i))) for i in moments]
@@ -106,11 +95,7 @@ def _joined(lines: list[LinePoints], poses: Array, at: int) -> tuple[Array, NDAr
 
 
 def candidate_shapes(points: Array, white: NDArray[np.bool_]) -> Array:
-    """Likely shapes of the road about the car.
-
-    Args:
-        points: of lines, ahead and left of the car, (n, 2).
-        white: which of them are white, (n,).
+    """Likely shapes of the road about the car, from points of lines ahead and left of it, (n, 2), some white, (n,).
 
     Returns:
         Offset to the right, heading of the road, curvature, votes, (`BEST` or fewer, 4).

@@ -111,11 +111,7 @@ class FloorCamera:
         return self.centre_x_px + self.focal_px[0] * x, self.centre_y_px + self.focal_px[1] * y, covered
 
     def floor(self, pixels: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Points of the floor, ahead and left of the car's centre, (n, 2) m, and which of them are on it.
-
-        Args:
-            pixels: columns and rows, (n, 2).
-        """
+        """Points of the floor at pixels, (n, 2): ahead and left of the car's centre, (n, 2) m; and which are on it."""
         height, pitch = self._mount
         rays, inside = self.rays(pixels)
         cos, sin = math.cos(pitch), math.sin(pitch)
@@ -125,11 +121,7 @@ class FloorCamera:
         return np.stack((reach * (cos - rays[:, 1] * sin) + self.forward_m, -reach * rays[:, 0]), axis=1), valid
 
     def project(self, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Columns and rows of points of the floor, (n, 2) px, and which of them the lens model covers.
-
-        Args:
-            points: ahead and left of the car's centre, (n, 2) m.
-        """
+        """Columns and rows, (n, 2) px, of points of the floor, (n, 2) m, and which of them the lens model covers."""
         height, pitch = self._mount
         cos, sin = math.cos(pitch), math.sin(pitch)
         ahead = points[:, 0] - self.forward_m

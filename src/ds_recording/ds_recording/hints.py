@@ -84,8 +84,7 @@ NOTHING = Hint(np.zeros(3), np.full(3, math.inf))
 class HintFinder:
     """Says from images what is known about the motion between them before single corners are followed.
 
-    Args:
-        camera: mounted, for the images' size, with lane widths as the unit of length.
+    The camera is mounted, for the images' size, with lane widths as the unit of length.
     """
 
     def __init__(self, camera: FloorCamera) -> None:
@@ -98,11 +97,7 @@ class HintFinder:
 
 
 class _Turns:
-    """Compares what is above the horizon with the image before, moved sideways.
-
-    Args:
-        camera: mounted, for the images' size.
-    """
+    """Compares what is above the horizon with the image before, moved sideways."""
 
     def __init__(self, camera: FloorCamera) -> None:
         self._step = 1.0 / max(camera.focal_px)

@@ -54,10 +54,7 @@ def line_pixels(
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Find the middles of lines, where they are crossed squarely along a row or a column of the image.
 
-    Args:
-        image: (rows, columns, 3) uint8 RGB.
-        first_row: of those that can show the floor.
-        centre: colour of the centre line, a key of `CENTRES`.
+    The image is (rows, columns, 3) uint8 RGB; `first_row` is the first that can show the floor.
 
     Returns:
         Middles (n, 2) px, ends of the crossing (n, 2, 2) px, whether white (n,).
@@ -90,11 +87,9 @@ def line_pixels(
 
 
 def points_on_floor(pixels_of_lines: tuple[Array, Array, NDArray[np.bool_]], camera: FloorCamera) -> LinePoints:
-    """Place lines on the floor, and leave out what is too wide for a line or too far away.
+    """Place lines of `line_pixels` on the floor, and leave out what is too wide for a line or too far away.
 
-    Args:
-        pixels_of_lines: from `line_pixels`.
-        camera: with lane widths as the unit of length.
+    The camera's unit of length is a lane width.
     """
     pixels, ends, white = pixels_of_lines
     if not len(pixels):

@@ -62,14 +62,7 @@ class Fit:
 
 
 def gather(views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT) -> Evidence:
-    """Find lines and motions of a stretch's images.
-
-    Args:
-        views: the stretch.
-        camera: mounted, for images of the recorded size.
-        lane_width: m.
-        progress: counts the images.
-    """
+    """Find lines and motions of a stretch's images; the camera is mounted, for images of the recorded size."""
     images, seconds = views.images, views.seconds
     scaled = camera.resized(images[0].shape[1], images[0].shape[0]).scaled(1.0 / lane_width)
     finder, before = MotionFinder(scaled), HintFinder(scaled)
@@ -89,13 +82,6 @@ def with_odometry(
     evidence: Evidence, views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT
 ) -> tuple[Evidence, list[Checked]]:
     """Check other sources of motion against the images, and follow the floor anew with those that agree.
-
-    Args:
-        evidence: of the images alone.
-        views: the stretch.
-        camera: mounted, for images of the recorded size.
-        lane_width: m.
-        progress: counts the images.
 
     Returns:
         Evidence of both, ways in the metres of both, and what became of each source.

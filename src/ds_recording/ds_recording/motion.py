@@ -55,11 +55,7 @@ class Motion:
 
 
 class MotionFinder:
-    """Follows the floor from image to image.
-
-    Args:
-        camera: with lane widths as the unit of length.
-    """
+    """Follows the floor from image to image; the camera's unit of length is a lane width."""
 
     def __init__(self, camera: FloorCamera) -> None:
         self._camera = camera
@@ -74,10 +70,7 @@ class MotionFinder:
     def see(self, image: NDArray[np.uint8], seconds: float, hint: Hint = NOTHING) -> Motion | None:
         """Motion since the last image, (rows, columns, 3) uint8 RGB; None for the first, or if it is not seen.
 
-        Args:
-            image: the next image.
-            seconds: time since the last one.
-            hint: what is known otherwise about the motion.
+        `seconds` is the time since the last one, `hint` what is known otherwise about the motion.
         """
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
         before, self._previous = self._previous, grey

@@ -38,12 +38,7 @@ IMAGES = 24
 
 
 def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
-    """Find height and pitch of a camera whose lens is known.
-
-    Args:
-        views: recording with this camera.
-        camera: for images of the recorded size.
-        lane_width: m.
+    """Find height and pitch of a camera, for images of the recorded size, whose lens is known.
 
     Raises:
         RecordingError: the lines fit none.
@@ -56,14 +51,7 @@ def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
 
 
 def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
-    """Estimate height and pitch; what is known already stays.
-
-    Args:
-        camera: with lane widths as the unit of length.
-        lines: of some images, from `ds_recording.lines.line_pixels`.
-
-    Returns:
-        The camera with height and pitch.
+    """Estimate height and pitch from the lines of some images, in lane widths; what is known already stays.
 
     Raises:
         RecordingError: the lines fit no mounting.

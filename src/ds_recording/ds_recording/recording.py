@@ -72,13 +72,7 @@ def read_views(
     odometry: str | None = None,
     centre: str = "yellow",
 ) -> Views:
-    """Read the longest stretch without gaps, or the first `MOST_FRAMES` of it.
-
-    Args:
-        path: bag or tub.
-        reading: topics of images and steering.
-        odometry: see `ds_recording.odometry.read_sources`.
-        centre: colour of the centre line.
+    """Read the longest stretch without gaps, or the first `MOST_FRAMES` of it; for `odometry` see `read_sources`.
 
     Raises:
         RecordingError: an unknown colour, too few images, or times that make no sense.
@@ -132,12 +126,7 @@ def read_views(
 
 
 def longest_stretch(path: Path, seconds: Array, total: int) -> tuple[int, int]:
-    """First image and end of the longest stretch without gaps, at most `MOST_FRAMES` long.
-
-    Args:
-        path: recording, for messages.
-        seconds: times of the images that can be read.
-        total: number of all images, for messages.
+    """First image and end of the longest stretch without gaps, at most `MOST_FRAMES` long, of those that can be read.
 
     Raises:
         RecordingError: there is none, or the times make no sense.

@@ -142,13 +142,9 @@ class _Rows:
 
 
 class Smoother:
-    """Solves one stretch.
+    """Solves one stretch, from a first guess of poses, (n, 3), and track.
 
-    Args:
-        evidence: of the stretch.
-        poses: first guess, (n, 3).
-        track: first guess.
-        stations: first guess of the piece of the track at each pose, (n,); found along the line if omitted.
+    `stations` is a first guess of the piece of the track at each pose, (n,); they are found along the line if omitted.
     """
 
     def __init__(self, evidence: Evidence, poses: Array, track: Track, stations: Index | None = None) -> None:
@@ -182,11 +178,7 @@ class Smoother:
     ) -> Solution:
         """Run Gauss-Newton, with the gates closing, and return what was found.
 
-        Args:
-            turns: number of steps.
-            progress: counts them.
-            kept: what `keep` got last, to go on from there.
-            keep: takes the state after each step.
+        `keep` takes the state after each step; `kept` is what it got last, to go on from there.
         """
         step_damping, done = 1e-5, 0
         if kept is not None:

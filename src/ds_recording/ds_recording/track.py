@@ -132,13 +132,7 @@ def wrap(angle: Array) -> Array:
 
 
 def write_track(path: Path, track: Track, half_width: float) -> None:
-    """Write a RoboRacer track file.
-
-    Args:
-        path: file to write.
-        track: centre line, m.
-        half_width: distance from the centre line to either edge line, m.
-    """
+    """Write a RoboRacer track file; centre line, and distance from it to either edge line, m."""
     rows = [f"{x:.4f},{y:.4f},{half_width:.4f},{half_width:.4f}" for x, y in track.points.tolist()]
     write_whole(path, "\n".join([HEADER, *rows]) + "\n")
 

@@ -27,11 +27,9 @@ _LINES, _MOTION, _HINT = (tuple(field.name for field in fields(kind)) for kind i
 
 
 class Unfinished:
-    """Keeps arrays under names until the location is finished.
+    """Keeps arrays in a folder until the location is finished; without a folder, nothing.
 
-    Args:
-        folder: of the location, created when something is kept; None keeps nothing.
-        inputs: digest of everything that it depends on; what was kept for others is ignored.
+    `inputs` is a digest of everything that they depend on: what was kept for others is ignored.
     """
 
     def __init__(self, folder: Path | None = None, inputs: str = "") -> None:

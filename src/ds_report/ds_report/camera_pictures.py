@@ -84,12 +84,12 @@ def plan_pictures(
 
     Failed drives come first, those of the worst test before all others, at the finest of `SPACINGS` with which all of
     them fit; if none does, at the coarsest, and the last ones have no replay with pictures. The other drives of the
-    same tests follow as long as there is room.
+    same tests follow as long as there is room. Tests without a cell have no pictures.
 
     Args:
         tests: every test, in the campaign's order.
         executions: every execution.
-        cells: test -> cell; tests without one have no pictures.
+        cells: test -> cell.
         strips: largest number of tests with strips.
         replays: largest number of pictures in all replays.
     """
@@ -288,16 +288,9 @@ def drive_pictures(
     frames: Mapping[tuple[str, SimulatorName], Sequence[int]],
     one_by_one: bool = False,
 ) -> dict[str, list[PicturedDrive | None]]:
-    """Render drives, with what the driver sees.
+    """Render drives, with what the driver sees, as `plan_pictures` chose their frames.
 
-    Args:
-        names: simulators.
-        tests: every test, in the campaign's order.
-        executions: every execution.
-        trusted: user-defined simulators whose code may run.
-        driver: name of the driver.
-        frames: test and simulator -> frames to render; see `plan_pictures`.
-        one_by_one: render on one simulator after the other, in the same memory: 150 MB less.
+    With `one_by_one`, simulators render one after the other, in the same memory: 150 MB less.
 
     Returns:
         Test -> drive on every simulator, or None if no picture is wanted there; tests without any are left out.
@@ -338,16 +331,7 @@ def render_drive(
     steps: Sequence[int],
     driver: DriverName,
 ) -> PicturedDrive:
-    """Render frames of one drive, with what the driver sees.
-
-    Args:
-        simulator: the simulator, which drives nothing at this moment.
-        name: its name.
-        test: the test.
-        execution: its execution there.
-        steps: frames to render, increasing.
-        driver: name of the driver.
-    """
+    """Render increasing frames of one drive, with what the driver sees, on a simulator that drives nothing now."""
     see = partial(_paired, driver=driver, simulator=name)
     if not isinstance(simulator, RoadSimulator):
         return PicturedDrive(note="no pictures: this simulator renders images only while it drives")

@@ -56,11 +56,7 @@ def write_comparison_page(
 ) -> None:
     """Write the page; the same comparison gives the same bytes.
 
-    Args:
-        comparison: the comparison.
-        path: file to write.
-        road_files: test -> file with its road, for tests that newly fail.
-        unmet: pass criteria that are not met, one sentence each.
+    `road_files` has the file with the road of tests that newly fail; `unmet` the pass criteria that are not met.
     """
     worse = comparison.newly_failing
     write_page(

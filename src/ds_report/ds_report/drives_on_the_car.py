@@ -25,17 +25,9 @@ _HOW = (
 
 
 def write_drives_to_do(folder: Path, number: int, drives: Sequence[ProposedDrive]) -> Path:
-    """Write a round of drives into a campaign's folder.
+    """Write a round of at least one drive, numbered from 1 on, into a campaign's folder; returns the round's folder.
 
     Per drive a drawing and a CSV with the points to tape out, `README.md` with what to set, `outcomes.csv` to fill in.
-
-    Args:
-        folder: campaign folder.
-        number: of the round, from 1 on.
-        drives: at least one.
-
-    Returns:
-        The round's folder.
     """
     place = folder / FOLDER / f"round_{number}"
     how = (

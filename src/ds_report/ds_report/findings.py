@@ -113,9 +113,7 @@ def road_outcomes(data: CampaignData) -> RoadOutcomes:
 def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None:
     """Find the split with the largest Youden index, clear or not, by rule 2 of this module; None if there is none.
 
-    Args:
-        outcomes: roads and which of them fail.
-        kind: only axes of the road, or only conditions; None for all.
+    With `kind`, only axes of the road, or only conditions, are split.
     """
     axes = [one for one in _axes(outcomes) if kind in (None, kind_of(one[0]))] if outcomes.tests else []
     if not axes:

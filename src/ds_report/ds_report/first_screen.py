@@ -52,10 +52,7 @@ class FirstScreen:
 def first_screen(data: CampaignData, folder: str = ".", where: str = "") -> FirstScreen:
     """Answer a user's three questions from a campaign, finished or not.
 
-    Args:
-        data: contents of the campaign's store.
-        folder: campaign folder, as the command names it.
-        where: where the driver fails, if `ds_report.findings.summarise` has already found it.
+    `folder` is as the command names it; `where` is where the driver fails, if `ds_report.findings` has said it already.
     """
     step, command = _next_step(data, folder)
     if not where:

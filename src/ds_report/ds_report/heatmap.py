@@ -75,17 +75,10 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Pictur
 
 
 def draw_verdicts(verdicts: Verdicts, title: str) -> Picture:
-    """Draw the cells over the first two axes; maps of three axes get one panel for each bin of the third.
+    """Draw at least one cell over two axes, a panel for each bin of a third, as (rows, columns, 3) uint8 RGB.
 
     A cell shows its verdict, the mean failure rate, and the number of tests; a cell that the car drove has a frame, and
     the number of its drives.
-
-    Args:
-        verdicts: with at least one cell.
-        title: heading.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
     """
     panels = []
     for rest in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):

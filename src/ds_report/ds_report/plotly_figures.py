@@ -32,11 +32,7 @@ _ROW, _LEAST, _MOST = 17, 230, 560
 
 
 def layouts(rows: int) -> dict[str, Any]:
-    """Create layouts by name: `map`, `road`, `lateral` and `steering`; the script sets the axes of maps.
-
-    Args:
-        rows: number of rows of a map.
-    """
+    """Create layouts by name: `map`, `road`, `lateral` and `steering`; the script sets axes of maps with such rows."""
     return {
         "map": _plain(_map_layout(rows)),
         "road": _plain(_road_layout()),

@@ -32,14 +32,7 @@ SHOWN = (0.3, 6.0)
 
 
 def write_recording_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
-    """Write the page.
-
-    Args:
-        path: file to write.
-        views: images of the stretch.
-        located: result.
-        fit: solution that the result is from, of the same stretch.
-    """
+    """Write the page of a stretch's images, its solution, and the result of that."""
     about = located.about
     stretch, camera = about["stretch"], located.camera
     spread = f" +- {camera.focal_std:.1f}" if camera.focal_std else ""

@@ -68,12 +68,7 @@ class RoadSheet:
 
 
 def sheet_of(road: Road, scale: float) -> RoadSheet:
-    """Scale a road to the size of a car.
-
-    Args:
-        road: road to tape out.
-        scale: metres of the road per metre of the car's, such as 16 for a car of 1:16.
-    """
+    """Scale a road to the size of a car: 16 metres of the road for each of a car of 1:16."""
     lines = [road.points, road.left_edge, road.right_edge, road.lane_centre]
     # All lines have a point for each sample of the centre line, abreast of it.
     along = arc_lengths(road.points) / scale
@@ -98,15 +93,7 @@ def sheet_of(road: Road, scale: float) -> RoadSheet:
 
 
 def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
-    """Draw a road on white, for print: edges black, centre line amber, driven lane dotted, a grid of half metres.
-
-    Args:
-        sheet: road at the car's size.
-        title: heading.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
-    """
+    """Draw a road for print, as (rows, columns, 3) uint8 RGB, with a grid of half metres."""
     scale = _PIXELS / max(sheet.width, sheet.height)
     size = max(round(sheet.width * scale) + 90, 560), round(sheet.height * scale) + 110
 

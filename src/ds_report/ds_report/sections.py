@@ -55,12 +55,7 @@ class AnswerSection:
 
 
 def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
-    """Predict the car from a campaign and its real drives; a twin counts as one more simulator.
-
-    Args:
-        folder: campaign folder.
-        data: contents of its store.
-    """
+    """Predict the car from a campaign and its real drives; a twin counts as one more simulator."""
     try:
         # A real drive may be of any test.
         car = predict_car(folder, table_of_campaign(data, most=None if read_drives(folder) else MOST_ANALYSED))
@@ -158,12 +153,7 @@ class FurtherMap:
 
 
 def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> FurtherMap:
-    """Draw the maps of a campaign over two features.
-
-    Args:
-        axes: names of the two features.
-        maps: maps of the campaign over them.
-    """
+    """Draw the maps of a campaign over two features."""
     across, up = (feature_of(name).title.partition(",")[0] for name in axes)
     bounds = bounds_of(maps.values())
     return FurtherMap(

@@ -18,15 +18,9 @@ if TYPE_CHECKING:
 
 
 def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
-    """Draw the largest lateral position over a feature: failures as discs, completed roads as rings.
+    """Draw the largest lateral position over a feature, (rows, columns, 3) uint8 RGB; discs are failures.
 
-    Args:
-        table: at least one test, with a verdict on every simulator.
-        feature: name of one of its features; the same axis for every simulator.
-        vector: see `ds_base.figures.draw_figure`.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
+    The table has at least one test, each with a verdict on every simulator; `vector` is as in `draw_figure`.
     """
 
     def draw(figure: Figure) -> None:
@@ -44,13 +38,7 @@ def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None)
 
 
 def draw_matrix(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
-    """Draw which simulator fails on which road, one row per simulator; roads are sorted by a feature.
-
-    `vector` as in `draw_figure`.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
-    """
+    """Draw which simulator fails on which road, roads sorted by a feature, as (rows, columns, 3) uint8 RGB."""
 
     def draw(figure: Figure) -> None:
         order = np.argsort(table.feature(feature), kind="stable")

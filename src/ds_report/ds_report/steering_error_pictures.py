@@ -26,13 +26,7 @@ SHOWN = 4
 
 
 def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
-    """Write a picture of steering errors as PNG, PDF and SVG.
-
-    Args:
-        title: heading of the picture.
-        answers: answers to every recording.
-        path: path of the PNG file; the others are beside it.
-    """
+    """Write a picture of the steering errors on every recording as PNG, and beside it as PDF and SVG."""
     errors, shown = pooled_errors(answers), answers[:SHOWN]
     panels = [(330, partial(_densities, errors))] if errors else []
     panels += [(230, partial(_over_time, one)) for one in shown if len(one.index) > 1]

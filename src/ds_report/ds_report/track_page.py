@@ -27,14 +27,7 @@ PHOTOGRAPHS, APART = 3, 10.0
 
 
 def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, facts: Mapping[str, str]) -> Path:
-    """Write the page; the same answer gives the same bytes.
-
-    Args:
-        path: file to write.
-        answer: result of the drives.
-        drive: the recording that it was driven on.
-        facts: rows of a table about the recording.
-    """
+    """Write the page, with rows of a table about the recording; the same answer gives the same bytes."""
     columns = [(who, where) for who, where in answer.drives if who == answer.driver or where == answer.recording]
     rows = [
         (

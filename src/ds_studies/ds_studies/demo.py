@@ -119,12 +119,7 @@ def measure_sensitivity(
 ) -> Sensitivity:
     """Find what breaks the network on the siblings and the twin; `watch` is called after each measurement.
 
-    Args:
-        fog: of `drive_into_fog`, which says how much this machine can do.
-        folder: receives the drives.
-        workers: processes per simulator.
-        progress: counts the measurements.
-        watch: called with what is known.
+    `fog` is of `drive_into_fog`, which says how much this machine can do.
     """
     make_folder(folder)
     siblings = tuple(fog["siblings"])

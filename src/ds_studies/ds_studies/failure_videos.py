@@ -41,15 +41,9 @@ class FailedDrive(OfScenario):
 
 
 def write_failure_videos(driver: DriverName, failed: Sequence[FailedDrive], folder: Path) -> list[Path]:
-    """Drive failed tests once more, which gives the same drives, and write a video of each.
+    """Drive failed tests once more, which gives the same drives, and write `TEST_SIMULATOR.mp4` of each into a folder.
 
-    Args:
-        driver: name of the driver.
-        failed: the drives; at most the first `MOST_VIDEOS` are shown, those that can be drawn.
-        folder: receives `TEST_SIMULATOR.mp4`, created if missing.
-
-    Returns:
-        Paths of the videos.
+    At most the first `MOST_VIDEOS` are shown, those that can be drawn. Returns the paths.
     """
     make_folder(folder)
     videos: list[Path] = []

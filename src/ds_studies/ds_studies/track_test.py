@@ -147,11 +147,8 @@ def run_track_test(
 ) -> TrackAnswer:
     """Do what is left to do, and write `answer.json` and the page.
 
-    Args:
-        test: what is tested.
-        settings: engine that drives; its driver and simulators are those of the test.
-        callbacks: who hears of the drives.
-        progress: makes one that counts the work of a step.
+    The driver and simulators of the settings are replaced by those of the test; `progress` makes one that counts the
+    work of a step.
 
     Raises:
         TrackTestError: the folder holds the test of another recording, camera or lane.

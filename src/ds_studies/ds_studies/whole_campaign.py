@@ -129,15 +129,7 @@ def run_campaign(
 
 
 def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: Collection[str] = ()) -> Path:
-    """Write maps, pictures, tables and report of a campaign again.
-
-    Args:
-        folder: campaign folder.
-        listener: receives every stage.
-        trusted: simulators of the user's own whose code may run; see `check_trust`.
-
-    Returns:
-        Path of the report.
+    """Write maps, pictures, tables and report of a campaign again; returns the report's path.
 
     Raises:
         ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or cannot be used.
@@ -152,10 +144,6 @@ def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
 
     A folder may have been received, so its configuration alone never decides which code runs. The caller's own
     configuration needs no such check.
-
-    Args:
-        config: configuration as stored in the folder.
-        trusted: simulators and drivers that the user named.
 
     Raises:
         ds_sim.registry.UntrustedSimulatorError: a simulator is neither shipped nor trusted.

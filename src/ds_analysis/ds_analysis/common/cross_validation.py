@@ -81,17 +81,10 @@ def predict_failures(
     columns: Sequence[Columns] = ("best", "all"),
     repeats: int = REPEATS,
 ) -> Predictions:
-    """Predict every outcome by a logistic model of the other roads, those of other families if roads have any.
+    """Predict (roads,) outcomes, ten of each kind or more, by a logistic model on (roads, features) of the other roads.
 
-    In each training part, a second cross-validation chooses the model (features and strength of the penalty) with the
-    smallest loss.
-
-    Args:
-        features: (roads, features) predictors.
-        failed: (roads,) outcomes, at least ten of each kind.
-        families: (roads,) number of the family; each road is its own if None.
-        columns: sets of features to choose from.
-        repeats: number of divisions into parts.
+    The other roads are those of other families, if roads have any. In each training part, a second cross-validation
+    chooses the model (set of columns and strength of the penalty) with the smallest loss.
     """
     from sklearn import config_context
 
@@ -113,16 +106,11 @@ def predict_failures(
 
 
 def predict_with(predictions: Predictions, failed: Bools, added: Array) -> Array:
-    """Add predictors to predictions: a logistic model with the predicted logits as its offset.
+    """Add (roads, k) predictors to predictions: a logistic model with the predicted logits as its offset.
 
     Training roads enter with logits from models that did not see them, as the roads that are predicted do. Of each
     added predictor only what is new counts: its residual after a linear regression on the logits and on the predictors
     before it. So a predictor can neither recalibrate the prediction, nor undo the penalty on one that it repeats.
-
-    Args:
-        predictions: from road features.
-        failed: (roads,) outcomes.
-        added: (roads, k) further predictors.
 
     Returns:
         (repeats, roads) probabilities of failure, each from a model that did not see the road.

@@ -44,15 +44,10 @@ def proposal(
     config: CampaignConfig,
     sensitivity: str = "",
 ) -> Proposal | None:
-    """Propose harder or gentler tests.
+    """Propose harder or gentler tests; None if nothing was driven, or some tests pass and some fail.
 
-    Args:
-        tally: simulator -> failures and tests, of a finished campaign.
-        config: the campaign's configuration.
-        sensitivity: folder of `ds sensitivity --out` for this network, or "".
-
-    Returns:
-        None if nothing was driven, or some tests pass and some fail.
+    `tally` has failures and tests of a finished campaign for each simulator; `sensitivity` is the folder of `ds
+    sensitivity --out` for this network, or "".
     """
     failures, tests = (sum(column) for column in zip(*tally.values(), strict=True)) if tally else (0, 0)
     where = ", ".join(name for name, (_, of) in tally.items() if of)

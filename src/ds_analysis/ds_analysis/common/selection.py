@@ -165,11 +165,7 @@ def _gains(failed: Bools) -> Array:
 
 
 class _Ranked:
-    """Places on several axes, the hardest first, and where in that order a threshold may lie.
-
-    Args:
-        values: (axes, places).
-    """
+    """(axes, places) values on several axes, the hardest first, and where in that order a threshold may lie."""
 
     def __init__(self, values: Array) -> None:
         self.order = np.argsort(-values, axis=1, kind="stable")
@@ -211,12 +207,7 @@ def most_frequent(labels: Sequence[Label], families: Indices, alpha: float = ALP
     """The most frequent label, if it is clearly more frequent than the second one, by rule 3; else None.
 
     The first against the second, two-sided, is a valid test of the first against all (Gutmann and Maymin, Annals of
-    Statistics 15, 1987).
-
-    Args:
-        labels: one for each test; where there is a single one, nothing is chosen.
-        families: (tests,) number of the family, from 0.
-        alpha: largest p.
+    Statistics 15, 1987). Where there is a single label, nothing is chosen.
     """
     ranked = [label for label, _ in Counter(labels).most_common(2)]
     if len(ranked) < 2:

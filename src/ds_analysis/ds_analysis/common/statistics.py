@@ -41,12 +41,7 @@ predicts one outcome, whether the twin fails in a cell; the rarer outcome is the
 
 
 def caution_of(cells: int, failing: int) -> str:
-    """Explain why a comparison of maps allows no conclusion; "" if it allows one.
-
-    Args:
-        cells: number of cells compared.
-        failing: number of them in which the twin fails.
-    """
+    """Explain why a comparison of so many cells, of which some fail, allows no conclusion; "" if it allows one."""
     if min(failing, cells - failing) >= FEWEST_OF_EACH_KIND:
         return ""
     return (
@@ -186,16 +181,10 @@ def bootstrap_interval(
 
 
 def families_of(roads: Sequence[Road]) -> Indices:
-    """Number the families of tests by the root of mutation of their roads.
+    """(tests,) number of each test's family, from 0 in the order of first appearance: the root of mutation of its road.
 
     Mutation moves the control points `GENES` alone (`ds_road.mutate`), or a condition. The others stay bit for bit
     those of the root, which differ between random roads: equal ones tell a family, and no pedigree need be stored.
-
-    Args:
-        roads: (tests,) roads.
-
-    Returns:
-        (tests,) numbers from 0, in the order of first appearance.
     """
     numbers: dict[object, int] = {}
     return np.array([numbers.setdefault(_kept_by_mutation(road), len(numbers)) for road in roads], np.intp)
@@ -223,12 +212,9 @@ def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indice
 def interval_over_families(
     samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float], families: Indices
 ) -> tuple[float, float] | None:
-    """Estimate a 95% interval by a bootstrap over whole families; None for a single one. See `bootstrap_interval`.
+    """Estimate a 95% interval of a statistic of (tests,) samples by a bootstrap over families; None for a single one.
 
-    Args:
-        samples: (tests,) values each.
-        statistic: of the samples.
-        families: (tests,) number of the family.
+    See `bootstrap_interval`.
     """
     if len(np.unique(families)) < 2:
         return None

@@ -19,17 +19,10 @@ _NO_WIDTH = 1e-9
 
 
 def family_weights(families: Indices, resamples: int, seed: int) -> Array:
-    """Draw whole families with replacement, as often as there are families.
+    """(resamples + 1, rows) how often each row counts where whole families are drawn; the first resample is the sample.
 
-    A cluster bootstrap (Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8).
-
-    Args:
-        families: (rows,) family of each row.
-        resamples: number of resamples.
-        seed: seed of the draws.
-
-    Returns:
-        (resamples + 1, rows) how often each row counts; the first resample is the sample itself.
+    Families are drawn with replacement, as often as there are families: a cluster bootstrap (Davison and Hinkley,
+    Bootstrap Methods and their Application, 1997, section 3.8).
     """
     distinct, member = np.unique(families, return_inverse=True)
     rng = np.random.default_rng(seed)

@@ -79,12 +79,7 @@ class Criteria:
         newly_failing: int | None = None,
         worse: Sequence[str] = (),
     ) -> list[str]:
-        """Say which criteria are not met, one sentence each.
-
-        Args:
-            tally: simulator -> failures and tests.
-            newly_failing: number of drives that newly fail; None if there is nothing to compare with.
-            worse: simulators on which the candidate is significantly worse.
+        """Say which criteria are not met, one sentence each; `newly_failing` is None without a reference.
 
         Raises:
             ConfigError: the criterion needs a comparison, and there is none.
@@ -185,13 +180,9 @@ def cases_of_campaign(data: CampaignData) -> list[Case]:
 
 
 def junit_of(name: str, cases: Sequence[Case]) -> str:
-    """Format cases as JUnit XML, one test suite for each simulator.
+    """Format cases, sorted by simulator, as JUnit XML, one test suite for each simulator.
 
     Times are simulated, so that the same outcomes give the same bytes.
-
-    Args:
-        name: name of the whole.
-        cases: sorted by simulator.
     """
     document = Element("testsuites", _totals(name, cases, ("failures", "errors", "skipped")))
     for simulator, group in groupby(cases, key=lambda case: case.simulator):

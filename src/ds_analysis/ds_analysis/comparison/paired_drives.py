@@ -274,11 +274,9 @@ def adjusted(p: Sequence[float], correction: Correction) -> list[float]:
 
 
 def fewest_changes(family: int, *, sequential: bool = False) -> int:
-    """Smallest number of changes, all in one direction, that Holm's procedure can call significant among so many tests.
+    """Smallest number of changes in one direction that Holm's procedure can call significant among so many tests.
 
-    Args:
-        family: number of p-values.
-        sequential: see `PairedCounts.of`.
+    `sequential` is as in `PairedCounts.of`.
     """
     for changes in count(1):
         order = (1,) * changes if sequential else None

@@ -52,12 +52,7 @@ def simulator_table(comparison: Comparison) -> Table:
 
 
 def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
-    """Tabulate cells in which some test changed, the worst first.
-
-    Args:
-        comparison: the comparison.
-        most: number of rows, or None for all.
-    """
+    """Tabulate cells in which some test changed, the worst first, at most so many."""
     changed = [one for one in comparison.cells if one.counts.newly_fail or one.counts.fixed]
     changed.sort(key=lambda one: (-(one.counts.difference or 0.0), one.p_adjusted, one.simulator, one.cell))
     rows: list[tuple[Value, ...]] = []
@@ -86,9 +81,7 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
 def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
     """Tabulate tests that newly fail, worst first; without any, those that lost most distance to the lane's edge.
 
-    Args:
-        comparison: the comparison.
-        most: number of rows, or None for every pair.
+    `most` is a number of rows, or None for every pair.
     """
     worse = comparison.newly_failing
     shown = worse or [drive for drive in comparison.drives if drive.margin_change < 0.0]
@@ -130,12 +123,7 @@ def command_of(drive: PairedDrive, driver: DriverName, road_file: str) -> str:
 
 
 def document_of(comparison: Comparison, road_files: Mapping[str, str]) -> dict[str, Any]:
-    """Convert a comparison to JSON values.
-
-    Args:
-        comparison: the comparison.
-        road_files: test -> file with its road, for tests that newly fail.
-    """
+    """Convert a comparison to JSON values; see `markdown_of`."""
     return {
         "advice": advice_of(comparison),
         "answer": answer_of(comparison),

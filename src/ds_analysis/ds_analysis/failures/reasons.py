@@ -125,16 +125,10 @@ def reason_of(test: Test, execution: Execution) -> Reason:
 
 
 def _steering_into_bend(road: Road, arc: Array, steering: Array, side: int) -> tuple[str, float]:
-    """Say how a driver that runs wide steers into the bend.
+    """How a driver that runs wide steers into a bend, and the time from the bend's beginning to the steering's, s.
 
-    Args:
-        road: the road.
-        arc: (steps,) arc length at which each command was given, m, increasing.
-        steering: (steps,) commands, right positive.
-        side: 1 for a bend to the right, -1 to the left.
-
-    Returns:
-        In words; and the time from the beginning of the bend to that of the steering, s.
+    `arc` is the arc length at which each command was given, (steps,) m, increasing; `side` 1 for a bend to the right,
+    -1 to the left.
     """
     places = np.arange(0.0, max(float(arc[-1]) - LOOK_BACK, 0.0) + _STEP, _STEP)
     curvature = side * lane_curvature(road.lane_centre, places)

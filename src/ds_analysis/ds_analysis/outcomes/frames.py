@@ -44,12 +44,7 @@ _ROWS = 100_000
 
 
 def write_frames(folder: Path, data: CampaignData) -> Path:
-    """Write a row for each frame of each execution of a campaign, finished or not; return the file's path.
-
-    Args:
-        folder: to write to, created if missing; a file of the same name is replaced.
-        data: campaign.
-    """
+    """Write a row for each frame of each execution of a campaign, finished or not; return the file's path."""
     with whole_file(folder / FILE) as partial, pq.ParquetWriter(partial, _SCHEMA, compression="zstd") as writer:
         for batch in _batches(data):
             writer.write_table(pa.concat_tables(map(_table, batch)).unify_dictionaries())

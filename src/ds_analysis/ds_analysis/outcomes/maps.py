@@ -16,14 +16,10 @@ from ds_orchestrator.search.features import Cell
 
 
 def maps_of_study(study: Study, features: list[str] | None = None) -> dict[MapId, FeatureMap]:
-    """Build every map of a study.
+    """Build every map of a study, over its axes or over other features.
 
     A test that was repeated counts once, as in `Study.table`. A cell's quality loss is the mean of the margins as
     shares of their limits, at most 1, or of the failures where only verdicts are known.
-
-    Args:
-        study: outcomes.
-        features: axes other than the study's.
 
     Raises:
         OutcomeTableError: a feature is unknown.

@@ -19,11 +19,7 @@ _OUTCOMES: Mapping[int, Outcome] = {State.COMPLETED: Outcome.COMPLETED, State.FA
 
 
 def compare_studies(reference: Path, candidate: Path) -> Comparison:
-    """Compare two studies on the tests and simulators that both have; a test that was repeated counts once.
-
-    Args:
-        reference: folder of the study of the driver that is known.
-        candidate: folder of the study of the driver that may replace it.
+    """Compare two studies' drivers on the tests and simulators that both have; a test that was repeated counts once.
 
     Raises:
         OutcomeTableError: they share no test on a simulator.

@@ -26,11 +26,9 @@ STEP = 2.0
 
 
 def read_competition(folders: Sequence[Path], left_out: LeftOut | None = None) -> pd.DataFrame:
-    """Read folders as one table: test_id, simulator, repeat, failed, and the road's features.
+    """Read folders, one for each simulator, as one table: test_id, simulator, repeat, failed, and the road's features.
 
-    Args:
-        folders: one for each simulator.
-        left_out: takes files that cannot be read; None refuses.
+    `left_out` takes files that cannot be read; None refuses them.
 
     Raises:
         OutcomeTableError: a folder has no test file, or a file is not one and none may be left out.

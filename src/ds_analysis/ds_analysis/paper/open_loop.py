@@ -76,12 +76,7 @@ class OpenLoopError(InputError):
 
 
 def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> Answers:
-    """Evaluate a driver on every image of a recording.
-
-    Args:
-        recording: recording with images.
-        answer: driver.
-        limit: largest number of images; all if None.
+    """Evaluate a driver on every image of a recording, or on the first ones.
 
     Raises:
         ds_bags.layout.BagError: the recording is damaged, or has no images.
@@ -153,10 +148,10 @@ def predict(
     images: int | None = None,
     trusted: Collection[str] = (),
 ) -> dict[str, Answers]:
-    """Run a network over a data set, one image at a time as in closed loop.
+    """Run a network over a data set (`ds_driver.data.dataset`), one image at a time as in closed loop.
 
     Args:
-        data: folder of the data set; see `ds_driver.data.dataset`.
+        data: folder of the data set.
         network: driver that sees images.
         progress: counts the images.
         images: largest number of images per simulator, evenly spread over its drives, or for a network with memory the

@@ -117,14 +117,7 @@ def _caution_notes(reasons: Sequence[str]) -> list[str]:
 def correlation_tables(
     correlations: Sequence[Correlation], siblings: Sequence[SimulatorName], twin: SimulatorName, network: Network | None
 ) -> list[Table]:
-    """Tabulate RQ2 and RQ3 (paper 4.4.2, 4.4.3).
-
-    Args:
-        correlations: as `ds_analysis.paper.correlation.evaluate` returns them.
-        siblings: names of the siblings, in order.
-        twin: name of the twin.
-        network: network in the paper whose numbers are shown for comparison, or None.
-    """
+    """Tabulate RQ2 and RQ3 (paper 4.4.2, 4.4.3), beside the paper's numbers of a network."""
     tables = []
     for value, (name, title) in _TITLES.items():
         of_paper = (RQ2 if value == "probability" else RQ3).get(network or ("", "sim"), {})
@@ -178,12 +171,7 @@ def paired_difference_table(paired_differences: Sequence[PairedDifference], sibl
 
 
 def robustness_table(robustness_checks: Sequence[RobustnessCheck], reasons: Sequence[str] = ()) -> Table:
-    """Tabulate RQ2 and RQ3 computed in other ways.
-
-    Args:
-        robustness_checks: as `ds_analysis.paper.correlation.check_robustness` returns them.
-        reasons: reasons why the numbers allow no conclusion.
-    """
+    """Tabulate RQ2 and RQ3 computed in other ways, and the reasons why the numbers allow no conclusion."""
     columns = [
         *styled("text", "how", "map", "against", "value"),
         Column("cells", "count"),
@@ -214,13 +202,8 @@ def error_tables(
 ) -> list[Table]:
     """Tabulate RQ1 (paper 4.4.1): the comparison, its robustness checks, and the densities.
 
-    Args:
-        comparisons: as `ds_analysis.paper.steering_error_stats.compare_errors` returns them.
-        robustness_checks: as `ds_analysis.paper.steering_error_stats.check_error_robustness` returns them.
-        errors: simulator -> absolute steering errors, including the twin's.
-        siblings: names of the siblings, in order.
-        twin: name of the twin.
-        network: network in the paper whose numbers are shown for comparison, or None.
+    `errors` are absolute steering errors of every simulator; the paper's numbers of a network stand beside the own
+    ones.
     """
     of_paper = RQ1.get(network or ("", "sim"), {})
     rows: list[list[Value]] = []

@@ -173,11 +173,7 @@ def shares(errors: Array) -> Array:
 
 
 def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComparison]:
-    """Compare each sibling's errors, and those of all siblings together, with the twin's.
-
-    Args:
-        siblings: name -> (n,) absolute steering errors on a sibling.
-        twin: (m,) absolute steering errors on the twin.
+    """Compare each sibling's absolute steering errors, and those of all siblings together, with the twin's.
 
     Raises:
         OpenLoopError: there are no errors, or some are negative or not finite.

@@ -32,12 +32,7 @@ _EACH = 50
 
 
 def predicted_before(undriven: Prediction, prediction: Prediction) -> Iterator[tuple[Drive, Prediction]]:
-    """Yield every drive of a prediction with what was predicted from the drives before it.
-
-    Args:
-        undriven: without drives.
-        prediction: of the same experts, with drives.
-    """
+    """Yield every drive of a prediction with what was predicted, by the same experts, from the drives before it."""
     count = 0
     for k, drive in enumerate(prediction.drives):
         if k - count >= max(1, k // _EACH):
@@ -90,12 +85,7 @@ class SiblingHelp:
 
 
 def sibling_help(undriven: Prediction, prediction: Prediction) -> SiblingHelp:
-    """Bet on every drive, in the order of the drives.
-
-    Args:
-        undriven: without drives.
-        prediction: of the same experts, with drives.
-    """
+    """Bet on every drive of a prediction, in their order; `undriven` is by the same experts without drives."""
     sides = [(undriven.only(siblings=one), prediction.only(siblings=one)) for one in (True, False)]
     left = np.ones(undriven.tests, np.bool_)
     log_capital, errors = [0.0], []

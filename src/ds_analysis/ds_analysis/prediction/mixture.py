@@ -100,12 +100,8 @@ class Prediction:
     def draws(self, rows: Indices, *, count: int = DRAWS, outcomes: bool = True) -> Array:
         """(count, rows) probabilities of failure, each row for one draw of the car; the same on every call.
 
-        Given the draw, outcomes of different tests are independent.
-
-        Args:
-            rows: tests.
-            count: number of draws.
-            outcomes: let driven tests have the probability 0 or 1, as they turned out.
+        Given the draw, outcomes of different tests are independent. With `outcomes`, driven tests have the probability
+        0 or 1, as they turned out.
         """
         rng = np.random.default_rng(_DRAW_SEED)
         # Systematic draws of the experts: each comes as often as its weight says, but for rounding.

@@ -68,11 +68,7 @@ class Certificate:
 
 
 def certify(bets: Sequence[Bet], tests: int) -> Certificate:
-    """Bound the number of failing tests among all.
-
-    Args:
-        bets: all drives so far, in their order.
-        tests: number of tests that can be driven, those that were among them.
+    """Bound the number of failing tests among all that can be driven, from all drives so far, in their order.
 
     Examples:
         >>> found = certify([Bet(failed=False, drawn=True)] * 60, tests=200)
@@ -108,12 +104,7 @@ def _log_mean(log_capital: Array) -> Array:
 
 
 def drives_until(rate: float, tests: int) -> int | None:
-    """Count the drawn drives without a failure after which at most a share of the tests can fail; None if never.
-
-    Args:
-        rate: the share.
-        tests: number of tests.
-    """
+    """Count the drawn drives without a failure after which at most a share of the tests can fail; None if never."""
     low, high = 1, tests
     if certify([Bet(failed=False, drawn=True)] * tests, tests).high > rate * tests:
         return None

@@ -180,14 +180,7 @@ class AddedInformation:
 def information_about(
     table: OutcomeTable, about: SimulatorName, siblings: Sequence[SimulatorName], *, repeats: int = REPEATS
 ) -> list[AddedInformation]:
-    """Compute what each sibling adds about one simulator's failures, one after the other.
-
-    Args:
-        table: tests with a verdict on every simulator.
-        about: simulator whose failures are predicted.
-        siblings: the others, in the order in which they are added.
-        repeats: divisions into folds over which losses are averaged.
-    """
+    """Compute what each sibling adds about one simulator's failures, one after the other, in their order."""
     failed = table.failed(about)
     if caution := caution_of_failures(table, about):
         return [

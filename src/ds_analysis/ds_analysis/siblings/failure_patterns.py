@@ -145,12 +145,9 @@ def departures_of(table: RoadTable) -> list[Departures]:
 
 
 def departure(road: Road, profile: Array, largest: float) -> Departure:
-    """Classify a failure.
+    """Classify a failure by its lateral positions every `GRID` m up to the end of the drive, m, right positive.
 
-    Args:
-        road: the road.
-        profile: lateral positions every `GRID` m up to the end of the drive, m, right positive.
-        largest: largest absolute lateral position, m, at most half a lane.
+    `largest` is the largest absolute lateral position, m, at most half a lane.
     """
     if largest < road.lane_width / 2:
         return "stays in the lane"

@@ -73,10 +73,7 @@ def network_grid(width: int, height: int) -> tuple[NDArray[np.float64], NDArray[
 
 
 class PhotoScene(RenderedScene):
-    """Implements `ds_sim.parts.Scene` with photographs.
-
-    Args:
-        drive: a located recording.
+    """Implements `ds_sim.parts.Scene` with the photographs of a located recording.
 
     Attributes:
         unseen: largest share of a picture of this run that no photograph shows, filled with what is next to it.

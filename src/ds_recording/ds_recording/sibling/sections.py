@@ -25,10 +25,8 @@ LENGTH = 80.0
 def sections(drive: RecordedDrive, length: float, every: float | None = None) -> list[Road]:
     """Cut the driven lane into overlapping roads, each driven in its right lane, where there are photographs.
 
-    Args:
-        drive: a located recording.
-        length: of each road, road metres.
-        every: distance between two starts, road metres; None for `EVERY`, or less where the track is short.
+    `length` is that of each road, `every` the distance between two starts, road metres; None for `EVERY`, or less where
+    the track is short.
 
     Raises:
         RecordingError: none of them is a valid road, as on a lap that is shorter.

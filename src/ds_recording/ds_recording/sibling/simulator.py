@@ -58,14 +58,7 @@ class FloorVehicle(DonkeyVehicle):
 class RecordingSimulator(RoadSimulator):
     """The twin's dynamics on a recorded track, seen in the photographs of the recording.
 
-    Args:
-        drive: a located recording.
-        parameters: parameters of the car; nominal values if omitted.
-        settings: what the user added.
-
-    Attributes:
-        drive: the recording.
-
+    Nominal parameters of the car are taken if none are given.
     """
 
     needs_file = True

@@ -25,9 +25,7 @@ from ds_sim.simulator import Outcome, Simulator
 class DrivePictures:
     """Renders camera pictures of drives from their recorded paths; use it from one thread only.
 
-    Args:
-        driver: name of the driver, whose translated images stand below the camera's.
-        trusted: user-defined simulators whose code may run.
+    Translated images stand below the camera's. Of user-defined simulators, only the code of trusted ones runs.
     """
 
     def __init__(self, driver: DriverName, trusted: Collection[str] = ()) -> None:

@@ -53,12 +53,7 @@ class BusyError(RunError):
 
 
 class Watched:
-    """A campaign whose state and drives are asked for; every method may be called from any coroutine.
-
-    Args:
-        reader: reads the campaign.
-        trusted: user-defined simulators whose code may run.
-    """
+    """A campaign whose state and drives are asked for; every method may be called from any coroutine."""
 
     def __init__(self, reader: CampaignReader, trusted: Collection[str] = ()) -> None:
         self._reader = reader

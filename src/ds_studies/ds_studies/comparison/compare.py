@@ -251,13 +251,7 @@ def compare_until_sure(
 ) -> Comparison:
     """Compare two networks on random roads, some more at a time, until the answer is sure or no road is left.
 
-    Args:
-        tests: of `random_tests`.
-        reference: see `compare`, as for all that follow.
-        candidate: the network that may replace it.
-        source: where the tests come from, in words.
-        out: folder for the drives.
-        callbacks: who hears of it.
+    `tests` are those of `random_tests`; for all that follows see `compare`.
     """
     roads = max(map(len, tests.work.values()))
     for last in [*range(BATCH, roads, BATCH), roads]:

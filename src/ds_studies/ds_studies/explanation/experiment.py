@@ -116,11 +116,7 @@ def drive_experiments(
 ) -> DriveResults:
     """Drive experiments, which may have drives in common; errors are those of `drive_tests`.
 
-    Args:
-        experiments: what to drive.
-        settings: driver and engine; simulators are those of the experiments, and nothing is gated or recorded.
-        folder: of the drives.
-        callbacks: who hears of it.
+    The settings' simulators are replaced by those of the experiments; nothing is gated or recorded.
     """
     if not experiments:
         return DriveResults()

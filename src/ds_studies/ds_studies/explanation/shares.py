@@ -35,11 +35,9 @@ def subsets(parts: Sequence[str]) -> list[Subset]:
 
 
 def shapley(parts: Sequence[str], value: Mapping[Subset, float]) -> dict[str, float]:
-    """Shapley value of every part: what it adds to those before it, mean over all orders (Shapley 1953).
+    """Shapley value of every part, from the value of every subset of the parts (Shapley 1953).
 
-    Args:
-        parts: players of the game.
-        value: of every subset of them.
+    It is what a part adds to those before it, in the mean over all orders.
 
     Examples:
         >>> both_needed = {s: float(len(s) == 2) for s in subsets(("camera", "look"))}

@@ -79,12 +79,7 @@ class Agreement:
 
 
 def agreement(answers: NDArray[np.float64], recordings: Sequence[Recording]) -> Agreement:
-    """Compare answers to all images, in their order, with the autopilot's steering.
-
-    Args:
-        answers: (images,) finite numbers.
-        recordings: of all simulators.
-    """
+    """Compare (images,) finite answers to all images, in their order, with the autopilot's steering."""
     wanted = np.concatenate([one.steering for one in recordings])
     ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
     parts = zip(np.split(answers, ends), (one.steering for one in recordings), strict=True)

@@ -441,11 +441,8 @@ def lane_finding(
 ) -> Finding | None:
     """Say which lane a network wants that steers to one side in the right lane; None if its offset is everywhere.
 
-    Args:
-        offset: what it answers in the right lane where the autopilot drives straight on, -1 left to +1 right.
-        steering: its answers to all images of the left lane.
-        other: drives of the autopilot in the left lane.
-        driver: its name.
+    `offset` is what it answers in the right lane where the autopilot drives straight on, -1 left to +1 right;
+    `steering` are its answers to all images of `other` drives, in the left lane.
     """
     there = agreement(steering, other).offset
     begins = f"ds drive --sim {other[0].simulator} --driver {driver}"

@@ -85,7 +85,7 @@ class Recording:
 def affordable(
     recordings: Sequence[Recording], pace: float, seconds: float, *, asked: int, whole: bool = False
 ) -> tuple[list[Recording], bool]:
-    """Keep as many images as a network can be asked about in time.
+    """Keep as many images as a network can be asked about in so many seconds.
 
     Args:
         recordings: of all simulators.

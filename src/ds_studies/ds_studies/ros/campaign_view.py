@@ -34,12 +34,7 @@ MEETING = 5.0
 
 
 class CampaignView:
-    """Shows one goal after the other.
-
-    Args:
-        node: node of the topics and services.
-        warning: what is wrong with the node itself, "" for nothing.
-    """
+    """Shows one goal after the other; `warning` says what is wrong with the node itself, "" for nothing."""
 
     def __init__(self, node: Node, warning: Callable[[], str]) -> None:
         self._node, self._warning = node, warning
@@ -60,12 +55,7 @@ class CampaignView:
         self.show()
 
     def begin(self, job: Job, campaign: Path | None) -> None:
-        """Show a goal from now on.
-
-        Args:
-            job: the goal.
-            campaign: folder with the campaign whose maps are drawn; None for given tests.
-        """
+        """Show a goal from now on; no maps are drawn of given tests, which have no folder of a campaign."""
         # A late subscriber must not get what the publishers remember of the last goal. No publisher can forget: that of
         # outcomes is replaced, those of maps, which remember one, publish one without cells.
         self.show()

@@ -16,11 +16,7 @@ from ds_studies.ros.campaign_messages import outcome_message
 
 
 class StateListener(TimedListener):
-    """Counts a goal's drives, and keeps their outcomes until they are published.
-
-    Args:
-        folder: campaign folder, as in the goal.
-    """
+    """Counts a goal's drives, and keeps their outcomes until they are published."""
 
     def __init__(self, folder: str) -> None:
         super().__init__()

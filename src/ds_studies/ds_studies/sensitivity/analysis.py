@@ -39,14 +39,7 @@ from ds_studies.sensitivity.measurement import (
 
 
 class Drives:
-    """Drives of one driver and of the gates.
-
-    Args:
-        settings: driver and simulators.
-        engine: drives.
-        tested: keeps the driver's executions.
-        gates: keeps the gates, which do not depend on the driver.
-    """
+    """Drives of one driver, kept in one store, and of the gates, which do not depend on the driver, in another."""
 
     def __init__(self, settings: DriveSettings, engine: Engine, tested: Store, gates: Store) -> None:
         self._engine, self._tested, self._gates = engine, tested, gates

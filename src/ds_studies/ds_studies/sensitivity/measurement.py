@@ -31,15 +31,11 @@ class Bracket:
 
 
 def first_failure(fails: Callable[[int], bool], highest: int, near: Bracket | None = None) -> Bracket:
-    """Bisect integer levels from 0, which is taken to be completed, to the highest one.
+    """Bisect integer levels from 0, which is taken to be completed, to the highest one, which may be 0.
 
     Where failing is monotone this is the lowest level that fails. Where it is not, it is one of the levels at which
-    failing begins: the level below it is completed, it is not.
-
-    Args:
-        fails: drives a level from 1 to `highest`, and says whether the driver fails.
-        highest: highest level to drive; 0 drives none.
-        near: result for a similar road, around which is searched: two drives if it holds here, too.
+    failing begins: the level below it is completed, it is not. `near` is the result for a similar road, around which is
+    searched: two drives if it holds here, too.
     """
     if highest == 0:
         return Bracket(0, None)
@@ -88,12 +84,8 @@ there, as the autopilot fails or the lines are invisible (`ds_sim.gates`)."""
 def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[Scenario]:
     """Generate candidates for a number of roads; fewer roads have the same first ones.
 
-    Left out are roads on which a car that never steers stays in its lane: they test nothing.
-
-    Args:
-        count: number of roads needed.
-        seed: of the roads, and of the runs on the first one.
-        segments: segments of 25 m that are kept of each random road, 2 to `MOST_SEGMENTS`.
+    Left out are roads on which a car that never steers stays in its lane: they test nothing. The seed is that of the
+    roads, and of the runs on the first one; of each random road, 2 to `MOST_SEGMENTS` segments of 25 m are kept.
     """
     rng = np.random.default_rng(seed)
     candidates: list[Scenario] = []
@@ -124,19 +116,11 @@ def choose_roads(count: int, needed: int, fails: Fails) -> tuple[int, ...]:
 
 
 def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -> tuple[RoadResult, ...]:
-    """Bisect a factor on each road, the strongest value first.
+    """Bisect a factor on each road, the strongest value first; returns the results of the roads that were driven.
 
-    A drive that the driver completes needs no gate; the gates judge the level at which it begins to fail. As soon as
-    the driver completes the strongest value on so many roads that the median cannot fail, no more roads are driven.
-
-    Args:
-        factor: what is varied.
-        roads: number of roads, all of which the driver completes under default conditions.
-        fails: drives.
-        levels: number of levels that may be driven, one of `RESOLUTIONS`.
-
-    Returns:
-        Results of the roads that were driven, the first ones.
+    The driver completes all roads under default conditions. A drive that it completes needs no gate; the gates judge
+    the level at which it begins to fail. As soon as it completes the strongest value on so many roads that the median
+    cannot fail, no more roads are driven. `levels`, how many may be driven, is one of `RESOLUTIONS`.
     """
     step = LEVELS // levels
     results: list[RoadResult] = []
