@@ -56,12 +56,7 @@ class CommandMonitor:
         return self._steps_back > _RESTARTS
 
     def silence(self, seconds: float, step: int) -> tuple[str, Reason]:
-        """Describe a wait that ended without a usable command: the message and the reason of the run's result.
-
-        Args:
-            seconds: length of the wait.
-            step: frame that was not answered.
-        """
+        """Describe a wait, s, for the answer to a frame: the message and the reason of the run's result."""
         text = f"no command within {seconds:g} s after frame {step}"
         if self._refused:
             return f"{text}; the last command was refused: {self._refused}", Reason.COMMAND_REFUSED

@@ -22,13 +22,7 @@ Report = tuple[bytes, str, Mapping[str, object]]
 
 
 class Diagnostics:
-    """Publishes one status once a second, while a node subscribes.
-
-    Args:
-        node: node that the status is about.
-        name: what of it.
-        report: makes the report.
-    """
+    """Publishes one status once a second, while a node subscribes."""
 
     def __init__(self, node: Node, name: str, report: Callable[[], Report]) -> None:
         self._node, self._name, self._report = node, name, report

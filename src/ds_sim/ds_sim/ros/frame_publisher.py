@@ -18,63 +18,38 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
-from ds_sim.camera.spec import CameraSpec
 from ds_sim.frames import ROAD_FRAME, START
-from ds_sim.messages import MessageBuilder
 from ds_sim.ros.conversions import frame_to_message, message_builder
-from ds_sim.simulator import FRAME_TIME, Observation, Simulator, SimulatorSpec, VehicleState
+from ds_sim.simulator import FRAME_TIME, Observation, Simulator, SimulatorSpec
 
 FRAME_DEPTH = 600
 """Messages of a topic kept for subscribers that lag; chosen: 30 s of a run at 20 Hz. With 50, a recorder on a busy
 machine lost a third of 75 images, driven in less than a second. At most 92 MB, if a subscriber stalls that long."""
 
 
-class TransformPublisher:
-    """Publishes road -> vehicle with every frame, and vehicle -> camera once, latched.
-
-    Args:
-        node: node that owns the publishers.
-        camera: camera of the simulator.
-        make: makes its messages.
-    """
-
-    def __init__(self, node: Node, camera: CameraSpec, make: MessageBuilder) -> None:
-        self._make = make
-        self._moving = node.create_publisher(TFMessage, "/tf", QoSProfile(depth=FRAME_DEPTH))
-        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
-        self._fixed.publish(make.camera_transform(camera, make.stamp(START)))
-
-    def publish(self, vehicle: VehicleState, stamp: Any) -> None:
-        """Publish the vehicle's pose if there is a subscriber."""
-        if self._moving.get_subscription_count():
-            self._moving.publish(self._make.body_transform(vehicle, stamp))
-
-
 class FramePublisher:
     """Owns the publishers of one simulator, all reliable, with names relative to the node's namespace.
 
-    Args:
-        node: node that owns the publishers.
-        spec: description of the simulator.
-        clock: also publish the stamps as simulated time on /clock.
+    The pose of the camera on the vehicle is published once, latched. With `clock`, stamps are simulated time on /clock.
     """
 
     def __init__(self, node: Node, spec: SimulatorSpec, *, clock: bool = False) -> None:
         self._spec = spec
-        self._make = message_builder(node.get_namespace())
-        self._transforms = TransformPublisher(node, spec.camera, self._make)
+        self._make = make = message_builder(node.get_namespace())
         self._frame = node.create_publisher(Frame, "frame", 5)
         self._image = node.create_publisher(Image, "camera/image_raw", FRAME_DEPTH)
         self._compressed = node.create_publisher(CompressedImage, "camera/image_raw/compressed", FRAME_DEPTH)
         self._info = node.create_publisher(CameraInfo, "camera/camera_info", FRAME_DEPTH)
         self._state = node.create_publisher(VehicleStateMsg, "state", FRAME_DEPTH)
         self._odom = node.create_publisher(Odometry, "odom", FRAME_DEPTH)
+        self._moving = node.create_publisher(TFMessage, "/tf", FRAME_DEPTH)
         self._clock = node.create_publisher(Clock, "/clock", 10) if clock else None
         # Stamps never decrease, as tf, bags and filters expect.
         self._run_start = START / 1e9
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._markers = node.create_publisher(MarkerArray, "road_markers", latched)
+        self._fixed = node.create_publisher(TFMessage, "/tf_static", latched)
+        self._fixed.publish(make.camera_transform(spec.camera, make.stamp(START)))
 
     @property
     def viewers(self) -> int:
@@ -86,23 +61,22 @@ class FramePublisher:
 
         What nobody subscribes to is not built. A driver that connects late gets the first frame when it is repeated.
         """
-        header = self._header(observation.time)
+        make, vehicle, header = self._make, observation.vehicle, self._header(observation.time)
+        place = Header(stamp=header.stamp, frame_id=ROAD_FRAME)
         if self._clock is not None:
             self._clock.publish(Clock(clock=header.stamp))
-        if self._state.get_subscription_count():
-            place = Header(stamp=header.stamp, frame_id=ROAD_FRAME)
-            self._state.publish(self._make.state(observation, place, road.road_id))
-        if self._image.get_subscription_count():
-            self._image.publish(self._make.image(observation.image, header))
-        if self._compressed.get_subscription_count():
-            self._compressed.publish(self._make.compressed_image(observation.image, header))
-        if self._frame.get_subscription_count():
-            self._frame.publish(frame_to_message(observation, header, self._spec))
-        if self._info.get_subscription_count():
-            self._info.publish(self._make.camera_info(self._spec.camera, header))
-        if self._odom.get_subscription_count():
-            self._odom.publish(self._make.odometry(observation.vehicle, header.stamp))
-        self._transforms.publish(observation.vehicle, header.stamp)
+        messages: tuple[tuple[Any, Callable[[], Any]], ...] = (
+            (self._state, lambda: make.state(observation, place, road.road_id)),
+            (self._image, lambda: make.image(observation.image, header)),
+            (self._compressed, lambda: make.compressed_image(observation.image, header)),
+            (self._frame, lambda: frame_to_message(observation, header, self._spec)),
+            (self._info, lambda: make.camera_info(self._spec.camera, header)),
+            (self._odom, lambda: make.odometry(vehicle, header.stamp)),
+            (self._moving, lambda: make.body_transform(vehicle, header.stamp)),
+        )
+        for publisher, message in messages:
+            if publisher.get_subscription_count():
+                publisher.publish(message())
         return header
 
     def publish_road(self, road: Road) -> None:
@@ -122,12 +96,7 @@ RowsSeen = Callable[[SimulatorSpec], tuple[int, int] | None]
 
 
 class DrawnRows:
-    """Leaves out rows that only the driver in the simulator's own process would get, and does not look at.
-
-    Args:
-        simulator: any simulator.
-        frames: publishers of its frames.
-    """
+    """Leaves out rows that only the driver in the simulator's own process would get, and does not look at."""
 
     def __init__(self, simulator: Simulator, frames: FramePublisher) -> None:
         self._simulator = simulator

@@ -23,13 +23,7 @@ FEEDBACK = "drive_road/_action/feedback"
 
 
 class Presence:
-    """Counts the nodes of a kind in a namespace, by the liveliness of a topic on which none says anything.
-
-    Args:
-        node: one of them.
-        topic: name of the topic, the same for all of the kind.
-        on_more: called when another one appears.
-    """
+    """Counts the nodes of a kind in a namespace, by the liveliness of a topic on which none says anything."""
 
     def __init__(self, node: Node, topic: str, on_more: Callable[[], None]) -> None:
         self.others, self._on_more = 0, on_more
@@ -46,11 +40,7 @@ class Presence:
 
 
 class Neighbours:
-    """Watches the namespace of a simulator's node.
-
-    Args:
-        node: the simulator's node.
-    """
+    """Watches the namespace of a simulator's node."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -67,11 +57,11 @@ class Neighbours:
 
     def drivers(self) -> list[str]:
         """Return the names of the nodes that publish commands, one per publisher."""
-        return names_of(self._node.get_publishers_info_by_topic(_resolved(self._node, "drive")))
+        return names_of(self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("drive")))
 
     def clients(self) -> list[str]:
         """Return the names of the nodes with a client of the action."""
-        return names_of(self._node.get_subscriptions_info_by_topic(_resolved(self._node, FEEDBACK)))
+        return names_of(self._node.get_subscriptions_info_by_topic(self._node.resolve_topic_name(FEEDBACK)))
 
     def busy(self, road_id: str) -> RequestRefused:
         """Make the refusal of a request that arrives during a run on this road."""
@@ -102,7 +92,3 @@ def names_of(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
 def two_drivers(names: list[str]) -> str:
     """Describe drivers that publish to the same topic, in one line."""
     return f"two drivers send commands ({', '.join(names)}): stop one of them"
-
-
-def _resolved(node: Node, name: str) -> str:
-    return node.resolve_topic_name(name)

@@ -22,11 +22,7 @@ END_TIME = 2.0
 
 
 class NodeThread:
-    """Thread that spins one node until `end`.
-
-    Args:
-        node: node whose callbacks it calls.
-    """
+    """Thread that spins one node until `end`."""
 
     def __init__(self, node: Node) -> None:
         self._stopped, self._ending = threading.Event(), threading.Event()
@@ -66,13 +62,7 @@ class NodeThread:
         return self._stopped.wait(seconds)
 
     def ask(self, client: Any, request: Any, limit: float) -> Any:
-        """Call a service, repeatedly if needed; None without an answer.
-
-        Args:
-            client: client of the service.
-            request: of the service's type.
-            limit: longest wait, s.
-        """
+        """Call a service, repeatedly if needed; None without an answer within a limit, s."""
         deadline = time.monotonic() + limit
         while (left := deadline - time.monotonic()) > 0.0:
             answer = self.call(lambda: client.call_async(request), min(left, ANSWER_TIME))
@@ -81,12 +71,10 @@ class NodeThread:
         return None
 
     def call(self, begin: Callable[[], Future], limit: float) -> Any:
-        """Send a request and wait for its answer; None after the limit or when stopped.
+        """Send a request and wait for its answer; None after a limit, s, or when stopped.
 
-        Args:
-            begin: sends the request. The node's thread calls it: rclpy's action client has no lock, and drops an answer
-                that arrives before the request is registered.
-            limit: longest wait, s.
+        The node's thread calls `begin`, which sends the request: rclpy's action client has no lock, and drops an answer
+        that arrives before the request is registered.
         """
         deadline = time.monotonic() + limit
         sent = self.send(begin, limit)

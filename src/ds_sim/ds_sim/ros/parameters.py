@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from ds_interfaces.action import DriveRoad
@@ -14,9 +13,6 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from ds_sim.conditions.model import Conditions
-from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import SimulatorName
 from ds_sim.ros.requests import RequestRefused
 from ds_sim.simulator import Reason
 
@@ -51,7 +47,7 @@ def declare(
     """
     kind = type(default[0] if isinstance(default, list) else default)
     descriptor = ParameterDescriptor(description=description, read_only=True)
-    descriptor.additional_constraints = constraints(low, high, choices)
+    descriptor.additional_constraints = _constraints(low, high, choices)
     if not isinstance(default, list) and (low is not None or high is not None):
         if kind is int:
             bounds = IntegerRange(from_value=int(low or 0), to_value=2**31 if high is None else int(high), step=1)
@@ -76,7 +72,7 @@ def declare(
     return list(value) if isinstance(default, list) else value
 
 
-def constraints(low: float | None, high: float | None, choices: Sequence[str]) -> str:
+def _constraints(low: float | None, high: float | None, choices: Sequence[str]) -> str:
     """Describe the allowed values of a parameter; "" for any value."""
     if choices:
         return "one of " + ", ".join(choices)
@@ -98,55 +94,6 @@ def _fits(value: Any, low: float | None, high: float | None, choices: Sequence[s
 SYNC_MODES = (DriveRoad.Goal.SYNC_LOCKSTEP, DriveRoad.Goal.SYNC_FIRST, DriveRoad.Goal.SYNC_REALTIME)
 """lockstep: only the command with the stamp of the last image counts; first: the first command after the last image
 counts; realtime: frames come at 20 Hz by the wall clock, and the last command is held."""
-
-
-@dataclass(frozen=True)
-class SimulatorParameters:
-    """Parameters of a simulator's node.
-
-    Attributes:
-        simulator: name of a known simulator, or module:Class.
-        sync: one of `SYNC_MODES`; a goal may override it.
-        command_timeout: longest wait for a command by the wall clock, s; a goal may override it.
-        publish_clock: publish simulated time on /clock.
-        conditions: operating conditions of runs that bring none.
-    """
-
-    simulator: SimulatorName
-    sync: str
-    command_timeout: float
-    publish_clock: bool
-    conditions: Conditions
-
-
-def declare_parameters(node: Node, simulator: SimulatorName) -> SimulatorParameters:
-    """Declare and read the parameters.
-
-    Args:
-        node: node that declares the parameters.
-        simulator: default of the parameter `simulator`.
-
-    Raises:
-        ValueError: a parameter has another type or is out of range.
-    """
-    return SimulatorParameters(
-        simulator=SimulatorName(declare(node, "simulator", str(simulator), "Known simulator, or module:Class.")),
-        sync=declare(node, "sync", "lockstep", "Which command counts for a frame.", choices=SYNC_MODES),
-        command_timeout=declare(
-            node, "command_timeout", 5.0, "Longest wait for a command, s of the wall clock.", low=0.01, high=3600.0
-        ),
-        publish_clock=declare(
-            node, "publish_clock", False, "Publish simulated time on /clock; one simulator of a graph may."
-        ),
-        conditions=parse_conditions(
-            declare(
-                node,
-                "conditions",
-                "",
-                "Conditions of runs that bring none, such as visibility=40,friction=0.6.",
-            )
-        ),
-    )
 
 
 def check_goal(sync: str, command_timeout: float) -> None:

@@ -13,12 +13,7 @@ from ds_sim.simulator import FRAME_TIME, Command
 
 
 class FrameJitter:
-    """Statistics of beats that should come at an even period.
-
-    Args:
-        period: s between two beats.
-        start: time of beat 0, s of any steady clock.
-    """
+    """Statistics of beats that should come at an even period from a start on, s of any steady clock."""
 
     def __init__(self, period: float, start: float) -> None:
         self._period = period
@@ -55,13 +50,7 @@ class FrameJitter:
 
 
 class RealTimeLoop:
-    """Calls `advance` 20 times a second with the last command.
-
-    Args:
-        node: node whose executor makes the calls.
-        clock: steady clock; the node's own may be simulated time.
-        advance: drives one frame.
-    """
+    """Calls `advance` 20 times a second of a steady clock with the last command."""
 
     def __init__(self, node: Node, clock: Clock, advance: Callable[[Command], None]) -> None:
         self._clock = clock

@@ -22,12 +22,7 @@ from ds_sim.simulator import Reason, SimulatorSpec
 
 
 class RequestRefused(InputError):
-    """A node does not accept a road or a goal.
-
-    Args:
-        reason: reason code for programs.
-        message: cause and remedy in one line.
-    """
+    """A node does not accept a road or a goal: a reason for programs, and cause and remedy in one line."""
 
     def __init__(self, reason: Reason, message: str) -> None:
         super().__init__(message)
@@ -40,11 +35,7 @@ def no_road() -> RequestRefused:
 
 
 class LoadedRoad:
-    """Stores the scenario that was loaded last; None before the first.
-
-    Args:
-        spec: description of the simulator.
-        default: conditions of tests that bring none.
+    """Stores the scenario that was loaded last, None before the first; tests that bring no conditions get the default.
 
     Raises:
         ds_sim.NotApplicableError: the simulator cannot realise the default.

@@ -82,9 +82,6 @@ def init_ros(**arguments: Any) -> None:
     A peer that is killed with the lock of this process's shared-memory port makes this process hang or crash when it
     ends, see `ds_bringup/config/fastdds_loopback.xml`, which holds unless the user has chosen another discovery.
 
-    Args:
-        arguments: arguments of `rclpy.init`.
-
     Raises:
         LogFolderError: the home folder is not writable, and ROS_LOG_DIR names no other folder.
     """
@@ -199,9 +196,6 @@ def run_node(*make_nodes: Callable[[], Node]) -> int:
 
     SIGINT and SIGTERM end them within a second, with status 0. A ValueError is printed in one line. Each node has a
     thread of its own, so that one answers while another computes.
-
-    Args:
-        make_nodes: make one node each, in this order.
     """
     stop = Stop()
     nodes: list[Node] = []

@@ -17,13 +17,14 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ds_road import Road
+from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog
 from ds_sim.ros.diagnostics import ERROR, EVERY, OK, WARN, Diagnostics, Report
 from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
 from ds_sim.ros.neighbours import Neighbours, two_drivers
-from ds_sim.ros.parameters import check_goal, declare_parameters
+from ds_sim.ros.parameters import SYNC_MODES, check_goal, declare
 from ds_sim.ros.real_time_loop import RealTimeLoop
 from ds_sim.ros.requests import GoalServer, LoadedRoad, RequestRefused, no_road
 from ds_sim.ros.runtime import run_node, with_info
@@ -34,21 +35,25 @@ from ds_sim.simulator import Command, CommandError, Observation, Outcome, Reason
 
 
 class SimulatorNode(Node):
-    """Publishes a frame and, except in real time, takes no step until a command answers it.
-
-    Args:
-        simulator: default of the parameter `simulator`.
-    """
+    """Publishes a frame and, except in real time, takes no step until a command answers it."""
 
     def __init__(self, simulator: SimulatorName) -> None:
         super().__init__("simulator")
-        parameters = declare_parameters(self, simulator)
-        self._sync, self._timeout = parameters.sync, parameters.command_timeout
-        self._session = Session(make_simulator(parameters.simulator))
+        name = SimulatorName(declare(self, "simulator", str(simulator), "Known simulator, or module:Class."))
+        self._sync: str = declare(self, "sync", "lockstep", "Which command counts for a frame.", choices=SYNC_MODES)
+        self._timeout: float = declare(
+            self, "command_timeout", 5.0, "Longest wait for a command, s of the wall clock.", low=0.01, high=3600.0
+        )
+        clock = declare(self, "publish_clock", False, "Publish simulated time on /clock; one simulator of a graph may.")
+        conditions = declare(
+            self, "conditions", "", "Conditions of runs that bring none, such as visibility=40,friction=0.6."
+        )
+        default = parse_conditions(conditions)
+        self._session = Session(make_simulator(name))
         spec = self._session.simulator.spec
-        self._frames = FramePublisher(self, spec, clock=parameters.publish_clock)
+        self._frames = FramePublisher(self, spec, clock=clock)
         self.drawn = DrawnRows(self._session.simulator, self._frames)
-        self._neighbours, self._loaded = Neighbours(self), LoadedRoad(spec, parameters.conditions)
+        self._neighbours, self._loaded = Neighbours(self), LoadedRoad(spec, default)
         self._sync_now, self._awaited = self._sync, Header()
         self._goal: ServerGoalHandle | None = None
         self._last: Observation | None = None
@@ -65,7 +70,7 @@ class SimulatorNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._real_time = RealTimeLoop(self, steady, self._advance)
         self.create_timer(0.05, self._watch, clock=steady)
-        self.get_logger().info(f"{parameters.simulator} is ready in {self.get_namespace()}")
+        self.get_logger().info(f"{name} is ready in {self.get_namespace()}")
 
     def destroy_node(self) -> None:
         """Close the simulator with the node."""

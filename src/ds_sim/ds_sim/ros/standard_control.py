@@ -31,12 +31,7 @@ INFO = "a step is a frame of 1/20 s, driven with the last command; load_road spa
 class StandardControl:
     """Steps runs that belong to no goal, and publishes their frames as those of any other run.
 
-    Args:
-        node: node of the simulator.
-        session: its runs.
-        loaded: road of the next run.
-        frames: publishers of its frames.
-        check_idle: raises RequestRefused while a goal has the simulator.
+    `check_idle` raises RequestRefused while a goal has the simulator.
     """
 
     def __init__(

@@ -14,12 +14,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 def subscribe_to_commands(node: Node, kind: Any, topic: str, callback: Callable[..., None], depth: int) -> None:
     """Subscribe reliably until a publisher offers best effort only, to which no reliable subscription connects.
 
-    Args:
-        node: the subscriber.
-        kind: class of the messages.
-        topic: name, as in `Node.create_subscription`.
-        callback: takes each message.
-        depth: number of messages that are kept.
+    ROS's `BEST_AVAILABLE` decides by the publishers that are there already, and drivers come later.
     """
 
     def relax(_event: object) -> None:
