@@ -29,9 +29,6 @@ import numpy as np
 from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_regular
 
-_ENGINES: list[llvm.ExecutionEngine] = []
-"""Owners of the loaded code."""
-
 
 def layout(structure: type) -> np.dtype[np.void]:
     """Layout of a dataclass of floats and integers as a record, which compiled code uses like an instance."""
@@ -56,18 +53,19 @@ def load(module: str, *arguments: Any, symbols: Mapping[str, int] | None = None)
     """
     for name, address in (symbols or {}).items():
         llvm.add_symbol(name, address)
-    return ctypes.PYFUNCTYPE(None, *arguments)(_address(module))
+    engine = _engine(module)
+    return ctypes.PYFUNCTYPE(None, *arguments)(engine.get_function_address(_symbol(module)))
 
 
 @cache
-def _address(module: str) -> int:
+def _engine(module: str) -> llvm.ExecutionEngine:
+    """Owner of a module's loaded code, which is kept as long as the process."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _processor())
     engine.add_object_file(llvm.ObjectFileRef.from_data(_object_file(module)))
     engine.finalize_object()
-    _ENGINES.append(engine)
-    return int(engine.get_function_address(_symbol(module)))
+    return engine
 
 
 def _processor() -> llvm.TargetMachine:

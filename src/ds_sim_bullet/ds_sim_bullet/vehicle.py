@@ -9,8 +9,7 @@ import math
 import os
 import sys
 import weakref
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,11 +21,7 @@ from ds_sim_bullet.world import build_world
 
 
 class Suspension:
-    """Suspension forces at the four hubs, in the order of `ds_sim_bullet.world.CORNERS`.
-
-    Args:
-        p: parameters of the car.
-    """
+    """Suspension forces at the four hubs, in the order of `ds_sim_bullet.world.CORNERS`."""
 
     def __init__(self, p: BulletParameters) -> None:
         self._travel, self._stop = p.travel, p.stop_stiffness
@@ -184,21 +179,15 @@ class BulletVehicle(Vehicle):
 
 
 def _import_bullet() -> Any:
-    """Import PyBullet, an extra, since it has no wheels for some versions of Python."""
-    with _silenced_stderr():
-        return importlib.import_module("pybullet")
-
-
-@contextmanager
-def _silenced_stderr() -> Iterator[None]:
-    """Redirect file descriptor 2 to /dev/null: on import, PyBullet prints a banner to standard error from C."""
+    """Import PyBullet, an extra, without the banner that it prints to standard error from C."""
     sys.stderr.flush()
     stderr_copy, devnull = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(devnull, 2)
     os.close(devnull)
     try:
-        yield
+        bullet = importlib.import_module("pybullet")
         ctypes.CDLL(None).fflush(None)
+        return bullet
     finally:
         os.dup2(stderr_copy, 2)
         os.close(stderr_copy)

@@ -143,17 +143,9 @@ class Car:
 
 
 def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: float, yaw: float) -> Car:
-    """Reset the world and put the car on a plane, at rest.
+    """Reset the world, and put the car at rest on a plane, midway between its axles at (x, y), m, heading yaw (rad).
 
     Only a rebuilt world makes PyBullet reproducible bit for bit: its saved states lack the solver's internal state.
-
-    Args:
-        bullet: the pybullet module.
-        client: physics client that owns the world.
-        p: parameters of the car.
-        x: position of the midpoint between the axles, m.
-        y: position of the midpoint between the axles, m.
-        yaw: heading, rad.
     """
     bullet.resetSimulation(physicsClientId=client)
     bullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)

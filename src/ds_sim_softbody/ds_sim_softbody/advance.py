@@ -24,18 +24,17 @@ _set_force = types.ExternalFunction("cpBodySetForce", types.void(types.intp, typ
 
 def _advance_frame(car: Any, values_read: Any, steps: int, dt: float) -> tuple[float, float]:
     """Advance frame and wheels; returns the mean acceleration of the car, forward and left, m/s^2."""
-    p, wheels, nodes, engine = car.parameters, car.wheels, car.nodes, car.engine
-    bodies = (engine.front_left, engine.front_right, engine.rear_left, engine.rear_right)
+    p, wheels, nodes, bodies = car.parameters, car.wheels, car.nodes, car.bodies
     total_x = total_y = 0.0
     for _ in range(steps):
         values_read[0] = 0
-        _each_body(engine.space, engine.each_body, engine.request)
+        _each_body(car.space, car.each_body, car.request)
         for i in range(4):
             force_x, force_y = roll(wheels[i], p, nodes, dt)
             _set_force(bodies[i], force_x, force_y)
             total_x += force_x
             total_y += force_y
-        _step(engine.space, dt)
+        _step(car.space, dt)
     # From the rear wheels to the front wheels, which are the first nodes.
     ahead_x = nodes[0, 0] + nodes[1, 0] - nodes[2, 0] - nodes[3, 0]
     ahead_y = nodes[0, 1] + nodes[1, 1] - nodes[2, 1] - nodes[3, 1]
@@ -55,15 +54,9 @@ for _function in (
     error_model="numpy",
 )
 def compiled(car_record: Any, values_read: Any, steering: float, throttle: float) -> None:
-    """Advance the car by one step of 1/20 s with the command held.
+    """Advance the car, a record `CAR`, by one step of 1/20 s with the command held; `values_read` as `Lattice` has it.
 
     Frame and tyres take short substeps; body and actuators take one substep for every few of those.
-
-    Args:
-        car_record: address of a record `CAR`.
-        values_read: `Lattice.values_read`.
-        steering: -1 full left to 1 full right.
-        throttle: 0 to 1.
     """
     car = carray(car_record, 1)[0]
     count = carray(values_read, 1)

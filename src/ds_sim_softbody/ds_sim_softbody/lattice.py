@@ -124,29 +124,6 @@ def _masses(p: SoftbodyParameters, positions: NDArray[np.float64]) -> NDArray[np
     return masses
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Engine:
-    """Addresses in the engine.
-
-    Attributes:
-        space: its space.
-        each_body: its function that reads a body, for all bodies of the space.
-        request: what that function reads, and where to.
-        front_left: body of the wheel.
-        front_right: the same.
-        rear_left: the same.
-        rear_right: the same.
-    """
-
-    space: int
-    each_body: int
-    request: int
-    front_left: int
-    front_right: int
-    rear_left: int
-    rear_right: int
-
-
 class RigidMotion(NamedTuple):
     """Motion of the frame as a whole: position and velocity of its centre (m, m/s), yaw (rad), yaw rate (rad/s)."""
 
@@ -190,18 +167,13 @@ class Lattice:
         self._floats = ffi.new("pmFloatArray *", {"max": nodes.size + 2, "arr": ffi.from_buffer("double *", nodes)})
         fields = (batch.BodyFields.POSITION | batch.BodyFields.VELOCITY).value
         self._request = ffi.new("pmBatchedData *", {"floatArray": self._floats, "fields": fields})
-        self.read()
-
-        front_left, front_right, rear_left, rear_right = (_address(body._body) for body in self.bodies[:4])
-        self.engine = Engine(
-            space=_address(self.space._space),
-            each_body=ENGINE_FUNCTIONS["pmSpaceBodyGetIteratorFuncBatched"],
-            request=_address(self._request),
-            front_left=front_left,
-            front_right=front_right,
-            rear_left=rear_left,
-            rear_right=rear_right,
+        self.addresses = (
+            _address(self.space._space),
+            ENGINE_FUNCTIONS["pmSpaceBodyGetIteratorFuncBatched"],
+            _address(self._request),
+            [_address(body._body) for body in self.bodies[:4]],
         )
+        """Addresses in the engine: space, function that reads a body, its request, and the bodies of the wheels."""
         self.values_read = _address(self._floats)
         """Address of the number of values in `nodes`, 32 bits: the engine appends to them."""
         self.read()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ds_sim.machine_code import layout
-from ds_sim_softbody.lattice import NODES, Engine
+from ds_sim_softbody.lattice import NODES
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 from ds_sim_softbody.wheel import Wheel
 
@@ -45,15 +45,7 @@ def steer(actuators: Actuators, p: SoftbodyParameters, steering: float, dt: floa
 
 
 def drive(actuators: Actuators, p: SoftbodyParameters, throttle: float, wheel_speed: float, dt: float) -> float:
-    """Follow the one-pedal map for dt; returns the torque at each rear wheel, N m.
-
-    Args:
-        actuators: rack and motor.
-        p: parameters of the car.
-        throttle: command of the driver, 0 to 1.
-        wheel_speed: mean speed of the treads of the rear wheels, m/s.
-        dt: duration, s.
-    """
+    """Follow the one-pedal map for dt, s, at a tread speed, m/s; returns the torque at each rear wheel, N m."""
     generating = min(max(wheel_speed / p.fade_speed, -1.0), 1.0)
     force = p.drive_force if p.drive_force * wheel_speed < p.power else p.power / wheel_speed
     force *= min(max(p.top_speed - wheel_speed, 0.0), 1.0)
@@ -126,15 +118,9 @@ def lean(attitude: Attitude, p: SoftbodyParameters, forward: float, left: float,
 
 
 def loads(attitude: Attitude, p: SoftbodyParameters, forward: float, left: float) -> tuple[float, float, float, float]:
-    """Wheel loads under an acceleration of the body, N: front left, front right, rear left, rear right.
+    """Wheel loads under an acceleration of the body (m/s^2), N: front left, front right, rear left, rear right.
 
     A negative load means that the wheel is in the air.
-
-    Args:
-        attitude: roll and pitch of the body.
-        p: parameters of the car.
-        forward: acceleration forward, m/s^2.
-        left: acceleration to the left, m/s^2.
     """
     total = p.mass * p.centre_of_mass_height
     direct = (total - attitude.roll_lever) * left
@@ -164,7 +150,10 @@ CAR = np.dtype(
         ("attitude", layout(Attitude)),
         ("wheels", layout(Wheel), (4,)),
         ("nodes", np.float64, (NODES, 4)),
-        ("engine", layout(Engine)),
+        ("space", np.intp),
+        ("each_body", np.intp),
+        ("request", np.intp),
+        ("bodies", np.intp, (4,)),
     ]
 )
-"""Record of a car: wheels front left, front right, rear left, rear right; nodes as in `Lattice`."""
+"""Record of a car: wheels and their bodies front left, front right, rear left, rear right; the rest as in `Lattice`."""

@@ -12,56 +12,10 @@ from numpy.typing import NDArray
 from ds_sim.machine_code import load, values
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import Command, SimulatorError, VehicleState
-from ds_sim_softbody.lattice import ENGINE_FUNCTIONS, Blueprint, CornerNodes, Lattice, blueprint
+from ds_sim_softbody.lattice import ENGINE_FUNCTIONS, CornerNodes, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 from ds_sim_softbody.parts import CAR, Actuators, Attitude
 from ds_sim_softbody.wheel import Wheel, carry, shift
-
-
-class Car:
-    """Soft car, initially at rest with its centre at the origin, heading along x.
-
-    Args:
-        p: parameters of the car.
-        plan: frame at rest.
-    """
-
-    def __init__(self, p: SoftbodyParameters, plan: Blueprint) -> None:
-        self._record = np.zeros(1, CAR)
-        self._car = car = self._record[0]
-        self._lattice = Lattice(plan, car["nodes"], iterations=p.solver_iterations)
-        wheels = [_wheel_at_rest(p, corner, car["nodes"], front=i < 2) for i, corner in enumerate(plan.corners)]
-        car["parameters"], car["engine"] = values(p), values(self._lattice.engine)
-        car["actuators"], car["attitude"] = values(Actuators()), values(Attitude.at_rest(p))
-        car["wheels"] = [values(wheel) for wheel in wheels]
-        self._advance = load(
-            "ds_sim_softbody.advance", c_void_p, c_void_p, c_double, c_double, symbols=ENGINE_FUNCTIONS
-        )
-        self.motion = self._lattice.rigid_motion()
-        """Motion of the frame as a whole; its yaw counts full turns."""
-
-    def advance(self, command: Command) -> None:
-        """Advance by one step of 1/20 s with the command held."""
-        self._advance(self._record.ctypes.data, self._lattice.values_read, command.steering, command.throttle)
-        self._lattice.read()
-        motion = self._lattice.rigid_motion()
-        turned = math.remainder(motion.yaw - self.motion.yaw, math.tau)
-        self.motion = motion._replace(yaw=self.motion.yaw + turned)
-
-    def attitude(self) -> tuple[float, float]:
-        """Roll and pitch of the body, rad."""
-        attitude = self._car["attitude"]
-        return float(attitude["roll"]), float(attitude["pitch"])
-
-    def steering_angle(self) -> float:
-        """Mean angle of the front wheels relative to the car's heading, including the flex of the frame, rad."""
-        left, right, *_ = self._car["wheels"]
-        angle = math.atan2(left["heading_y"] + right["heading_y"], left["heading_x"] + right["heading_x"])
-        return math.remainder(angle - self.motion.yaw, math.tau)
-
-    def loads(self) -> tuple[float, ...]:
-        """Loads of the wheels, N: front left, front right, rear left, rear right."""
-        return tuple(self._car["wheels"]["load"].tolist())
 
 
 def _wheel_at_rest(p: SoftbodyParameters, corner: CornerNodes, nodes: NDArray[np.float64], *, front: bool) -> Wheel:
@@ -88,43 +42,57 @@ class SoftbodyVehicle(Vehicle):
 
     Args:
         parameters: parameters of the car; nominal values if omitted.
+
+    Attributes:
+        record: record `CAR` of the car.
     """
 
     conditions = VEHICLE_CONDITIONS
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
-        self._nominal = self._parameters = parameters or SoftbodyParameters()
-        self._plan = blueprint(self._parameters)
-        self._car: Car | None = None
-        self._start = (0.0, 0.0, 0.0)
-
-    @property
-    def parameters(self) -> SoftbodyParameters:
-        """Parameters of the car."""
-        return self._parameters
+        self._nominal = self.parameters = parameters or SoftbodyParameters()
+        self._plan = blueprint(self.parameters)
+        self._lattice: Lattice | None = None
 
     def adjust(self, *, friction: float, payload: float) -> None:
         """Change grip and load for the runs to come; see `Vehicle.adjust`."""
         parameters = self._nominal.adjusted(friction=friction, payload=payload)
-        if parameters != self._parameters:
-            self._parameters, self._plan = parameters, blueprint(parameters)
+        if parameters != self.parameters:
+            self.parameters, self._plan = parameters, blueprint(parameters)
 
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Build the car from scratch, at rest with its centre at (x, y), m, heading yaw (rad); `rng` is not used."""
         self._start = (x, y, yaw)
-        self._car = Car(self._parameters, self._plan)
+        p, self.record = self.parameters, np.zeros(1, CAR)
+        car = self.record[0]
+        lattice = self._lattice = Lattice(self._plan, car["nodes"], iterations=p.solver_iterations)
+        wheels = [_wheel_at_rest(p, corner, car["nodes"], front=i < 2) for i, corner in enumerate(self._plan.corners)]
+        car["parameters"], car["wheels"] = values(p), [values(wheel) for wheel in wheels]
+        car["actuators"], car["attitude"] = values(Actuators()), values(Attitude.at_rest(p))
+        car["space"], car["each_body"], car["request"], car["bodies"] = lattice.addresses
+        self._advance = load(
+            "ds_sim_softbody.advance", c_void_p, c_void_p, c_double, c_double, symbols=ENGINE_FUNCTIONS
+        )
+        self._motion = lattice.rigid_motion()
 
     def advance(self, command: Command) -> None:
         """Advance by one step of 1/20 s with the command held."""
-        self._running().advance(command)
+        lattice = self._running()
+        self._advance(self.record.ctypes.data, lattice.values_read, command.steering, command.throttle)
+        lattice.read()
+        motion = lattice.rigid_motion()
+        turned = math.remainder(motion.yaw - self._motion.yaw, math.tau)
+        self._motion = motion._replace(yaw=self._motion.yaw + turned)  # counts full turns
 
     def state(self) -> VehicleState:
         """State of the midpoint between the axles, of the undeformed frame fitted to the nodes."""
-        car = self._running()
-        motion, (roll, pitch) = car.motion, car.attitude()
+        self._running()
+        motion, car = self._motion, self.record[0]
         x, y, yaw = self._start
         cos, sin = math.cos(yaw), math.sin(yaw)
         own_cos, own_sin = math.cos(motion.yaw), math.sin(motion.yaw)
+        left, right, *_ = car["wheels"]  # whose mean angle includes the flex of the frame
+        wheels = math.atan2(left["heading_y"] + right["heading_y"], left["heading_x"] + right["heading_x"])
         return VehicleState(
             x=x + motion.x * cos - motion.y * sin,
             y=y + motion.x * sin + motion.y * cos,
@@ -132,16 +100,16 @@ class SoftbodyVehicle(Vehicle):
             speed=motion.velocity_x * own_cos + motion.velocity_y * own_sin,
             lateral_speed=motion.velocity_y * own_cos - motion.velocity_x * own_sin,
             yaw_rate=motion.yaw_rate,
-            steering_angle=car.steering_angle(),
-            roll=roll,
-            pitch=pitch,
+            steering_angle=math.remainder(wheels - motion.yaw, math.tau),
+            roll=float(car["attitude"]["roll"]),
+            pitch=float(car["attitude"]["pitch"]),
         )
 
     def close(self) -> None:
         """Release the frame; `reset` may follow."""
-        self._car = None
+        self._lattice = None
 
-    def _running(self) -> Car:
-        if self._car is None:
+    def _running(self) -> Lattice:
+        if self._lattice is None:
             raise SimulatorError("the soft car has not been placed yet: call reset first")
-        return self._car
+        return self._lattice

@@ -109,27 +109,13 @@ def carry(wheel: Wheel, p: SoftbodyParameters, load: float) -> None:
 
 
 def shift(wheel: Wheel, nodes: NDArray[np.float64], ahead_x: float, ahead_y: float) -> float:
-    """Distance of the wheel to the left of the midpoint of its bushes, m.
-
-    Args:
-        wheel: the wheel.
-        nodes: current nodes of the frame, as in `Lattice.nodes`.
-        ahead_x: unit vector from the bush behind to the one ahead.
-        ahead_y: the same.
-    """
+    """Distance of the wheel to the left of the midpoint of its bushes, m, seen along the unit vector between these."""
     at, fore, aft = nodes[wheel.node], nodes[wheel.fore], nodes[wheel.aft]
     return (at[1] - 0.5 * (fore[1] + aft[1])) * ahead_x - (at[0] - 0.5 * (fore[0] + aft[0])) * ahead_y
 
 
 def roll(wheel: Wheel, p: SoftbodyParameters, nodes: NDArray[np.float64], dt: float) -> tuple[float, float]:
-    """Advance the wheel by one substep and return the force of the road on its node (x, y), N.
-
-    Args:
-        wheel: the wheel.
-        p: parameters of the car.
-        nodes: current nodes of the frame, as in `Lattice.nodes`.
-        dt: substep, s.
-    """
+    """Advance the wheel by one substep dt (s) and return the force of the road on its node (x, y), N."""
     fore, aft = nodes[wheel.fore], nodes[wheel.aft]
     # Direction of the frame between the two bushes, rotated by the steering and by the flex of the arm.
     frame_x, frame_y = fore[0] - aft[0], fore[1] - aft[1]

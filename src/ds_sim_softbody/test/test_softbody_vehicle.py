@@ -17,7 +17,7 @@ from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_softbody.lattice import NODES, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 from ds_sim_softbody.parts import Attitude, lean, loads
-from ds_sim_softbody.vehicle import Car, SoftbodyVehicle
+from ds_sim_softbody.vehicle import SoftbodyVehicle
 from ds_sim_softbody.wheel import hypot
 
 P = SoftbodyParameters()
@@ -251,8 +251,7 @@ def test_impossible_parameters_are_refused(name: str, value: float) -> None:
 
 
 def test_a_lifted_wheel_carries_the_minimum_load() -> None:
-    car = Car(replace(P, centre_of_mass_height=1.2, roll_axis_height=0.1), PLAN)
-    for _ in range(200):
-        car.advance(Command(-0.6, 0.8))
-    assert min(car.loads()) == pytest.approx(0.01 * P.mass * GRAVITY / 4.0)
-    assert all(math.isfinite(v) for v in car.motion)
+    vehicle = standing(replace(P, centre_of_mass_height=1.2, roll_axis_height=0.1))
+    *_, last = drive(vehicle, 200, -0.6, 0.8)
+    assert vehicle.record["wheels"]["load"].min() == pytest.approx(0.01 * P.mass * GRAVITY / 4.0)
+    assert all(math.isfinite(value) for value in (last.x, last.y, last.yaw, last.speed, last.yaw_rate))
