@@ -29,18 +29,13 @@ class Closed:
     """Closed centre line, and the poses on it as a new first guess.
 
     Attributes:
-        track: closed line.
         poses: x, y, yaw without jumps, (n, 3).
         pieces: of the track, beside each pose, (n,).
-        gap: distance of the ends before they were joined, laps.
-        turn: error of the turn of a lap before, rad.
     """
 
     track: Track
     poses: Array
     pieces: NDArray[np.int64]
-    gap: float
-    turn: float
 
 
 def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Closed | None:
@@ -52,7 +47,7 @@ def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Clo
     first, last = int(along.min() / spacing) + 1, int(along.max() / spacing)
     points = track.points[first : last + 1]
     directions = np.unwrap(np.arctan2(track.tangents[:, 1], track.tangents[:, 0]))[first : last + 1]
-    best: tuple[float, int, float, float] | None = None
+    best: tuple[float, int, float] | None = None
     shortest: int | None = None
     for lap in range(round(SHORTEST_LAP / spacing), len(points) - round(OVERLAP / spacing)):
         if shortest is not None and lap > LONGER * shortest:
@@ -67,10 +62,10 @@ def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Clo
         shortest = shortest or lap
         score = 50.0 * (alike / ALIKE) ** 2 + (turn / LARGEST_TURN) ** 2 + (gap / LARGEST_GAP) ** 2
         if best is None or score < best[0]:
-            best = score, lap, gap, turn
+            best = score, lap, turn
     if best is None:
         return None
-    _, lap, gap, turn = best
+    _, lap, turn = best
     line = _joined(points[: lap + 1], directions[: lap + 1], turn)
     closed = Track(line, True).resampled(SPACING)
     station = ((along - first * spacing) / (lap * spacing) * closed.length) % closed.length
@@ -80,7 +75,7 @@ def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Clo
     places = base + lateral[:, None] * np.stack((tangent[:, 1], -tangent[:, 0]), axis=1)
     middle = base + 1e-9 * tangent
     yaw = np.unwrap(wrap(closed.place(middle, piece)[2] + heading))
-    return Closed(track=closed, poses=np.column_stack((places, yaw)), pieces=piece.astype(np.int64), gap=gap, turn=turn)
+    return Closed(track=closed, poses=np.column_stack((places, yaw)), pieces=piece.astype(np.int64))
 
 
 def _joined(points: Array, directions: Array, turn: float) -> Array:

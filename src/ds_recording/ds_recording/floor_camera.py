@@ -44,15 +44,12 @@ class FloorCamera:
     """Camera with a lens of OpenCV's models, without roll, above a flat floor.
 
     Attributes:
-        width_px: image columns.
-        height_px: image rows.
         focal_px: focal lengths across and down, px; they differ where pixels are not square.
         centre_x_px: column of the optical axis; whole numbers are the centres of pixels.
         centre_y_px: row of the optical axis.
         height_m: height of the optical centre above the floor; None if unknown.
         pitch_rad: angle of the optical axis below the horizontal; None if unknown.
         forward_m: distance of the optical centre ahead of the car's centre.
-        lens: distortion.
         focal_std: standard deviation of the focal lengths, px.
     """
 

@@ -83,7 +83,6 @@ class Solution:
 
     Attributes:
         poses: x, y, yaw, (n, 3).
-        track: centre line.
         along: station of each pose, (n,).
         lateral: offset to the right of the centre line, (n,).
         heading: relative to the line's, left positive, (n,).

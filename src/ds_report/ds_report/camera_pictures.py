@@ -62,7 +62,6 @@ class PicturePlan:
         strips: number of tests of which every drive has a strip.
         spacing: time between two pictures of a replay, s.
         replayed: number of failed drives whose replay has pictures.
-        failed: number of failed drives.
     """
 
     frames: Mapping[DriveKey, Sequence[int]]
@@ -184,7 +183,6 @@ class CameraPicture:
     """Camera picture of one simulator.
 
     Attributes:
-        simulator: name of the simulator.
         physics: physics model in one line, or "".
         picture: PNG as data URI, or "" if there is none.
         note: place of the vehicle, or why there is no picture.

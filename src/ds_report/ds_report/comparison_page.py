@@ -37,7 +37,6 @@ class Grid:
     """Difference map of one simulator.
 
     Attributes:
-        title: heading.
         across: title of the axis to the right.
         up: title of the axis upwards.
         columns: labels of the columns.

@@ -16,6 +16,7 @@ from ds_base.palette import SERIES
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.locate import Fit
 from ds_recording.located import Located
+from ds_recording.motion import moved
 from ds_recording.odometry import summary
 from ds_recording.recording import Views
 from ds_recording.track import Track
@@ -126,15 +127,12 @@ def drawn_in(
     height = round(image.shape[0] * width / image.shape[1])
     large = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
     scaled = camera.resized(width, height).scaled(1.0 / lane_width)
-    x, y, yaw = fit.solution.poses[frame]
     start = int(np.searchsorted(track.stations, fit.solution.along[frame] % max(track.length, 1e-9)))
     index = start + np.arange(-10, round(1.3 * SHOWN[1] / 0.1))
     index = index % len(track.points) if track.closed else index[(index >= 0) & (index < len(track.points))]
     good = bool(fit.located[frame])
     for offset, colour in ((0.0, (255, 210, 0)), (-1.0, (255, 255, 255)), (1.0, (255, 255, 255))):
-        to = track.beside(offset).points[index] - (x, y)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        floor = np.stack((cos * to[:, 0] + sin * to[:, 1], cos * to[:, 1] - sin * to[:, 0]), axis=1)
+        floor = moved(track.beside(offset).points[index], fit.solution.poses[frame])
         pixels, valid = scaled.project(floor)
         valid &= (floor[:, 0] > SHOWN[0]) & (floor[:, 0] < SHOWN[1])
         for i in np.flatnonzero(valid[1:] & valid[:-1]):

@@ -17,11 +17,7 @@ RELOAD = 3
 
 @dataclass
 class SensitivityPage:
-    """Writes the page after each measurement; a browser that shows it reloads it until the analysis is finished.
-
-    Attributes:
-        path: of the HTML file.
-    """
+    """Writes the page after each measurement; a browser that shows it reloads it until the analysis is finished."""
 
     path: Path
     _pictures: dict[tuple[int, str], CameraPicture] = field(default_factory=dict)

@@ -27,13 +27,7 @@ MOST_VIDEOS, LONGEST = 10, 120.0
 
 @dataclass(frozen=True)
 class FailedDrive(OfScenario):
-    """Drive on which a driver failed.
-
-    Attributes:
-        test: name of the test.
-        simulator: name of the simulator.
-        scenario: that was driven.
-    """
+    """Drive on which a driver failed."""
 
     test: str
     simulator: SimulatorName

@@ -97,8 +97,6 @@ class TrackTest:
 
     Attributes:
         recording: of the track.
-        out: folder.
-        driver: name of the driver.
         roads: number of roads at most.
         crop_top: image rows at the top that the driver does not see; None for those of the shipped networks, else 0.
     """
@@ -277,14 +275,9 @@ def _driven(
         LOG.info("%s drives", driver)
         results = drive_tests(chosen, dict.fromkeys(names, tests), place, callbacks)
         for name in names:
-            drives[driver, name] = [results.executions.get((one.test_id, name)) for one in tests]
-            undecided[driver, name] = [
-                gate.message.removeprefix("OutOfSightError: ")
-                if (gate := results.gates.get(key))
-                else str(results.errors.get(key, Unfinished()))
-                for one in tests
-                if (key := (one.test_id, name)) not in results.executions
-            ]
+            keys = [(one.test_id, name) for one in tests]
+            drives[driver, name] = [results.executions.get(key) for key in keys]
+            undecided[driver, name] = [_why(results, key) for key in keys if key not in results.executions]
     return TrackAnswer(
         driver=test.driver,
         recording=names[0],

@@ -41,9 +41,6 @@ class CampaignOutcome:
     """Outcome of a campaign.
 
     Attributes:
-        folder: campaign folder.
-        report: the HTML report in it.
-        tests: number of tests.
         executions: number of executions with a verdict.
         executions_in_error: executions of this session that ended in an error after all attempts.
         correlations: comparison of every map with the twin's; empty without a twin.

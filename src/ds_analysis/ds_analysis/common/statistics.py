@@ -25,7 +25,7 @@ Interval = tuple[float, float]
 RESAMPLES = 1000
 """Resamples of a bootstrap; chosen: ends of an interval are accurate to about a tenth of its width, in 1 s."""
 
-_NO_WIDTH = 1e-9
+NO_WIDTH = 1e-9
 """Width below which an interval is a single point; chosen: far above rounding errors, far below the digits shown."""
 
 FEWEST_CELLS = 3
@@ -175,7 +175,7 @@ def bootstrap_interval(
     if not len(defined):
         return None
     low, high = np.quantile(defined, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    if high - low < _NO_WIDTH and abs(abs(high) - 1.0) < _NO_WIDTH:
+    if high - low < NO_WIDTH and abs(abs(high) - 1.0) < NO_WIDTH:
         return None
     return float(low), float(high)
 

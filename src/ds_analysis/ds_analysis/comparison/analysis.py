@@ -30,8 +30,6 @@ class SimulatorComparison:
     """Both networks on one simulator.
 
     Attributes:
-        simulator: name of the simulator.
-        counts: over all tests.
         p_adjusted: of `counts`, by Holm over every p-value from which verdicts are made.
         unsearched: over the tests that no network's outcome led to.
         unsearched_p_adjusted: of `unsearched`, likewise.
@@ -54,9 +52,6 @@ class CellComparison:
     """Both networks in one cell of the feature map on one simulator.
 
     Attributes:
-        simulator: name of the simulator.
-        cell: bins of the features.
-        counts: over the cell's tests.
         p_adjusted: by Benjamini and Hochberg over all filled cells of all simulators.
     """
 

@@ -122,8 +122,6 @@ class Case:
     """One test on one simulator.
 
     Attributes:
-        test: name of the test.
-        simulator: name of the simulator.
         state: `known failure` where the reference fails, too; it is reported as skipped.
         seconds: simulated time driven, s.
         message: what happened, in one line.

@@ -84,7 +84,6 @@ class DriveOutcome:
     Attributes:
         outcome: a verdict.
         fitness: smallest lateral distance, m; below 0 out of the lane; None where only the verdict is known.
-        trajectory_sha256: digest of the trajectory.
         simulated_seconds: simulated time driven, s.
         path: (n, 2) positions, m; empty if they are not known.
     """
@@ -112,8 +111,6 @@ class PairedDrive:
     """One test on one simulator, driven by both networks.
 
     Attributes:
-        test: the test.
-        simulator: name of the simulator.
         reference: how the reference drove.
         candidate: how the candidate drove.
     """
@@ -153,8 +150,6 @@ class PairedCounts:
     Attributes:
         newly_fail: the reference passes, the candidate fails.
         fixed: the reference fails, the candidate passes.
-        both_fail: both fail.
-        both_pass: both pass.
         changes: every test in the order of the drives where these may stop at any time; see `sequential_evidence`.
         p_of_families: p where tests are mutants of each other; see `ds_analysis.common.selection`.
 

@@ -44,8 +44,6 @@ class Reason(NamedTuple):
     """Why one drive failed, in words that follow "the driver".
 
     Attributes:
-        test_id: the test.
-        simulator: where it failed.
         kind: how it left the lane or did not finish, and what led there if the record tells; one for a group.
         details: where and how fast, and under which conditions if they are not the default.
     """

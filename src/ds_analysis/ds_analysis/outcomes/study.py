@@ -57,7 +57,6 @@ class Study:
     Attributes:
         rows: one row for each drive, with the columns `LONG` and a column for each feature; `margin` and `limit` are
             NaN where only the verdict is known.
-        features: names of the features.
         axes: feature -> width of a bin of the map.
         twin: simulator that the others are to predict; None if there is none.
         car: real car whose rows are drives, not a simulator's; None if there is none.

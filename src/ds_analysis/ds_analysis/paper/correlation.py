@@ -45,9 +45,7 @@ class Correlation:
     Attributes:
         map: the siblings' map.
         value: value of that map: `probability` (RQ2) or `quality_loss` (RQ3).
-        cells: number of cells compared.
         r: Pearson correlation with the twin's failure probability, or None if undefined.
-        p: its two-sided p-value, or None.
         reason: why there is no r.
         r_interval: 95% bootstrap interval of r over cells; resamples in which r is undefined are left out. None if
             there are too few cells.
@@ -92,7 +90,6 @@ class PairedDifference:
     Attributes:
         over: the sibling's union map.
         value: compared value of both maps.
-        cells: number of cells compared.
         r: Pearson correlation of the merged map minus that of the sibling's, or None if one is undefined.
         r_interval: its 95% bootstrap interval over cells, or None if there are too few cells.
         auc: AUC-PRC of the merged map minus that of the sibling's, or None.
@@ -204,9 +201,6 @@ class RobustnessCheck:
         map: first map.
         against: map with which it is compared.
         value: compared value of the first map.
-        cells: number of cells compared.
-        r: Pearson correlation, or None.
-        p: its two-sided p-value, or None.
         auc: area under a curve, as `what` says, or None.
     """
 

@@ -23,7 +23,6 @@ class PaperRow:
     Attributes:
         r: Pearson correlation with the twin's failure probability.
         p: p-value of r; the paper gives most as powers of ten.
-        auc: AUC-PRC.
     """
 
     r: float
@@ -38,29 +37,27 @@ class PaperErrors:
     Attributes:
         distance: Wasserstein distance of the error densities.
         p: p-value of the Wilcoxon test.
-        powerful: whether the paper marks its power as above 0.8.
     """
 
     distance: float
     p: float
-    powerful: bool = False
 
 
 def _rows(*rows: tuple[float, float, float]) -> dict[str, PaperRow]:
     return {who: PaperRow(*row) for who, row in zip(("DS1", "DS2", "DSS"), rows, strict=True)}
 
 
-def _errors(*rows: tuple[float, float] | tuple[float, float, bool]) -> dict[str, PaperErrors]:
+def _errors(*rows: tuple[float, float]) -> dict[str, PaperErrors]:
     return {who: PaperErrors(*row) for who, row in zip(("DS1", "DS2", "DSS"), rows, strict=True)}
 
 
 RQ1: dict[tuple[str, Kind], dict[str, PaperErrors]] = {
-    ("dave2", "sim"): _errors((0.04669, 0.101), (0.02648, 0.020), (0.03776, 0.053, True)),
-    ("dave2", "real"): _errors((0.03250, 0.011), (0.02187, 0.078), (0.00951, 0.088, True)),
-    ("chauffeur", "sim"): _errors((0.03989, 0.023), (0.02641, 0.047), (0.01208, 0.394, True)),
-    ("chauffeur", "real"): _errors((0.04625, 0.011), (0.02145, 0.078, True), (0.01843, 0.334, True)),
-    ("epoch", "sim"): _errors((0.06030, 0.011), (0.01634, 0.078, True), (0.02726, 0.053, True)),
-    ("epoch", "real"): _errors((0.03374, 0.016), (0.02318, 0.078, True), (0.00989, 0.256, True)),
+    ("dave2", "sim"): _errors((0.04669, 0.101), (0.02648, 0.020), (0.03776, 0.053)),
+    ("dave2", "real"): _errors((0.03250, 0.011), (0.02187, 0.078), (0.00951, 0.088)),
+    ("chauffeur", "sim"): _errors((0.03989, 0.023), (0.02641, 0.047), (0.01208, 0.394)),
+    ("chauffeur", "real"): _errors((0.04625, 0.011), (0.02145, 0.078), (0.01843, 0.334)),
+    ("epoch", "sim"): _errors((0.06030, 0.011), (0.01634, 0.078), (0.02726, 0.053)),
+    ("epoch", "real"): _errors((0.03374, 0.016), (0.02318, 0.078), (0.00989, 0.256)),
 }
 RQ2: dict[tuple[str, Kind], dict[str, PaperRow]] = {
     ("dave2", "sim"): _rows((0.650, 1e-11, 0.654), (0.583, 1e-8, 0.512), (0.710, 1e-13, 0.684)),

@@ -28,8 +28,6 @@ class PairComparison:
     """Comparison of two simulators on the same roads.
 
     Attributes:
-        first: name of the first simulator.
-        second: name of the second simulator.
         roads: number of roads on which both runs ended with a verdict.
         both_fail: number of roads on which both runs failed.
         only_first_fails: number of roads on which only the first run failed.

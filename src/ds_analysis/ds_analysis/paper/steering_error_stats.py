@@ -36,15 +36,10 @@ class ErrorSummary:
     """Summary of the steering errors of a group of recordings.
 
     Attributes:
-        group: name of the group.
         images: number of images shown.
         answered: number of images answered.
         compared: number of answered images with recorded steering.
         mean: mean error, positive to the right; None without errors, as are the following.
-        mean_absolute: mean absolute error.
-        root_mean_square: root mean square error.
-        median_absolute: median absolute error.
-        largest: largest absolute error.
         outputs_apart: Wasserstein distance between answered and recorded steering as distributions.
     """
 
@@ -113,8 +108,6 @@ class ErrorComparison:
 
     Attributes:
         name: name of the sibling, or `MERGED`.
-        images: number of errors.
-        mean_squared: mean squared error.
         beyond: share of errors above `RANGE`, which the densities leave out.
         distance: Wasserstein distance of the densities, each at its bin's right edge (maxitwo).
         p: two-sided p-value of Wilcoxon's signed-rank test on the pairs of densities; None if all pairs are equal.

@@ -29,8 +29,6 @@ class CarPrediction:
         table: outcomes; a driven twin is one more sibling.
         undriven: prediction without the car's drives.
         prediction: with them, in the order in which their tests were drawn.
-        drives: the drives.
-        proposed: what was proposed.
         tolerated: failure rate up to which a cell counts as safe.
     """
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.special import betaln, expit, log_expit, logit
@@ -72,68 +71,36 @@ def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) ->
     return Fit(mode, np.linalg.inv(curvature), float(evidence))
 
 
-class Learnt(Protocol):
-    """What an expert believes after some drives."""
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the drives' evidence."""
-        ...
-
-    def probabilities(self, rows: Indices) -> Array:
-        """(rows,) probabilities of failure."""
-        ...
-
-    def draws(self, rng: np.random.Generator, count: int, rows: Indices) -> Array:
-        """(count, rows) probabilities of failure, each row for one draw of what is uncertain about the car."""
-        ...
-
-
-class Expert(Protocol):
-    """One way to predict a car."""
-
-    @property
-    def name(self) -> str:
-        """What it looks at."""
-        ...
-
-    @property
-    def uses_siblings(self) -> bool:
-        """Whether the siblings' outcomes reach its predictions."""
-        ...
-
-    def after(self, rows: Indices, failed: Array) -> Learnt:
-        """Learn from the verdicts of drives, 1.0 where one failed."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class LearntLogistic:
-    """A logistic expert after some drives."""
+    """What a logistic expert believes after some drives."""
 
     design: Array
     fit: Fit
 
     @property
     def log_evidence(self) -> float:
-        """See `Learnt`."""
+        """Logarithm of the drives' evidence."""
         return self.fit.log_evidence
 
     def probabilities(self, rows: Indices) -> Array:
-        """See `Learnt`."""
+        """(rows,) probabilities of failure."""
         x = self.design[rows]
         variance = np.einsum("ij,jk,ik->i", x, self.fit.covariance, x, optimize=True)
         return np.asarray(expit(x @ self.fit.mode / np.sqrt(1.0 + np.pi * variance / 8.0)))
 
     def draws(self, rng: np.random.Generator, count: int, rows: Indices) -> Array:
-        """See `Learnt`."""
+        """(count, rows) probabilities of failure, each row for one draw of what is uncertain about the car."""
         coefficients = rng.multivariate_normal(self.fit.mode, self.fit.covariance, count, method="cholesky")
         return np.asarray(expit(coefficients @ self.design[rows].T))
 
 
 @dataclass(frozen=True, eq=False)
 class LogisticExpert:
-    """Logistic regression on (tests, p) predictors; (p,) means and precisions of the coefficients' prior."""
+    """Logistic regression on (tests, p) predictors; (p,) means and precisions of the coefficients' prior.
+
+    It uses siblings if their outcomes reach its predictions.
+    """
 
     name: str
     uses_siblings: bool
@@ -142,7 +109,7 @@ class LogisticExpert:
     precision: Array
 
     def after(self, rows: Indices, failed: Array) -> LearntLogistic:
-        """See `Expert`."""
+        """Learn from the verdicts of drives, 1.0 where one failed."""
         if not len(rows):
             return LearntLogistic(self.design, Fit(self.mean, np.diag(1.0 / self.precision), 0.0))
         return LearntLogistic(self.design, fit_logistic(self.design[rows], failed, self.mean, self.precision))
@@ -150,22 +117,22 @@ class LogisticExpert:
 
 @dataclass(frozen=True)
 class LearntRate:
-    """Jeffreys' posterior of a failure rate."""
+    """Jeffreys' posterior of a failure rate; methods are as in `LearntLogistic`."""
 
     failures: float
     completed: float
 
     @property
     def log_evidence(self) -> float:
-        """See `Learnt`."""
+        """Logarithm of the drives' evidence."""
         return float(betaln(self.failures + 0.5, self.completed + 0.5) - betaln(0.5, 0.5))
 
     def probabilities(self, rows: Indices) -> Array:
-        """See `Learnt`."""
+        """(rows,) probabilities of failure."""
         return np.full(len(rows), (self.failures + 0.5) / (self.failures + self.completed + 1.0))
 
     def draws(self, rng: np.random.Generator, count: int, rows: Indices) -> Array:
-        """See `Learnt`."""
+        """(count, rows) probabilities of failure, a rate for each draw."""
         rates = rng.beta(self.failures + 0.5, self.completed + 0.5, count)
         return np.repeat(rates[:, None], len(rows), axis=1)
 
@@ -178,9 +145,13 @@ class RateExpert:
     uses_siblings: bool = False
 
     def after(self, rows: Indices, failed: Array) -> LearntRate:
-        """See `Expert`."""
+        """Learn from the verdicts of drives, 1.0 where one failed."""
         failures = float(failed.sum())
         return LearntRate(failures, len(rows) - failures)
+
+
+Expert = LogisticExpert | RateExpert
+Learnt = LearntLogistic | LearntRate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

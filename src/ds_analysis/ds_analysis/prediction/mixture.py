@@ -51,7 +51,6 @@ class Prediction:
     """Prediction of every test of a table on a car.
 
     Attributes:
-        tests: number of tests.
         experts: the mixture's parts.
         prior: (experts,) weights before the drives.
         drives: the car's drives so far, in the order in which they were made.

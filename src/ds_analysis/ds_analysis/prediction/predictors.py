@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from ds_analysis.common import weighted_scores as scores
 from ds_analysis.common.cross_validation import FOLDS, SEED, STRENGTHS, bounded, standardised
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.statistics import (
     FEWEST_OF_EACH_KIND,
+    NO_WIDTH,
     RESAMPLES,
     Array,
     Indices,
@@ -27,7 +27,7 @@ from ds_analysis.common.statistics import (
     splits_of,
 )
 from ds_analysis.prediction.mixture import Prediction
-from ds_base.intervals import jeffreys_interval
+from ds_base.intervals import LEVEL, jeffreys_interval
 from ds_base.table import Column, Table
 from ds_orchestrator.maps.algebra import OPERATORS
 from ds_sim.registry import SimulatorName
@@ -101,10 +101,7 @@ class PredictorScore:
 
     Attributes:
         predictor: name: a sibling, a merge operator, `FEATURES` or `MODEL`.
-        brier: mean squared error.
-        brier_interval: its interval.
         difference: the same minus that of the features alone: negative is better. None for these themselves.
-        difference_interval: its interval.
         average_precision: AUC-PRC; None if all tests have the same outcome.
         verdict: `adds` to the features alone, is `worse`, `adds nothing`, or `too few` tests say.
     """
@@ -168,20 +165,20 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
     driven: dict[str, Array] = {name: kept.failed(name).astype(np.float64) for name in kept.siblings}
     model = prediction.probabilities(rows)
     predicted = {**driven, **merged(list(driven.values())), FEATURES: features_alone(table)[rows], MODEL: model}
-    weights = scores.family_weights(kept.families, RESAMPLES, _SEED)
-    baseline = scores.brier(predicted[FEATURES], truth, weights)
+    weights = _family_weights(kept.families)
+    baseline = _brier(predicted[FEATURES], truth, weights)
     few = min(truth.sum(), len(truth) - truth.sum()) < FEWEST_OF_EACH_KIND
     scored = []
     for name, probability in predicted.items():
-        squared = scores.brier(probability, truth, weights)
+        squared = _brier(probability, truth, weights)
         other = None if name == FEATURES else squared - baseline
-        ends = None if other is None else scores.interval_of(other)
+        ends = None if other is None else _interval(other)
         low, high = ends or (0.0, 0.0)
         scored.append(
             PredictorScore(
                 predictor=name,
                 brier=float(squared[0]),
-                brier_interval=scores.interval_of(squared),
+                brier_interval=_interval(squared),
                 difference=None if other is None else float(other[0]),
                 difference_interval=ends,
                 average_precision=auc_prc_or_reason(probability, truth)[0],
@@ -204,6 +201,29 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
         scores=scored,
         reliability=_reliability(model, truth),
     )
+
+
+def _family_weights(families: Indices) -> Array:
+    """(`RESAMPLES` + 1, rows) how often each row counts where whole families are drawn; the first is the sample.
+
+    Families are drawn with replacement, as often as there are families: a cluster bootstrap (Davison and Hinkley,
+    Bootstrap Methods and their Application, 1997, section 3.8).
+    """
+    distinct, member = np.unique(families, return_inverse=True)
+    rng = np.random.default_rng(_SEED)
+    drawn = rng.multinomial(len(distinct), np.full(len(distinct), 1.0 / len(distinct)), size=RESAMPLES)
+    return np.asarray(np.vstack((np.ones(len(distinct)), drawn))[:, member])
+
+
+def _brier(predicted: Array, truth: Array, weights: Array) -> Array:
+    """(resamples,) mean squared error of probabilities (Brier 1950)."""
+    return np.asarray(weights @ (predicted - truth) ** 2 / weights.sum(axis=1))
+
+
+def _interval(scores: Array) -> Interval | None:
+    """95% percentile interval of a score's resamples; None where all are the same, as the sample is degenerate."""
+    low, high = np.quantile(scores[1:], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return None if high - low < NO_WIDTH else (float(low), float(high))
 
 
 def _reliability(probability: Array, truth: Array) -> list[tuple[float, float, int, float, float, Interval]]:

@@ -36,7 +36,6 @@ class TestVerdict:
     """What is predicted of one test.
 
     Attributes:
-        test_id: id of the test.
         cell: its cell; None if it has none.
         probability: probability of failure; the outcome, if the car drove the test.
         verdict: `fails` if the probability is at least 1 - `ERROR_RATE`, `safe` if at most `ERROR_RATE`, or `disputed`.
@@ -57,7 +56,6 @@ class CellVerdict:
     """What is predicted of one cell of the feature map.
 
     Attributes:
-        cell: bins.
         tests: number of its tests.
         driven: number of them that the car drove.
         rate: posterior mean of the failure rate of tests like these; None if untested.

@@ -28,7 +28,6 @@ class Bet:
     """One drive, in the order in which tests were drawn.
 
     Attributes:
-        failed: its verdict.
         drawn: whether its test was drawn uniformly from those left; otherwise it was chosen.
         predicted: probability of failure that was predicted before.
         mean_predicted: mean of these over the tests left, its own among them.

@@ -107,7 +107,6 @@ class ProposedDrive:
     """A test to drive on the car.
 
     Attributes:
-        test_id: id of the test.
         road: road to tape out; None if the test is known by its features alone.
         conditions: conditions to set.
         features: imported feature -> value, of a test without a road.

@@ -45,7 +45,6 @@ class RealDrive:
     """Outcome of one test on a real car.
 
     Attributes:
-        test_id: id of the test.
         failed: whether the car failed.
         outcome: as recorded.
         max_lateral_position: largest absolute lateral position of a completed drive, m of the road frame (the car's

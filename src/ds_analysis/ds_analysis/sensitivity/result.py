@@ -51,7 +51,6 @@ class Threshold:
     """Where a driver first fails, for one factor on one simulator. Levels are as in `Factor`; None is beyond the range.
 
     Attributes:
-        simulator: name of the simulator.
         factor: what is varied.
         verdict: what was found.
         roads: results of the roads.
@@ -169,7 +168,6 @@ class Sensitivity:
     """How strong each condition must be for a driver to fail.
 
     Attributes:
-        driver: name of the driver.
         simulators: names of the simulators.
         factors: what was varied.
         needed: number of roads on each simulator.

@@ -32,7 +32,6 @@ class Score:
             above one that does not fail.
         auc_interval: its interval; None where all resamples have an area of 1.
         brier: Brier score, the mean squared error of the probabilities; the share of failures p alone scores p (1 - p).
-        brier_interval: its interval.
         bits: mean logarithmic loss, bits a road: what the outcomes still surprise by.
     """
 
@@ -48,8 +47,6 @@ class Baseline:
     """How well road features and conditions predict the failures on one simulator.
 
     Attributes:
-        simulator: name of the simulator.
-        roads: number of roads.
         failures: number of them on which the driver fails.
         entropy: entropy of the outcomes, bits a road: what they surprise by if only the share of failures is known.
         best: the best single feature, chosen on other roads; None where failures are too few.

@@ -25,8 +25,6 @@ class Nesting:
     """Failures of two simulators on the same roads.
 
     Attributes:
-        first: name of the first simulator.
-        second: name of the second simulator.
         both: number of roads on which both fail.
         only_first: number of roads on which only the first fails.
         only_second: number of roads on which only the second fails.
@@ -118,7 +116,6 @@ class Departures:
     Two simulators that fail equally often may fail in different ways, and only such are worth asking both.
 
     Attributes:
-        simulator: name of the simulator.
         failures: number of its failures.
         counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it; of one that was
             restored from a table, the way out is not recorded.

@@ -40,13 +40,9 @@ class ResidualCorrelation:
     """Correlation of two simulators' lateral positions; intervals are 95% bootstrap intervals over families of roads.
 
     Attributes:
-        first: name of the first simulator.
-        second: name of the second simulator.
         plain: Pearson r of the largest absolute lateral positions, over roads.
-        plain_interval: its interval.
         roads: the same after each simulator's best single feature is taken out, chosen and fitted on other roads; None
             where failures are too few to choose one.
-        roads_interval: its interval.
         places: r of the lateral positions at the same places of the roads, after the curvature of the lane at the place
             is taken out.
         places_interval: its interval; families are drawn, each with all its places.

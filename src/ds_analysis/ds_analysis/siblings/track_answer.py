@@ -14,15 +14,12 @@ from ds_road import Road
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
-"""Driver that sees no image, and shows what the roads themselves demand."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrackAnswer:
     """What became of one driver on the roads of a recorded track.
 
     Attributes:
-        driver: its name.
         recording: simulator with the recording's photographs.
         twin: simulator with the twin's own picture of the world.
         roads: sections of the track.

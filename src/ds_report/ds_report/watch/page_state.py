@@ -15,7 +15,7 @@ from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_report.camera_pictures import SPACINGS, PicturedDrive, render_drive, replay_frames
-from ds_report.page_data import simulator_rows
+from ds_report.page_data import kept, simulator_rows
 from ds_report.watch.campaign_reader import Snapshot
 from ds_road.geometry import arc_lengths
 from ds_sim.registry import make_simulator, received_simulator
@@ -186,7 +186,7 @@ def drive_lines(test: Test, execution: Execution, names: Sequence[str]) -> dict[
         [[round(float(v), 2) for v in column] for column in line.T]
         for line in (road.points, road.left_edge, road.right_edge)
     )
-    steps = np.unique(np.append(np.arange(0, len(path), 2), max(len(path) - 1, 0))) if len(path) else np.empty(0, int)
+    steps = kept(len(path) - 1) if len(path) else np.empty(0, np.intp)
     x, y, lateral = ([round(float(v), 2) for v in path[steps, k]] for k in (0, 1, 4))
     steering = execution.steering
     commands = steering[np.minimum(steps, len(steering) - 1)] if len(steering) else steering

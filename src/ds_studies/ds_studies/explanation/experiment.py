@@ -28,7 +28,6 @@ class Experiment:
     """One failed test, and the simulator that completes it.
 
     Attributes:
-        test: the test.
         fails: simulator on which it fails.
         against: simulator on which it completes.
         parts: word for what is exchanged -> the parts of simulators in it; none for the test's conditions.

@@ -64,7 +64,6 @@ class Explanation:
     """Why a test fails on one simulator and not on another.
 
     Attributes:
-        test_id: the test.
         fails: simulator on which it fails.
         against: simulator on which it completes, which gives the parts for the exchange.
         losses: loss of the drive in which a subset of the parts is that of `fails`, and all others of `against`; for

@@ -116,7 +116,6 @@ class NetworkCheck:
     """What was found out about a network.
 
     Attributes:
-        driver: its name.
         images: number of images that it was shown.
         correlation: of its steering with the autopilot's.
         answers: on each simulator.

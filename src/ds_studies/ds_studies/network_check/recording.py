@@ -52,7 +52,6 @@ class Recording:
     """Images of the autopilot's drives on one simulator.
 
     Attributes:
-        simulator: its name.
         frames: images and speeds, drive after drive.
         steering: (frames,) the autopilot's steering, -1 left to +1 right.
         throttle: (frames,) its throttle, 0 to 1.

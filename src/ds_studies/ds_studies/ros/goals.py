@@ -39,11 +39,8 @@ class Job:
     """Goal that drives.
 
     Attributes:
-        goal: the goal.
         server: takes its result.
-        folder: folder of its drives.
         work: what it asks.
-        result: the action's result.
         listener: hears of its drives.
         stop: ends them.
     """

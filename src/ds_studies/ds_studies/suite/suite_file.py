@@ -59,7 +59,6 @@ class SuiteOutcome(_Strict):
     Attributes:
         outcome: name of the outcome, a verdict.
         fitness: smallest lateral distance, m.
-        trajectory_sha256: digest of the trajectory.
     """
 
     outcome: Literal["COMPLETED", "OUT_OF_BOUNDS", "STUCK", "TIMEOUT"]
@@ -75,10 +74,6 @@ class SuiteTest(_Strict):
         why: why it was chosen.
         control_points: of the road, m.
         road_sha256: digest of the control points; see `road_sha256`.
-        seed: seed of the run.
-        conditions: operating conditions.
-        cell: bins of the features, or None.
-        outcomes: simulator -> outcome.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,200}$")]
@@ -95,8 +90,6 @@ class Suite(_Strict):
     """Regression suite.
 
     Attributes:
-        format: `FORMAT`.
-        version: `VERSION`.
         campaign: name of the campaign's folder.
         driver: driver of the campaign.
         driver_sha256: digest of its files, or "".
@@ -106,7 +99,6 @@ class Suite(_Strict):
         maxitwo_compatible: as in the campaign's configuration.
         features: axes of the cells.
         code_sha256: digest of the simulators' code by which the outcomes came about.
-        tests: the tests.
     """
 
     format: Literal["digital-siblings-suite"] = "digital-siblings-suite"
