@@ -14,17 +14,8 @@ from numpy.typing import NDArray
 
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.pieces import pieces
+from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.meshes import Course
-from ds_sim_panda.scene.parameters import (
-    CUT_SHARE,
-    CUT_WIDTH,
-    LEAD_IN,
-    LEAD_OUT,
-    PATCH_LENGTHS,
-    PATCH_TURN,
-    PATCH_WIDTHS,
-    SHADE_LENGTH,
-)
 from ds_sim_panda.scene.textures import upload
 
 BLOCK = 18.0
@@ -41,17 +32,8 @@ def repaired(
 ) -> NDArray[np.bool_]:
     """Choose the part of a road that is repaired: the same share of every block, and more of the same for a larger one.
 
-    Patches are laid one after the other, the last one of a block in part of its length.
-
-    Args:
-        rng: source of sizes, places and directions; their order does not depend on the share.
-        length: of the road, m.
-        width: of the road, m.
-        share: 0 to 0.6.
-        shape: rows across the road, from the left, and columns along it.
-
-    Returns:
-        Mask of the shape.
+    Patches are laid one after the other, the last one of a block in part of its length; their order does not depend on
+    the share. Lengths are in m; the mask has rows across the road, from the left, and columns along it.
     """
     order = _order(rng, length, width, shape)
     mask = np.zeros(shape, np.bool_)
@@ -65,13 +47,15 @@ def repaired(
 
 def _order(rng: np.random.Generator, length: float, width: float, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Number of the first patch on each texel, and the place along that patch as its fraction."""
-    mean = float(np.mean(PATCH_LENGTHS) * np.mean(PATCH_WIDTHS))
+    mean = float(np.mean(parameters.PATCH_LENGTHS) * np.mean(parameters.PATCH_WIDTHS))
     count = math.ceil(SPARE * length * width / mean)
     centre = np.column_stack((rng.uniform(0.0, length, count), rng.uniform(0.0, width, count)))
-    size = np.column_stack((rng.uniform(*PATCH_LENGTHS, count), rng.uniform(*PATCH_WIDTHS, count)))
-    turn = rng.normal(0.0, PATCH_TURN, count)
-    cut = rng.random(count) < CUT_SHARE
-    size[cut, 0], size[cut, 1] = width * rng.uniform(0.5, 1.2, cut.sum()), rng.uniform(*CUT_WIDTH, cut.sum())
+    size = np.column_stack(
+        (rng.uniform(*parameters.PATCH_LENGTHS, count), rng.uniform(*parameters.PATCH_WIDTHS, count))
+    )
+    turn = rng.normal(0.0, parameters.PATCH_TURN, count)
+    cut = rng.random(count) < parameters.CUT_SHARE
+    size[cut, 0], size[cut, 1] = width * rng.uniform(0.5, 1.2, cut.sum()), rng.uniform(*parameters.CUT_WIDTH, cut.sum())
     turn[cut] += math.pi / 2.0
     ahead = np.column_stack((np.cos(turn), np.sin(turn)))
     left = np.column_stack((-ahead[:, 1], ahead[:, 0]))
@@ -126,7 +110,11 @@ def along_road(course: Course, conditions: Conditions, rng: np.random.Generator)
     c = conditions
     length = float(course.along[-1] - course.along[0])
     texels = min(2 ** math.ceil(math.log2(length / FINEST)), MOST_TEXELS)
-    regions = ((0.0, LEAD_IN), (LEAD_IN, length - LEAD_OUT), (length - LEAD_OUT, length))
+    regions = (
+        (0.0, parameters.LEAD_IN),
+        (parameters.LEAD_IN, length - parameters.LEAD_OUT),
+        (length - parameters.LEAD_OUT, length),
+    )
     lines, patches, shadows = rng.spawn(3)
 
     def texture(name: str, rng: np.random.Generator, rows: int, size: float, share: float) -> Any:
@@ -138,7 +126,7 @@ def along_road(course: Course, conditions: Conditions, rng: np.random.Generator)
         frame=(float(course.along[0]), 1.0 / length),
         bare=texture("bare", lines, 3, c.line_cover_length, c.line_cover),
         repaired=upload("repaired", _patches(patches, length, 2.0 * course.half_width, c.repair_share), wrap=False),
-        shaded=texture("shaded", shadows, 1, SHADE_LENGTH, c.shadow_density),
+        shaded=texture("shaded", shadows, 1, parameters.SHADE_LENGTH, c.shadow_density),
     )
 
 

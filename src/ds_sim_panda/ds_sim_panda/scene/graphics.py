@@ -17,8 +17,6 @@ from ds_sim.camera.mesa import ENVIRONMENT, INSTALL, software_rendering
 from ds_sim.simulator import SimulatorError
 from ds_sim_panda.scene.parameters import SAMPLES
 
-__all__ = ["Graphics", "graphics", "panda", "renderer_name"]
-
 CONFIGURATION = """
 load-display p3headlessgl
 audio-library-name null
@@ -91,14 +89,7 @@ class Graphics:
         self.renderer = f"{driver.driver_version.split(') ')[-1]}, {driver.driver_renderer}"
 
     def draw(self, camera: Any, width: int, height: int, *, top: int = 0, samples: int = SAMPLES) -> NDArray[np.uint8]:
-        """Draw what a camera sees.
-
-        Args:
-            camera: `NodePath` of the camera.
-            width: columns of its image.
-            height: rows of its image.
-            top: first row that is drawn; the bits of the others do not depend on it.
-            samples: samples of a pixel.
+        """Draw what a camera, a `NodePath`, sees from the row `top` on; the bits of the other rows do not depend on it.
 
         Returns:
             (rows, columns, 3) uint8 BGR, bottom row first, read-only; it does not change with the next drawing.

@@ -22,13 +22,7 @@ VERTEX = np.dtype([("position", "<f4", 3), ("texture", "<f4", 3), ("colour", "u1
 
 
 def mesh_node(name: str, vertices: NDArray[np.void], triangles: NDArray[np.integer[Any]]) -> Any:
-    """Panda3D's node of a mesh.
-
-    Args:
-        name: of the node.
-        vertices: (n,) of `VERTEX`.
-        triangles: (m, 3) indices, counter-clockwise seen from outside; they are drawn in this order.
-    """
+    """Panda3D's node of `VERTEX` and triangles (m, 3), counter-clockwise from outside and drawn in this order."""
     core = panda()
     data = core.GeomVertexData(name, _vertex_format(), core.Geom.UH_static)
     data.unclean_set_num_rows(len(vertices))
@@ -101,13 +95,10 @@ def course_of(road: Road) -> Course:
 
 
 def road_strip(course: Course, offsets: Sequence[float]) -> tuple[NDArray[np.void], NDArray[np.int64]]:
-    """Vertices and triangles of the road between two borders, leads first, so that the road lies over them.
+    """Vertices and triangles of the road, leads first, so that the road lies over them.
 
-    Texture coordinates are the distance to the right of the centre line and that along it, m.
-
-    Args:
-        course: the road.
-        offsets: distances of the lines of vertices to the right of the centre line, from left to right, m.
+    There is a line of vertices at each of the offsets, m, from left to right of the centre line. Texture coordinates
+    are the distance to the right of that line and along it, m.
     """
     across = np.asarray(offsets)
     rows = len(course.points)

@@ -10,28 +10,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.meshes import Course
-from ds_sim_panda.scene.parameters import (
-    BUSH_HEIGHT,
-    BUSH_SHARE,
-    CLEARANCE,
-    CONIFER_SHARE,
-    FAR_FROM_ROAD,
-    GROVE_LIMITS,
-    GROVES,
-    HOUSE_DISTANCE,
-    HOUSE_SIZE,
-    HOUSES,
-    POST_HEIGHT,
-    POST_SPACING,
-    POST_WIDTH,
-    ROADSIDE,
-    ROADSIDE_SHARE,
-    SURROUNDINGS,
-    TREE_HEIGHT,
-    TREE_SPACING,
-    VERGE_WIDTH,
-)
 
 
 @dataclass(frozen=True)
@@ -57,15 +37,10 @@ class Things:
 
 
 def place_scenery(course: Course, seed: int) -> dict[str, Things]:
-    """Place everything beside a road: kind -> things.
-
-    Args:
-        course: the road.
-        seed: of all random numbers.
-    """
+    """Place everything beside a road: kind -> things."""
     rng = np.random.default_rng(seed)
     line = shapely.LineString(course.points)
-    border = course.half_width + VERGE_WIDTH
+    border = course.half_width + parameters.VERGE_WIDTH
     houses = _houses(course, line, border, rng)
     plants = _plants(course, line, border, houses, rng)
     return {"house": houses, "post": _posts(course, line, border), **plants}
@@ -78,19 +53,19 @@ def _distance(line: shapely.LineString, position: NDArray[np.float64]) -> NDArra
 
 def _houses(course: Course, line: shapely.LineString, border: float, rng: np.random.Generator) -> Things:
     """Houses along the road, parallel or at right angles to it."""
-    wanted = int(rng.integers(HOUSES[0], HOUSES[1] + 1))
+    wanted = int(rng.integers(parameters.HOUSES[0], parameters.HOUSES[1] + 1))
     tries = 40
     station = rng.uniform(0, len(course.points) - 1, tries)
     index = station.astype(int)
-    offset = rng.choice((-1.0, 1.0), tries) * rng.uniform(*HOUSE_DISTANCE, tries)
+    offset = rng.choice((-1.0, 1.0), tries) * rng.uniform(*parameters.HOUSE_DISTANCE, tries)
     position = course.points[index] + offset[:, None] * course.right[index]
     yaw = np.arctan2(course.right[index, 0], -course.right[index, 1]) + rng.integers(0, 4, tries) * math.pi / 2
-    size = np.array(HOUSE_SIZE) * rng.uniform(0.85, 1.15, (tries, 3))
+    size = np.array(parameters.HOUSE_SIZE) * rng.uniform(0.85, 1.15, (tries, 3))
     tint = rng.uniform(0.85, 1.1, tries)
-    free = _distance(line, position) > border + CLEARANCE + np.hypot(size[:, 0], size[:, 1])
+    free = _distance(line, position) > border + parameters.CLEARANCE + np.hypot(size[:, 0], size[:, 1])
     chosen: list[int] = []
     for i in np.flatnonzero(free).tolist():
-        apart = [np.hypot(*(position[i] - position[j])) > 2.5 * HOUSE_SIZE[0] for j in chosen]
+        apart = [np.hypot(*(position[i] - position[j])) > 2.5 * parameters.HOUSE_SIZE[0] for j in chosen]
         if len(chosen) < wanted and all(apart):
             chosen.append(i)
     return Things(position[chosen], size[chosen], yaw[chosen], tint[chosen])
@@ -98,15 +73,15 @@ def _houses(course: Course, line: shapely.LineString, border: float, rng: np.ran
 
 def _posts(course: Course, line: shapely.LineString, border: float) -> Things:
     """Delineators on both sides, except where the other side of a bend is in their way."""
-    stations = np.arange(0.0, course.along[-1], POST_SPACING)
+    stations = np.arange(0.0, course.along[-1], parameters.POST_SPACING)
     centre = np.stack([np.interp(stations, course.along, course.points[:, i]) for i in (0, 1)], axis=1)
     index = np.searchsorted(course.along, stations, side="right") - 1
     right = course.right[index]
-    offset = border + CLEARANCE
+    offset = border + parameters.CLEARANCE
     position = np.concatenate((centre - offset * right, centre + offset * right))
     yaw = np.tile(np.arctan2(right[:, 0], -right[:, 1]), 2)
-    free = _distance(line, position) > border + POST_WIDTH
-    size = np.tile((POST_WIDTH / 2, POST_WIDTH / 2, POST_HEIGHT), (len(position), 1))
+    free = _distance(line, position) > border + parameters.POST_WIDTH
+    size = np.tile((parameters.POST_WIDTH / 2, parameters.POST_WIDTH / 2, parameters.POST_HEIGHT), (len(position), 1))
     return Things(position[free], size[free], yaw[free], np.ones(free.sum()))
 
 
@@ -114,25 +89,25 @@ def _plants(
     course: Course, line: shapely.LineString, border: float, houses: Things, rng: np.random.Generator
 ) -> dict[str, Things]:
     """Trees and bushes on a disturbed grid, thinned out to groves and single ones."""
-    low, high = course.points.min(axis=0) - SURROUNDINGS, course.points.max(axis=0) + SURROUNDINGS
-    columns, rows = np.ceil((high - low) / TREE_SPACING).astype(int).tolist()
+    low, high = course.points.min(axis=0) - parameters.SURROUNDINGS, course.points.max(axis=0) + parameters.SURROUNDINGS
+    columns, rows = np.ceil((high - low) / parameters.TREE_SPACING).astype(int).tolist()
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
     count = len(grid)
-    position = low + TREE_SPACING * (grid + rng.uniform(0.1, 0.9, (count, 2)))
+    position = low + parameters.TREE_SPACING * (grid + rng.uniform(0.1, 0.9, (count, 2)))
     kind = rng.uniform(size=count)
-    height = rng.uniform(*TREE_HEIGHT, count)
-    bush = kind < BUSH_SHARE
-    height[bush] = rng.uniform(*BUSH_HEIGHT, count)[bush]
-    conifer = ~bush & (kind + 0.25 * _waves(position, rng) > 1.0 - CONIFER_SHARE)
+    height = rng.uniform(*parameters.TREE_HEIGHT, count)
+    bush = kind < parameters.BUSH_SHARE
+    height[bush] = rng.uniform(*parameters.BUSH_HEIGHT, count)[bush]
+    conifer = ~bush & (kind + 0.25 * _waves(position, rng) > 1.0 - parameters.CONIFER_SHARE)
     radius = height * np.where(bush, 0.65, np.where(conifer, 0.22, 0.33)) * rng.uniform(0.85, 1.15, count)
     distance = _distance(line, position)
-    share = np.clip(GROVES[0] + GROVES[1] * _waves(position, rng), *GROVE_LIMITS)
-    share[distance < ROADSIDE] *= ROADSIDE_SHARE
+    share = np.clip(parameters.GROVES[0] + parameters.GROVES[1] * _waves(position, rng), *parameters.GROVE_LIMITS)
+    share[distance < parameters.ROADSIDE] *= parameters.ROADSIDE_SHARE
     size = np.stack((radius / math.sqrt(2), radius / math.sqrt(2), height), axis=1)
-    far = distance > FAR_FROM_ROAD
+    far = distance > parameters.FAR_FROM_ROAD
     yaw, tint = rng.uniform(0.0, math.tau, count), rng.uniform(0.75, 1.25, count)
     kept = rng.uniform(size=count) < share
-    kept &= distance > border + CLEARANCE + radius
+    kept &= distance > border + parameters.CLEARANCE + radius
     for house, reach in zip(houses.position, houses.reach, strict=True):
         kept &= np.hypot(*(position - house).T) > reach + radius
     return {

@@ -12,27 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.conditions.model import Conditions
-from ds_sim_panda.scene.parameters import (
-    ASPHALT,
-    DECLINATION,
-    EXTINCTION,
-    FOG,
-    FOG_TOP,
-    HAZE,
-    HORIZON,
-    HOUR_ANGLE,
-    KOSCHMIEDER,
-    LATITUDE,
-    LUMINANCE,
-    NEW_ASPHALT,
-    PAINT_BLOTCHES,
-    PATCH_CONTRAST,
-    SKY_ILLUMINANCE,
-    SKY_TINT,
-    SOLAR_ILLUMINANCE,
-    SUN_TINT,
-    Linear,
-)
+from ds_sim_panda.scene import parameters
+from ds_sim_panda.scene.parameters import Linear
 
 Direction = tuple[float, float, float]
 """Unit vector in the road frame (x east, y north, z up)."""
@@ -73,7 +54,7 @@ class Daylight:
     def shaded(self, depth: float) -> NDArray[np.float64]:
         """Light on level ground from which a share of the luminance is taken, first the sun's, (3,) linear RGB."""
         sun, sky = self.sun_on_ground, np.array(self.sky)
-        share = float((sun * LUMINANCE).sum() / ((sun + sky) * LUMINANCE).sum())
+        share = float((sun * parameters.LUMINANCE).sum() / ((sun + sky) * parameters.LUMINANCE).sum())
         if depth <= share:
             return np.asarray(sky + (1.0 - depth / share) * sun)
         return np.asarray(sky * (1.0 - depth) / (1.0 - share))
@@ -88,19 +69,23 @@ class Daylight:
 @cache
 def own_daylight() -> Daylight:
     """Light of this world, whose sun stands by the astronomical triangle."""
-    cl, sl = math.cos(LATITUDE), math.sin(LATITUDE)
-    cd, sd = math.cos(DECLINATION), math.sin(DECLINATION)
-    ch, sh = math.cos(HOUR_ANGLE), math.sin(HOUR_ANGLE)
+    cl, sl = math.cos(parameters.LATITUDE), math.sin(parameters.LATITUDE)
+    cd, sd = math.cos(parameters.DECLINATION), math.sin(parameters.DECLINATION)
+    ch, sh = math.cos(parameters.HOUR_ANGLE), math.sin(parameters.HOUR_ANGLE)
     return clear_daylight((-cd * sh, sd * cl - cd * ch * sl, sd * sl + cd * ch * cl))
 
 
 def clear_daylight(towards_sun: Direction) -> Daylight:
     """Light under a clear sky (IESNA), with a sun above the horizon."""
     sine = towards_sun[2]
-    sun = SOLAR_ILLUMINANCE * math.exp(-EXTINCTION / sine)
-    sky = SKY_ILLUMINANCE[0] + SKY_ILLUMINANCE[1] * math.sqrt(sine)
+    sun = parameters.SOLAR_ILLUMINANCE * math.exp(-parameters.EXTINCTION / sine)
+    sky = parameters.SKY_ILLUMINANCE[0] + parameters.SKY_ILLUMINANCE[1] * math.sqrt(sine)
     total = sun * sine + sky
-    return Daylight(towards_sun, _linear(sun / total * np.array(SUN_TINT)), _linear(sky / total * np.array(SKY_TINT)))
+    return Daylight(
+        towards_sun,
+        _linear(sun / total * np.array(parameters.SUN_TINT)),
+        _linear(sky / total * np.array(parameters.SKY_TINT)),
+    )
 
 
 def _linear(colour: NDArray[np.float64]) -> Linear:
@@ -116,17 +101,11 @@ WORLD_CONDITIONS = frozenset(
 
 
 class Setting:
-    """What the conditions of one run make of the world.
+    """What the conditions of one run make of the world; `rng` decides where the road is covered.
 
     Attributes:
-        conditions: of the run.
-        rng: decides where the road is covered.
         sky: light under the sky without fog, whose picture the sky is.
         daylight: light on everything.
-
-    Args:
-        conditions: of the run.
-        rng: source of all that is random.
     """
 
     def __init__(self, conditions: Conditions, rng: np.random.Generator) -> None:
@@ -134,28 +113,30 @@ class Setting:
         self.rng = rng
         self.sky = clear_daylight(sun_direction(conditions))
         # Air is never clearer than this world's own.
-        self._fog = max(KOSCHMIEDER / conditions.visibility - HAZE, 0.0)
-        self.daylight = self.sky.behind(self._fog * FOG_TOP)
+        self._fog = max(parameters.KOSCHMIEDER / conditions.visibility - parameters.HAZE, 0.0)
+        self.daylight = self.sky.behind(self._fog * parameters.FOG_TOP)
 
     def shader_inputs(self) -> dict[str, float | Sequence[float]]:
         """Values of the uniforms of the shaders of a world with a setting."""
         c, light = self.conditions, self.daylight
-        haze = HAZE + self._fog
-        own = float((np.array(ASPHALT) * LUMINANCE).sum())
+        haze = parameters.HAZE + self._fog
+        own = float((np.array(parameters.ASPHALT) * parameters.LUMINANCE).sum())
         reflectance = c.pavement_reflectance or own
         # Concrete is smoother than asphalt: the brighter, the less grain.
         grain = 1.0 / (1.0 + max(math.log2(reflectance / own), 0.0))
-        worn = PAINT_BLOTCHES * min(c.line_contrast, 1.0 - c.line_contrast)
+        worn = parameters.PAINT_BLOTCHES * min(c.line_contrast, 1.0 - c.line_contrast)
         return {
             "HAZE": haze,
-            "FOG_DEPTH": self._fog * FOG_TOP,
-            "HORIZON": _listed((HAZE * np.array(HORIZON) + self._fog * np.array(FOG)) / haze),
+            "FOG_DEPTH": self._fog * parameters.FOG_TOP,
+            "HORIZON": _listed(
+                (parameters.HAZE * np.array(parameters.HORIZON) + self._fog * np.array(parameters.FOG)) / haze
+            ),
             "SKYLIGHT": list(light.sky),
             "SUNLIGHT": _listed(light.sun_on_ground),
             "SHADE": _listed(light.shaded(c.shadow_depth)),
-            "PAVEMENT": _listed(np.array(ASPHALT) * (reflectance / own)),
+            "PAVEMENT": _listed(np.array(parameters.ASPHALT) * (reflectance / own)),
             "GRAIN": grain,
-            "NEW_ASPHALT": min(NEW_ASPHALT / reflectance, PATCH_CONTRAST),
+            "NEW_ASPHALT": min(parameters.NEW_ASPHALT / reflectance, parameters.PATCH_CONTRAST),
             "PAINT_LEFT": c.line_contrast,
             "BLOTCHES": worn,
         }

@@ -7,19 +7,8 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
+from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.graphics import panda
-from ds_sim_panda.scene.parameters import (
-    ASPHALT,
-    HAZE,
-    HIDING_WITHIN,
-    HORIZON,
-    LINE_WEAR,
-    LINE_WIDTH,
-    SHADE_FRAYING,
-    VERGE_WIDTH,
-    WHITE,
-    YELLOW,
-)
 from ds_sim_panda.scene.setting import own_daylight
 
 MOST_LIGHT = 1.5
@@ -197,6 +186,11 @@ _SETTING_SCALARS = ("HAZE", "FOG_DEPTH", "GRAIN", "NEW_ASPHALT", "PAINT_LEFT", "
 _SETTING_COLOURS = ("HORIZON", "SKYLIGHT", "SUNLIGHT", "SHADE", "PAVEMENT")
 """Inputs of the shaders of a world with a setting."""
 
+_CONSTANTS = (
+    *("HAZE", "HORIZON", "VERGE_WIDTH", "LINE_WIDTH", "LINE_WEAR", "WHITE", "YELLOW", "ASPHALT", "SHADE_FRAYING"),
+    "HIDING_WITHIN",
+)
+"""Constants of `parameters` that shaders read."""
 _FRAGMENTS = {
     "ground": _GROUND,
     "far ground": "#define FAR\n" + _GROUND,
@@ -228,19 +222,10 @@ def _filled(source: str, *, setting: bool) -> str:
     """Write the scene's constants into a source."""
     daylight = own_daylight()
     constants: dict[str, float | Sequence[float]] = {
+        **{name: getattr(parameters, name) for name in _CONSTANTS},
         "MOST_LIGHT": MOST_LIGHT,
-        "HAZE": HAZE,
-        "HORIZON": HORIZON,
         "SKYLIGHT": list(daylight.sky),
         "SUNLIGHT": daylight.sun_on_ground.tolist(),
-        "VERGE_WIDTH": VERGE_WIDTH,
-        "LINE_WIDTH": LINE_WIDTH,
-        "LINE_WEAR": LINE_WEAR,
-        "WHITE": WHITE,
-        "YELLOW": YELLOW,
-        "ASPHALT": ASPHALT,
-        "SHADE_FRAYING": SHADE_FRAYING,
-        "HIDING_WITHIN": HIDING_WITHIN,
     }
     lines = [
         f"const float {name} = {value!r};"

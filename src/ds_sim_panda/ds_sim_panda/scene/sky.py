@@ -10,16 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.meshes import VERTEX, mesh_node, strip_triangles
-from ds_sim_panda.scene.parameters import (
-    CLOUD,
-    CLOUD_COVER,
-    HAZE,
-    HORIZON,
-    LEAVES,
-    ZENITH,
-    ZENITH_ELEVATION,
-)
 from ds_sim_panda.scene.setting import Daylight
 from ds_sim_panda.scene.textures import noise, stored, upload
 
@@ -40,9 +32,9 @@ def sky_colours(daylight: Daylight) -> NDArray[np.float64]:
     """Linear colours of the panorama, (ROWS, COLUMNS, 3); columns run counter-clockwise from +x."""
     elevation = LOWEST + (np.arange(ROWS) + 0.5) / ROWS * (HIGHEST - LOWEST)
     azimuth = (np.arange(COLUMNS) + 0.5) / COLUMNS * math.tau
-    height = np.clip(elevation / ZENITH_ELEVATION, 0.0, 1.0)[:, None, None]
+    height = np.clip(elevation / parameters.ZENITH_ELEVATION, 0.0, 1.0)[:, None, None]
     share = (1.0 - height) ** 3.0
-    sky = np.broadcast_to(share * HORIZON + (1.0 - share) * ZENITH, (ROWS, COLUMNS, 3)).copy()
+    sky = np.broadcast_to(share * parameters.HORIZON + (1.0 - share) * parameters.ZENITH, (ROWS, COLUMNS, 3)).copy()
     sun = daylight.towards_sun
     towards = np.cos(elevation)[:, None] * (np.cos(azimuth) * sun[0] + np.sin(azimuth) * sun[1])
     towards += np.sin(elevation)[:, None] * sun[2]
@@ -68,26 +60,26 @@ def _add_clouds(sky: NDArray[np.float64], elevation: NDArray[np.float64], azimut
     opacity = (np.sqrt(thickness) * fading * 0.9)[..., None]
     shade = (1.0 - 0.30 * cover(0.25))[..., None]
     sky *= 1.0 - opacity
-    sky += opacity * shade * CLOUD
+    sky += opacity * shade * parameters.CLOUD
 
 
 @cache
 def _cloud_field() -> tuple[NDArray[np.float64], float]:
     """Thickness of the clouds on their plane, (512, 512), and that above which they are seen."""
     field = noise((512, 512), 8, 30, octaves=6, fade=0.55)
-    return field, float(np.quantile(field, 1.0 - CLOUD_COVER))
+    return field, float(np.quantile(field, 1.0 - parameters.CLOUD_COVER))
 
 
 def _add_skyline(sky: NDArray[np.float64], elevation: NDArray[np.float64], daylight: Daylight) -> None:
     """Hills at 6 km and woods at 1.2 km, each behind the haze of its distance."""
     light = daylight.on(np.array([0.0, 0.0, 1.0]))
     for distance, mean, varies, colour, cells, seed in (
-        (6000.0, 0.030, 0.009, 0.8 * np.array(LEAVES) * light, 6, 31),
-        (1200.0, 0.006, 0.0028, 0.55 * np.array(LEAVES) * light, 96, 32),
+        (6000.0, 0.030, 0.009, 0.8 * np.array(parameters.LEAVES) * light, 6, 31),
+        (1200.0, 0.006, 0.0028, 0.55 * np.array(parameters.LEAVES) * light, 96, 32),
     ):
         outline = mean + varies * noise((8, COLUMNS), cells, seed, octaves=4, fade=0.6)[0]
-        arrives = math.exp(-HAZE * distance)
-        shown = arrives * colour + (1.0 - arrives) * np.array(HORIZON)
+        arrives = math.exp(-parameters.HAZE * distance)
+        shown = arrives * colour + (1.0 - arrives) * np.array(parameters.HORIZON)
         pixel = (HIGHEST - LOWEST) / ROWS
         share = np.clip((outline[None] - elevation[:, None]) / pixel + 0.5, 0.0, 1.0)[..., None]
         sky += share * (shown - sky)

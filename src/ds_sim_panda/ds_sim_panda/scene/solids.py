@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
@@ -63,16 +63,11 @@ def solid(kind: str) -> Solid:
 
 
 def _joined(parts: Iterable[Solid]) -> Solid:
-    parts = list(parts)
-    starts = np.cumsum([0, *(len(part.position) for part in parts)])
-    return Solid(
-        position=np.concatenate([part.position for part in parts]),
-        normal=np.concatenate([part.normal for part in parts]),
-        texture=np.concatenate([part.texture for part in parts]),
-        reflectance=np.concatenate([part.reflectance for part in parts]),
-        softness=np.concatenate([part.softness for part in parts]),
-        triangles=np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)]),
-    )
+    moved: list[Solid] = []
+    for part in parts:
+        first = sum(len(one.position) for one in moved)
+        moved.append(replace(part, triangles=part.triangles + first))
+    return Solid(*(np.concatenate([getattr(part, field.name) for part in moved]) for field in fields(Solid)))
 
 
 def _blob(

@@ -58,12 +58,9 @@ def surface(colour: Linear, shade: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def upload(name: str, image: NDArray[np.uint8], *, wrap: bool = True) -> Any:
-    """Panda3D's texture of an image with mipmaps.
+    """Panda3D's texture of an image with mipmaps; unless it wraps, its border goes on.
 
-    Args:
-        name: of the texture.
-        image: (rows, columns), or with 2 to 4 channels; row 0 at v = 0. With one more dimension in front: layers.
-        wrap: whether it repeats; otherwise its border goes on.
+    The image is (rows, columns), or with 2 to 4 channels; row 0 at v = 0. With one more dimension in front: layers.
     """
     core = panda()
     layered = image.ndim == 4

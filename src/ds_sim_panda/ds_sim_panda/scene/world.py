@@ -33,14 +33,10 @@ def _seed_of(road: Road) -> int:
 
 
 class World:
-    """World of a road in Panda3D's scene graph.
+    """World of a road in Panda3D's scene graph, with what a setting changes; None in this world's own.
 
     Everything on the ground is drawn over what was drawn before it, without a depth test: nothing on a plane hides
     anything on it, and no two surfaces fight for a pixel.
-
-    Args:
-        road: a valid road.
-        setting: what conditions change; None in this world's own.
     """
 
     def __init__(self, road: Road, setting: Setting | None = None) -> None:

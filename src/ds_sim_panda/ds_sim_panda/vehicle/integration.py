@@ -22,16 +22,7 @@ from vehiclemodels.utils import steering_constraints as _steering
 from vehiclemodels.utils import tire_model as _tyres
 from vehiclemodels.utils import vehicle_dynamics_ks_cog as _kinematic
 
-from ds_sim_panda.vehicle.published import (
-    FRONT_LATERAL_SPEED,
-    LATERAL_SPEED,
-    REAR_LATERAL_SPEED,
-    SPEED,
-    STATES,
-    STEERING,
-    WHEEL_SPEEDS,
-    YAW_RATE,
-)
+from ds_sim_panda.vehicle import published as model
 
 KINEMATIC_BELOW = 0.1
 """Speed below which the published model is kinematic, m/s."""
@@ -74,13 +65,7 @@ right_hand_side = _compiled(
 
 @njit(error_model="numpy")
 def acceleration(throttle: float, speed: float, law: Any) -> float:
-    """Acceleration that the drive asks for, m/s^2.
-
-    Args:
-        throttle: 0 to 1.
-        speed: m/s.
-        law: record of `MultiBodyParameters`.
-    """
+    """Acceleration that the drive asks for at a throttle and a speed, m/s^2, by a record of `MultiBodyParameters`."""
     fade = min(max(speed / law.fade_speed, 0.0), 1.0)
     neutral = law.neutral_throttle * fade
     if throttle >= neutral:
@@ -97,14 +82,14 @@ def roll_freely(x: NDArray[np.float64], car: Any) -> None:
     without slip: the driven wheels of a car that starts would spin up to 4 m/s before the tyres take hold.
     """
     wheelbase = car.a + car.b
-    speed, angle = x[SPEED], x[STEERING]
+    speed, angle = x[model.SPEED], x[model.STEERING]
     at_centre = speed * math.tan(angle) * car.b / wheelbase
     yaw_rate = speed * math.cos(math.atan(math.tan(angle) * car.b / wheelbase)) * math.tan(angle) / wheelbase
     at_front = at_centre + car.a * yaw_rate
-    x[YAW_RATE] = yaw_rate
-    x[LATERAL_SPEED] = at_centre
-    x[FRONT_LATERAL_SPEED] = at_front
-    x[REAR_LATERAL_SPEED] = at_centre - car.b * yaw_rate
+    x[model.YAW_RATE] = yaw_rate
+    x[model.LATERAL_SPEED] = at_centre
+    x[model.FRONT_LATERAL_SPEED] = at_front
+    x[model.REAR_LATERAL_SPEED] = at_centre - car.b * yaw_rate
     for wheel in range(4):
         # The order of the model's wheels, whose left is where its lateral axis is negative.
         side = 0.5 if wheel % 2 == 0 else -0.5
@@ -112,21 +97,17 @@ def roll_freely(x: NDArray[np.float64], car: Any) -> None:
             pace = (speed + side * car.T_f * yaw_rate) * math.cos(angle) + at_front * math.sin(angle)
         else:
             pace = speed + side * car.T_r * yaw_rate
-        x[WHEEL_SPEEDS + wheel] = max(pace, 0.0) / car.R_w
+        x[model.WHEEL_SPEEDS + wheel] = max(pace, 0.0) / car.R_w
 
 
 @_cached
 def derivative(x: NDArray[np.float64], inputs: NDArray[np.float64], car: Any, out: NDArray[np.float64]) -> None:
-    """Write the right-hand side to `out`, (29,).
+    """Write the right-hand side at a state to `out`, both (29,); as in the package, no wheel turns backwards.
 
-    Args:
-        x: state, (29,); as in the package, a wheel that turns backwards is stopped.
-        inputs: steering rate, rad/s, and acceleration, m/s^2.
-        car: record of a parameter set.
-        out: derivative of the state, (29,).
+    The inputs are the steering rate, rad/s, and the acceleration, m/s^2.
     """
     values = right_hand_side(x, inputs, car)
-    for i in range(STATES):
+    for i in range(model.STATES):
         out[i] = values[i]
 
 
@@ -134,47 +115,34 @@ def derivative(x: NDArray[np.float64], inputs: NDArray[np.float64], car: Any, ou
 def advance(
     x: NDArray[np.float64], steering: float, throttle: float, duration: float, substeps: int, car: Any, law: Any
 ) -> None:
-    """Advance the state in place, by the classical Runge-Kutta method of order 4.
+    """Advance the state (29,) in place, by the classical Runge-Kutta method of order 4.
 
-    The tyres' slip decays the faster the slower the car is: substeps are divided further where they have to be.
-
-    Args:
-        x: state, (29,).
-        steering: angle that the steering moves to, rad, left positive.
-        throttle: 0 to 1.
-        duration: s.
-        substeps: number of substeps.
-        car: record of a parameter set.
-        law: record of `MultiBodyParameters`.
+    The tyres' slip decays the faster the slower the car is: substeps are divided further where they have to be. The
+    steering moves to an angle, rad, left positive; `car` and `law` are records of a parameter set and of
+    `MultiBodyParameters`.
     """
     inputs = np.empty(2)
-    first, second, third, fourth, trial = (
-        np.empty(STATES),
-        np.empty(STATES),
-        np.empty(STATES),
-        np.empty(STATES),
-        np.empty(STATES),
-    )
+    first, second, third, fourth, trial = np.empty((5, model.STATES))
     for _ in range(substeps):
-        speed = max(x[SPEED], KINEMATIC_BELOW)
+        speed = max(x[model.SPEED], KINEMATIC_BELOW)
         parts = int(math.ceil(duration / substeps * law.slip_rate / (law.stable_step * speed)))
-        if x[SPEED] < 0.5 * KINEMATIC_BELOW:
+        if x[model.SPEED] < 0.5 * KINEMATIC_BELOW:
             parts = 1
         h = duration / (substeps * parts)
         for _ in range(parts):
-            inputs[0] = min(max((steering - x[STEERING]) / h, car.steering.v_min), car.steering.v_max)
-            inputs[1] = acceleration(throttle, x[SPEED], law)
+            inputs[0] = min(max((steering - x[model.STEERING]) / h, car.steering.v_min), car.steering.v_max)
+            inputs[1] = acceleration(throttle, x[model.SPEED], law)
             derivative(x, inputs, car, first)
-            for i in range(STATES):
+            for i in range(model.STATES):
                 trial[i] = x[i] + 0.5 * h * first[i]
             derivative(trial, inputs, car, second)
-            for i in range(STATES):
+            for i in range(model.STATES):
                 trial[i] = x[i] + 0.5 * h * second[i]
             derivative(trial, inputs, car, third)
-            for i in range(STATES):
+            for i in range(model.STATES):
                 trial[i] = x[i] + h * third[i]
             derivative(trial, inputs, car, fourth)
-            for i in range(STATES):
+            for i in range(model.STATES):
                 x[i] += h / 6.0 * (first[i] + 2.0 * (second[i] + third[i]) + fourth[i])
-            if x[SPEED] < KINEMATIC_BELOW:
+            if x[model.SPEED] < KINEMATIC_BELOW:
                 roll_freely(x, car)

@@ -65,9 +65,7 @@ def rest_state(number: int) -> NDArray[np.float64]:
 def record(values: Any, **changed: Any) -> Any:
     """Copy the numbers of a dataclass, and of those inside it, to a NumPy record that compiled code can read.
 
-    Args:
-        values: a dataclass of numbers and dataclasses; fields that are None are left out.
-        changed: values that replace those of a field, as a mapping for a dataclass inside.
+    Fields that are None are left out; `changed` replaces fields, by a mapping in a dataclass inside.
     """
     numbers = _numbers(values)
     for name, value in changed.items():
