@@ -44,13 +44,11 @@ def test_a_campaign_outlives_its_driver(
         parameters={"fault": fault, "once": str(tmp_path / "once")},
     )
 
-    def separate(
-        _driver: str, namespaces: dict[SimulatorName, str], limit: float, *, composed: bool, draw: str
-    ) -> list[ProcessSpec]:
-        assert composed and draw == "seen"
+    def separate(_driver: str, namespaces: dict[SimulatorName, str], limit: float, *, draw: str) -> list[ProcessSpec]:
+        assert draw == "seen"
         return [*simulator_processes(namespaces, limit), faulty]
 
-    monkeypatch.setattr(running, "processes_of", separate)
+    monkeypatch.setattr(running, "closed_loop_processes", separate)
     began = time.monotonic()
     result = run_campaign(parse_config(CONFIG, "test"), tmp_path / "out")
     assert time.monotonic() - began < 100.0

@@ -30,16 +30,16 @@ OF_NODE, OF_GOAL = Conditions(tyre_pull=0.01), Conditions(steering_lag=0.3, tyre
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A donkey whose node has conditions of its own, and a simulator that knows none."""
-    from ds_orchestrator.graph import session
+    from ds_orchestrator.graph import session, supervisor
 
-    processes = session.processes_of
+    processes = supervisor.closed_loop_processes
 
     def with_conditions(*arguments: Any, **options: Any) -> Any:
         donkey, quick = processes(*arguments, **options)
         return [replace(donkey, parameters={**donkey.parameters, "conditions": "tyre_pull=0.01"}), quick]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(session, "processes_of", with_conditions)
+        patch.setattr(session, "closed_loop_processes", with_conditions)
         logs = tmp_path_factory.mktemp("logs")
         with session.running_graph(SPACES, AUTOPILOT, command_timeout=10.0, logs=logs) as executor:
             yield executor

@@ -20,16 +20,12 @@ from ds_sim.session import RunRecord
 _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
 
 
-class TypesError(InputError):
-    """Message definitions that are not installed."""
-
-
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
     """Message types of Jazzy and of `ds_interfaces`, the latter read from their installed definitions.
 
     Raises:
-        TypesError: the workspace's messages are not on AMENT_PREFIX_PATH.
+        InputError: the workspace's messages are not on AMENT_PREFIX_PATH.
     """
     store = get_typestore(Stores.ROS2_JAZZY)
     for share in share_folders("ds_interfaces"):
@@ -40,7 +36,7 @@ def typestore() -> Typestore:
                 types.update(get_types_from_msg(read_words(folder / f"{name}.msg"), f"ds_interfaces/msg/{name}"))
             store.register(types)
             return store
-    raise TypesError("ds_interfaces is not on AMENT_PREFIX_PATH: build the workspace and source its setup file")
+    raise InputError("ds_interfaces is not on AMENT_PREFIX_PATH: build the workspace and source its setup file")
 
 
 def message_builder(namespace: str) -> MessageBuilder:

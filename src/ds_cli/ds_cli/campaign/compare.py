@@ -115,12 +115,11 @@ def _origin(data: CampaignData, searched: Origin) -> Origin:
 def network_named(driver: DriverName, simulators: Sequence[SimulatorName]) -> Network:
     """A network with its digest, checked before anything starts."""
     from ds_analysis.comparison.paired_drives import Network
-    from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import driver_sha256
     from ds_orchestrator.engines.preflight import check_driver
 
     check_driver(driver, simulators)
-    return Network(driver=driver, sha256="" if driver == AUTOPILOT else driver_sha256(driver))
+    return Network(driver=driver, sha256=driver_sha256(driver))
 
 
 @app.command("compare")

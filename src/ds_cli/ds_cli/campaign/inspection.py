@@ -27,11 +27,11 @@ def status(folder: Path) -> Result:
     from ds_analysis.paper.campaign_contents import exclusion_counts, exclusion_lines
     from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
     from ds_orchestrator.campaign.selection import missing_bags, missing_line
-    from ds_orchestrator.campaign.status import Tally, driver_habits
+    from ds_orchestrator.campaign.status import driver_habits, stages_of_store
 
     with closing(open_store(folder)) as store:
         data = CampaignData(config=config_of(store), gates=store.gates())
-        stages = Tally.of_store(store, data.config).stages()
+        stages = stages_of_store(store, data.config)
         counted, searches, errors = store.outcome_counts(), store.searches(), store.errors()
         missing = missing_bags(folder, store.bags())
         habits = driver_habits(store)

@@ -69,6 +69,11 @@ class DriverName:
         return self.network.startswith(NODE)
 
     @property
+    def has_files(self) -> bool:
+        """Whether files decide how it drives; none do of the autopilot and of a ROS node."""
+        return self != AUTOPILOT and not self.is_node
+
+    @property
     def backend(self) -> str:
         """One of `ds_driver.networks.backends.BACKENDS`."""
         return "torch" if self.ending == "cuda" else self.ending or "auto"

@@ -290,7 +290,10 @@ def driver_sha256(driver: DriverName) -> str:
     """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class.
 
     Generators that its name names are part of it; those that a network was trained with are so by their digests in it.
+    A driver without files has "".
     """
+    if not driver.has_files:
+        return ""
     if driver.generators:
         generators, network = generators_of(driver), driver_sha256(DriverName(driver.network))
         parts_of_both = f"{network} {generators.sha256 if generators else driver.generators}"

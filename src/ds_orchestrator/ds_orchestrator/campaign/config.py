@@ -88,30 +88,24 @@ class SearchedConditionConfig(_Strict):
 
 
 class SearchConfig(_Strict):
-    """Search on each sibling (paper 4.2.4: DeepHyperion, population 20, iterations 150, 5 runs).
+    """Search on each sibling (paper 4.2.4); other attributes, and their defaults, are those of `SearchSettings`.
 
     Attributes:
         method: `deephyperion` as in the paper, `deephyperion_cs` with its successor's selection by contribution score,
             or `random`, the baseline.
-        population: random roads in the initial population.
-        iterations: roads after the initial population.
-        runs: searches on each sibling, each with its own seed.
-        min_angle: degrees, smallest maximum angle of random roads.
-        max_angle: degrees, largest maximum angle of random roads.
-        extent: m, largest displacement of a control point.
+        runs: searches on each sibling, each with its own seed (paper: 5).
         conditions: operating conditions to search beside roads, by name; none is the paper's search.
-        mutate_conditions: probability with which a mutation changes a condition, and not the road.
     """
 
     method: str = "deephyperion"
-    population: Annotated[int, Field(ge=1, le=10_000)] = 20
-    iterations: Annotated[int, Field(ge=0, le=1_000_000)] = 150
+    population: Annotated[int, Field(ge=1, le=10_000)] = SearchSettings.population
+    iterations: Annotated[int, Field(ge=0, le=1_000_000)] = SearchSettings.iterations
     runs: Annotated[int, Field(ge=1, le=1_000)] = 5
-    min_angle: Annotated[int, Field(ge=1, le=360)] = 100
-    max_angle: Annotated[int, Field(ge=1, le=360)] = 300
-    extent: Annotated[int, Field(ge=1, le=25)] = 6
+    min_angle: Annotated[int, Field(ge=1, le=360)] = SearchSettings.min_angle
+    max_angle: Annotated[int, Field(ge=1, le=360)] = SearchSettings.max_angle
+    extent: Annotated[int, Field(ge=1, le=25)] = SearchSettings.extent
     conditions: dict[str, SearchedConditionConfig] = {}
-    mutate_conditions: Annotated[float, Field(ge=0, le=1)] = 0.5
+    mutate_conditions: Annotated[float, Field(ge=0, le=1)] = SearchSettings.mutate_conditions
 
     @field_validator("method")
     @classmethod
@@ -130,14 +124,6 @@ class SearchConfig(_Strict):
         searched = [SearchedCondition(name=name, **one.model_dump()) for name, one in self.conditions.items()]
         return ConditionSpace(tuple(searched), fixed)
 
-    def settings(
-        self, *, maxitwo_compatible: bool = False, lane: Side = "right", fixed: Conditions = DEFAULT
-    ) -> SearchSettings:
-        """Hyper-parameters of one run."""
-        own = self.model_dump(exclude={"runs", "method", "conditions"})
-        space = self.space(fixed)
-        return SearchSettings(**own, maxitwo_compatible=maxitwo_compatible, lane=lane, conditions=space)
-
 
 class OperatorsConfig(_Strict):
     """How the siblings' union maps are merged (paper 3.5).
@@ -152,19 +138,14 @@ class OperatorsConfig(_Strict):
     quality_loss: str = "minimum"
     compare: Annotated[list[str], Field(max_length=MOST_NAMES)] = []
 
-    @field_validator("probability", "quality_loss")
+    @field_validator("*")
     @classmethod
-    def _known_operator(cls, value: str) -> str:
-        operator_of(value)
-        return value
-
-    @field_validator("compare")
-    @classmethod
-    def _known_operators(cls, value: list[str]) -> list[str]:
-        for name in value:
+    def _known_operators(cls, value: str | list[str]) -> str | list[str]:
+        names = value if isinstance(value, list) else [value]
+        for name in names:
             operator_of(name)
-        if len(set(value)) != len(value):
-            raise ValueError(f"an operator is named twice: {', '.join(value)}")
+        if len(set(names)) != len(names):
+            raise ValueError(f"an operator is named twice: {', '.join(names)}")
         return value
 
 
@@ -305,7 +286,12 @@ class CampaignConfig(_Strict):
     @property
     def settings(self) -> SearchSettings:
         """Hyper-parameters of one search run."""
-        return self.search.settings(maxitwo_compatible=self.maxitwo_compatible, lane=self.lane, fixed=self.conditions)
+        return SearchSettings(
+            **self.search.model_dump(exclude={"runs", "method", "conditions"}),
+            maxitwo_compatible=self.maxitwo_compatible,
+            lane=self.lane,
+            conditions=self.search.space(self.conditions),
+        )
 
     def drive_settings(self, *, cluster: ClusterOptions | None = None, attach: bool = False) -> DriveSettings:
         """How the campaign's tests are driven.
@@ -344,8 +330,7 @@ class CampaignConfig(_Strict):
     @property
     def executions_at_most(self) -> int:
         """Upper bound of the number of executions; fewer are needed where only elites migrate."""
-        tests = self.search.runs * self.settings.budget * len(self.siblings)
-        return tests * len(self.simulators)
+        return self.search.runs * self.settings.budget * len(self.siblings) * len(self.simulators)
 
     def map_plan(self, ignored: frozenset[str] = frozenset()) -> MapPlan:
         """How maps are built; `ignored` lists tests that the search skipped because they had no outcome."""
@@ -373,10 +358,7 @@ class CampaignConfig(_Strict):
 
     def _unset(self) -> dict[str, Any]:
         later = {"conditions": DEFAULT, "gates": "conditions"}
-        default = SearchConfig()
-        of_search = {
-            key for key in ("conditions", "mutate_conditions") if getattr(self.search, key) == getattr(default, key)
-        }
+        of_search = {"conditions", "mutate_conditions"} - self.search.model_dump(exclude_defaults=True).keys()
         unset: dict[str, Any] = {key: True for key, value in later.items() if getattr(self, key) == value}
         return {**unset, "search": of_search} if of_search else unset
 

@@ -17,7 +17,7 @@ from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount
-from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings, EngineName
 from ds_orchestrator.maps.campaign_maps import cells_of
@@ -144,7 +144,7 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> Dr
     from ds_driver.networks.network_driver import BACKEND_BEFORE, driver_sha256, on_backend
     from ds_sim.registry import make_simulator
 
-    if settings.driver != AUTOPILOT and not settings.driver.is_node:
+    if settings.driver.has_files:
         weights = driver_sha256(settings.driver)
         notes = store.notes()
         driver = on_backend(settings.driver, notes.get(BACKEND, BACKEND_BEFORE if DRIVER_SHA256 in notes else ""))

@@ -112,6 +112,7 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
         if not run.outcome.is_verdict:
             raise RuntimeError(f"{name}: {run.outcome.name.lower()}: {run.message}: fix it before the campaign starts")
     tests = config.executions_at_most // len(config.simulators)
+    place = folder.absolute()
     return Forecast(
         drives=config.executions_at_most,
         search_drives=tests,
@@ -122,7 +123,7 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
             MeasuredDrive(simulator=name, outcome=run.outcome.name, seconds=took, disk=_disk(config, name, run))
             for name, run, took in runs
         ),
-        free=shutil.disk_usage(_existing(folder)).free,
+        free=shutil.disk_usage(next(path for path in (place, *place.parents) if path.exists())).free,
     )
 
 
@@ -138,11 +139,3 @@ def _disk(config: CampaignConfig, simulator: SimulatorName, run: RunRecord) -> i
         bag = Path(folder) / label_of(simulator)
         write_bag(bag, "/ds1", simulator, run, {"driver": str(config.driver)}, config.record)
         return stored + sum(file.stat().st_size for file in bag.rglob("*") if file.is_file())
-
-
-def _existing(folder: Path) -> Path:
-    """The folder, or its nearest parent that exists."""
-    path = folder.absolute()
-    while not path.exists():
-        path = path.parent
-    return path

@@ -58,7 +58,7 @@ class DaskEngine:
         """Drive a road on some worker; waits for one that is free, and gives no feedback.
 
         Raises:
-            ds_orchestrator.engines.membership.EngineError: the scheduler or all workers are gone for too long.
+            RunError: the scheduler or all workers are gone for too long.
         """
         losses: list[str] = []
         while len(losses) < LOSSES:

@@ -38,10 +38,6 @@ _LOOK = 0.5
 """Seconds between two looks at the scheduler."""
 
 
-class EngineError(RunError):
-    """The cluster cannot drive any more; what was finished is kept."""
-
-
 class WorkerLostError(Exception):
     """A worker was lost while it was in use; says why if it is known."""
 
@@ -129,13 +125,13 @@ class Membership:
         Raises:
             WorkerLostError: the worker was lost, or an error occurred in the block.
             CancelledError: `stop` was called.
-            EngineError: the scheduler or all workers are gone for too long.
+            RunError: the scheduler or all workers are gone for too long.
         """
         answer: Future[Any] = Future()
         with self._changed:
             self._changed.wait_for(lambda: self._stopped or self._failure or self._free())
             if self._failure:
-                raise EngineError(self._failure)
+                raise RunError(self._failure)
             if self._stopped:
                 raise CancelledError
             worker = min(self._free(), key=lambda one: len(one.drives) / one.room)

@@ -13,15 +13,11 @@ from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_regular
 from ds_base.errors import InputError
 from ds_base.folder_files import enter_folder
-from ds_driver.networks.driver_name import AUTOPILOT, DESCRIPTIONS, NO_GENERATORS, WEIGHTS, DriverName
+from ds_driver.networks.driver_name import DESCRIPTIONS, NO_GENERATORS, WEIGHTS, DriverName
 from ds_sim.registry import SimulatorName
 
 LARGEST_PART = 2**29
 """Bytes of a file that is sent; chosen: the largest network."""
-
-
-class ParcelError(InputError):
-    """A driver or a simulator that cannot be sent to another machine."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,10 +70,12 @@ def parcel_of(driver: DriverName, simulators: Sequence[SimulatorName]) -> Parcel
     """Pack a driver and simulators.
 
     Raises:
-        ParcelError: a description refers to a file outside of its folder.
+        InputError: a description refers to a file outside of its folder.
         ValueError: the driver cannot be used.
         OSError: a file cannot be read.
     """
+    from ds_driver.networks.network_driver import driver_sha256
+
     files: dict[str, bytes] = {}
     renamed: dict[str, str] = {}
     for number, simulator in enumerate(simulators):
@@ -85,16 +83,10 @@ def parcel_of(driver: DriverName, simulators: Sequence[SimulatorName]) -> Parcel
             place = f"simulators/{number}/{Path(simulator.file).name}"
             files[place] = read_regular(Path(simulator.file), LARGEST_PART)
             renamed[simulator] = f"{simulator.base}@{{folder}}/{place}"
-    sha256 = backend = ""
-    if driver != AUTOPILOT:
-        from ds_driver.networks.network_driver import driver_sha256
-
-        sha256 = driver_sha256(driver)
-        backend = _pack_driver(driver, files, renamed)
     return Parcel(
         driver=driver,
-        driver_sha256=sha256,
-        backend=backend,
+        driver_sha256=driver_sha256(driver),
+        backend=_pack_driver(driver, files, renamed) if driver.has_files else "",
         simulators=tuple(simulators),
         files=files,
         renamed=renamed,
@@ -133,7 +125,7 @@ def _pack_driver(driver: DriverName, files: dict[str, bytes], renamed: dict[str,
         try:
             inside = network.resolve().relative_to(path.resolve().parent)
         except ValueError:
-            raise ParcelError(
+            raise InputError(
                 f"{path.name} names the network {network}, outside of its folder: put both into one folder, so that "
                 "they can be sent to other machines"
             ) from None

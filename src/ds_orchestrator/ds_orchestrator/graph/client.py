@@ -106,11 +106,7 @@ class GraphClient:
         return self._context
 
     def wait_until_ready(self, limit: float = START_TIME, *, only: SimulatorName | None = None) -> None:
-        """Wait until every simulator, or only one, answers and has a driver.
-
-        Args:
-            limit: longest wait, s.
-            only: name of the only simulator to wait for; all if None.
+        """Wait until every simulator, or only one, answers and has a driver, at most `limit` seconds.
 
         Raises:
             GraphError: the limit has passed; the message says what is missing.
@@ -160,16 +156,20 @@ class GraphClient:
     ) -> RunRecord:
         """Drive a scenario on a simulator; always returns, and never raises for an error in another process.
 
-        Args:
-            simulator: name of the simulator.
-            scenario: what to drive.
-            conditions_of_node: take the operating conditions of the simulator's node instead of default ones.
-            watch: called from another thread with the simulator's feedback.
+        With `conditions_of_node`, the operating conditions of the simulator's node take the place of default ones;
+        `watch` is called from another thread with the simulator's feedback.
         """
         self._simulators[simulator].watch = watch
+        # The goal carries the whole test, so that another client's load_road cannot interfere.
+        goal = DriveRoad.Goal(
+            road=messages.road_to_message(scenario.road),
+            seed=scenario.seed,
+            conditions=messages.conditions_to_messages(scenario.conditions),
+            default_conditions=scenario.conditions.is_default and not conditions_of_node,
+            command_timeout=self._timeout,
+        )
         while True:
             record = RunRecord(scenario=scenario)
-            goal = self._goal(scenario, default=scenario.conditions.is_default and not conditions_of_node)
             self._revive()
             began = time.monotonic()
             record.outcome, record.message = self._execute(simulator, record, goal)
@@ -219,13 +219,8 @@ class GraphClient:
         """Restart a simulator's process, if the supervisor runs it."""
         if self._supervisor is not None and not self._thread.stopped:
             with self._revival:
-                self._renew(self._simulator_of(simulator))
-
-    def _renew(self, process: str) -> None:
-        """Restart a process; the caller holds `_revival`."""
-        assert self._supervisor is not None
-        self._supervisor.restart(process)
-        self._note_restart(process)
+                self._supervisor.restart(process := self._simulator_of(simulator))
+                self._note_restart(process)
 
     def _note_restart(self, process: str) -> None:
         self._renewed[process] = time.monotonic()
@@ -258,17 +253,8 @@ class GraphClient:
             return
         with self._revival:
             if self._renewed.get(driver, -math.inf) < began:
-                self._renew(driver)
-
-    def _goal(self, scenario: Scenario, *, default: bool) -> DriveRoad.Goal:
-        """Make the goal of a run; it carries the whole test, so that another client's load_road cannot interfere."""
-        return DriveRoad.Goal(
-            road=messages.road_to_message(scenario.road),
-            seed=scenario.seed,
-            conditions=messages.conditions_to_messages(scenario.conditions),
-            default_conditions=default,
-            command_timeout=self._timeout,
-        )
+                self._supervisor.restart(driver)
+                self._note_restart(driver)
 
     def _execute(self, name: SimulatorName, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
         simulator = self._simulators[name]

@@ -18,22 +18,12 @@ from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.engines.local import LocalEngine, running_local
 from ds_orchestrator.graph.client import START_TIME, GraphClient
 from ds_orchestrator.graph.signals import IgnoreSignals
-from ds_orchestrator.graph.supervisor import (
-    ProcessSpec,
-    Supervisor,
-    closed_loop_processes,
-    driver_process,
-    simulator_processes,
-)
+from ds_orchestrator.graph.supervisor import Supervisor, closed_loop_processes
 from ds_sim.registry import SimulatorName
 from ds_sim.session import RunRecord
 
 LOCKS = Path("/tmp")
 """Shared by all users of the machine; a folder per user would not keep two users apart."""
-
-
-class RosDomainError(RunError):
-    """No free ROS domain."""
 
 
 class RosDomain:
@@ -43,7 +33,7 @@ class RosDomain:
         number: reserved domain, 1 to 101.
 
     Raises:
-        RosDomainError: all domains are in use.
+        RunError: all domains are in use.
     """
 
     def __init__(self) -> None:
@@ -62,7 +52,7 @@ class RosDomain:
             self.number = number
             self._file = file
             return
-        raise RosDomainError("all ROS domains from 1 to 101 are in use: stop another campaign first")
+        raise RunError("all ROS domains from 1 to 101 are in use: stop another campaign first")
 
     def close(self) -> None:
         """Release the domain."""
@@ -117,15 +107,6 @@ class GraphEngine:
             engine.stop()
 
 
-def processes_of(
-    driver: DriverName, namespaces: dict[SimulatorName, str], command_timeout: float, *, composed: bool, draw: str
-) -> list[ProcessSpec]:
-    """Specify the processes of a graph; see `running_graph`."""
-    if composed:
-        return closed_loop_processes(driver, namespaces, command_timeout, draw=draw)
-    return [*simulator_processes(namespaces, command_timeout), driver_process(driver, namespaces)]
-
-
 @contextmanager
 def running_graph(
     namespaces: dict[SimulatorName, str],
@@ -134,11 +115,10 @@ def running_graph(
     command_timeout: float,
     logs: Path,
     attach: bool = False,
-    composed: bool = True,
     draw: str = "all",
     wait: float = START_TIME,
 ) -> Iterator[GraphClient]:
-    """Start a graph, yield it when it is ready to drive, and stop it.
+    """Start a graph, yield it when it is ready to drive, and stop it; each simulator's process has its own driver, too.
 
     Args:
         namespaces: simulator name -> namespace.
@@ -146,9 +126,7 @@ def running_graph(
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         logs: folder for the processes' logs.
         attach: start nothing; use running nodes in the environment's ROS domain.
-        composed: each simulator shares its process with a driver of its own; otherwise every node has a process, and
-            one driver drives all.
-        draw: `all`, or `seen` to draw, in a composed graph, only rows of the images that somebody looks at.
+        draw: `all`, or `seen` to draw only rows of the images that somebody looks at.
         wait: limit for the start of the nodes, s.
 
     Raises:
@@ -164,15 +142,10 @@ def running_graph(
             reserved = RosDomain()
             stack.callback(reserved.close)
             domain = reserved.number
-            specs = processes_of(driver, namespaces, command_timeout, composed=composed, draw=draw)
+            specs = closed_loop_processes(driver, namespaces, command_timeout, draw=draw)
             supervisor = Supervisor(specs, domain=domain, logs=logs)
             stack.callback(supervisor.close)
-        client = GraphClient(
-            namespaces,
-            domain=domain,
-            command_timeout=command_timeout,
-            supervisor=supervisor,
-        )
+        client = GraphClient(namespaces, domain=domain, command_timeout=command_timeout, supervisor=supervisor)
         stack.callback(client.close)
         stack.callback(signals_ignored.__enter__)
         client.wait_until_ready(wait)

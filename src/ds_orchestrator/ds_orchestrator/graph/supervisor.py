@@ -58,7 +58,6 @@ class ProcessSpec:
         name: name in messages, and of the log.
         module: Python module to run.
         arguments: of the command line, before those of ROS.
-        namespace: ROS namespace.
         parameters: ROS parameters; lists are written as YAML lists.
         remappings: topic or service -> name in the graph.
     """
@@ -82,13 +81,7 @@ class ProcessSpec:
 
 
 class Supervisor:
-    """Runs processes until it is closed.
-
-    Args:
-        specs: processes to run.
-        domain: ROS domain of all processes.
-        logs: folder for one log per process, created if missing.
-    """
+    """Runs processes in a ROS domain until it is closed, each with a log in a folder, created if missing."""
 
     def __init__(self, specs: Sequence[ProcessSpec], *, domain: int, logs: Path) -> None:
         enter_folder(logs)
@@ -125,12 +118,11 @@ class Supervisor:
             status = self._processes[name].returncode
             if status == -signal.SIGKILL:
                 raise ProcessError(f"{name} was killed before it was ready: give the same command again")
-            raise ProcessError(f"{name} ended with status {status}: {self.last_line(name)}")
+            raise ProcessError(f"{name} ended with status {status}: {last_line_of(self._log(name))}")
 
     def revive(self) -> list[str]:
         """Restart every dead process, and return their names."""
-        names = self.dead()
-        for name in names:
+        for name in (names := self.dead()):
             self._start(name)
         return names
 
@@ -140,10 +132,6 @@ class Supervisor:
         process.kill()
         process.wait()
         self._start(name)
-
-    def last_line(self, name: str) -> str:
-        """Read the last line that a process wrote."""
-        return last_line_of(self._log(name))
 
     def close(self) -> None:
         """Stop every process: SIGINT, then SIGTERM, then SIGKILL."""
@@ -189,14 +177,7 @@ def closed_loop_process_name(namespace: str) -> str:
 def closed_loop_processes(
     driver: DriverName, namespaces: dict[SimulatorName, str], command_timeout: float, *, draw: str = "all"
 ) -> list[ProcessSpec]:
-    """Specify one process per simulator, with a driver's node beside the simulator's.
-
-    Args:
-        driver: name of the driver.
-        namespaces: simulator name -> namespace.
-        command_timeout: wall-clock time that a simulator waits for its driver, s.
-        draw: `all`, or `seen` for the rows of the images that the driver sees.
-    """
+    """Specify one process per simulator, with a driver's node beside the simulator's; see `running_graph`."""
     return [
         ProcessSpec(
             name=closed_loop_process_name(namespace),

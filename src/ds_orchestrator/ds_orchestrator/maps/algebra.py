@@ -36,42 +36,19 @@ class MergeOperator:
     seed: int
 
 
-def product(values: Values, weights: Values) -> Values:
-    """Multiply failure probabilities (paper 3.5): high only where all siblings fail often."""
-    return np.asarray(np.prod(values, axis=0))
-
-
-def minimum(values: Values, weights: Values) -> Values:
-    """Take the smallest quality loss (paper 3.5): high where every sibling drives badly."""
-    return np.asarray(np.min(values, axis=0))
-
-
-def maximum(values: Values, weights: Values) -> Values:
-    """Take the largest value (paper 3.5, for measures that are high where driving is good): one sibling suffices."""
-    return np.asarray(np.max(values, axis=0))
-
-
-def mean(values: Values, weights: Values) -> Values:
-    """Average with equal weights: not in paper 3.5, but the default of the authors' package."""
-    return np.asarray(np.mean(values, axis=0))
-
-
-def weighted_mean(values: Values, weights: Values) -> Values:
-    """Average weighted by the siblings' numbers of tests: not in paper 3.5, an option of the authors' package.
-
-    Equals the mean if all siblings ran all tests, as after the union of paper 3.4.
-    """
-    return np.asarray(np.average(values, axis=0, weights=weights))
-
-
 OPERATORS: Mapping[str, MergeOperator] = {
-    "product": MergeOperator(combine=product, seed=0),
-    "minimum": MergeOperator(combine=minimum, seed=1),
-    "maximum": MergeOperator(combine=maximum, seed=2),
-    "mean": MergeOperator(combine=mean, seed=3),
-    "weighted_mean": MergeOperator(combine=weighted_mean, seed=4),
+    "product": MergeOperator(combine=lambda values, _: np.asarray(np.prod(values, axis=0)), seed=0),
+    "minimum": MergeOperator(combine=lambda values, _: np.asarray(np.min(values, axis=0)), seed=1),
+    "maximum": MergeOperator(combine=lambda values, _: np.asarray(np.max(values, axis=0)), seed=2),
+    "mean": MergeOperator(combine=lambda values, _: np.asarray(np.mean(values, axis=0)), seed=3),
+    "weighted_mean": MergeOperator(combine=lambda values, w: np.asarray(np.average(values, 0, w)), seed=4),
 }
-"""Operators by their name in a configuration. A new operator needs a seed that no other has."""
+"""Operators by their name in a configuration. A new operator needs a seed that no other has.
+
+Paper 3.5: the `product` of failure probabilities is high only where all siblings fail often, the `minimum` quality loss
+only where every sibling drives badly; for the `maximum` one sibling suffices. The `mean` is the default of the authors'
+package, and the mean weighted by numbers of tests an option of it; both are equal if all siblings ran all tests.
+"""
 
 
 def operator_of(name: str) -> MergeOperator:

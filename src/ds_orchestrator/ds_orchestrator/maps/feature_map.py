@@ -189,7 +189,8 @@ def to_json(maps: Mapping[MapId, FeatureMap]) -> dict[str, object]:
                 }
                 for cell, value in sorted(feature_map.cells.items())
             ],
-            **_excluded_to_json(feature_map),
+            # Nothing where there are none, as in campaigns without gates.
+            **({"excluded": excluded} if (excluded := _excluded_to_json(feature_map)) else {}),
         }
         for map_id, feature_map in maps.items()
     }
@@ -199,15 +200,8 @@ def _bins(feature_map: FeatureMap, cell: Cell) -> dict[str, int]:
     return {feature.axis: bin_ for feature, bin_ in zip(feature_map.features, cell, strict=True)}
 
 
-def _excluded_to_json(feature_map: FeatureMap) -> dict[str, object]:
-    """Cells with excluded tests; nothing where there are none, as in campaigns without gates."""
-    if not feature_map.excluded:
-        return {}
-    return {
-        "excluded": [
-            {**_bins(feature_map, cell), "tests": count} for cell, count in sorted(feature_map.excluded.items())
-        ]
-    }
+def _excluded_to_json(feature_map: FeatureMap) -> list[dict[str, int]]:
+    return [{**_bins(feature_map, cell), "tests": count} for cell, count in sorted(feature_map.excluded.items())]
 
 
 _COLUMNS = ("tests", "failures", "probability", "interval_low", "interval_high", "quality_loss", "excluded")

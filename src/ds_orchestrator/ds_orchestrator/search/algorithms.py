@@ -70,11 +70,7 @@ class SearchedCondition:
 
 @dataclass(frozen=True)
 class ConditionSpace:
-    """All conditions that a search varies, beside those that it keeps fixed.
-
-    Attributes:
-        searched: conditions to vary; none for a search of roads alone.
-        fixed: values of the other conditions.
+    """All conditions that a search varies, beside those that it keeps fixed; varies none by default.
 
     Raises:
         ConditionsError: a condition is fixed and searched, is searched twice, or the ranges hold values that contradict
@@ -92,22 +88,19 @@ class ConditionSpace:
             if names.count(name) > 1:
                 raise ConditionsError(f"{name} is searched twice: do it once")
         for end in ("low", "high"):
-            self._with({one.name: getattr(one, end) for one in self.searched})
+            replace(self.fixed, **{one.name: getattr(one, end) for one in self.searched})
 
     def __bool__(self) -> bool:
         return bool(self.searched)
 
     def draw(self, rng: np.random.Generator) -> Conditions:
         """Draw all searched conditions; draws nothing from the generator if there are none."""
-        return self._with({one.name: one.draw(rng) for one in self.searched})
+        return replace(self.fixed, **{one.name: one.draw(rng) for one in self.searched})
 
     def mutated(self, conditions: Conditions, rng: np.random.Generator) -> Conditions:
         """Mutate one of the searched conditions, chosen uniformly."""
         one = self.searched[int(rng.integers(len(self.searched)))]
         return replace(conditions, **{one.name: one.mutated(getattr(conditions, one.name), rng)})
-
-    def _with(self, values: dict[str, float]) -> Conditions:
-        return replace(self.fixed, **values)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,9 +108,7 @@ class Elite(OfScenario):
     """Scenario of a cell on which the driver failed first, or else the one with the lowest fitness.
 
     Attributes:
-        scenario: the scenario.
         fitness: smallest lateral distance on it, m.
-        failed: whether the driver failed on it.
     """
 
     scenario: Scenario
@@ -147,9 +138,8 @@ class Archive(dict[Cell, Elite]):
         Args:
             cell: cell of the feature map.
             scenario: the candidate.
-            fitness: smallest lateral distance on the candidate, m.
-            failed: whether the driver failed; a fitness below 0 always counts as a failure, and a car that stopped in
-                its lane failed as well.
+            fitness: smallest lateral distance on the candidate, m; below 0 it counts as a failure.
+            failed: whether the driver failed, as also a car that stopped in its lane has.
 
         Returns:
             Whether the candidate is now the elite of the cell.
@@ -222,14 +212,11 @@ class Search(ABC):
     Tell the same outcomes to a new search with the same seed, and it asks for the same roads: a stopped campaign
     resumes in this way.
 
-    Args:
-        settings: hyper-parameters.
-        rng: generator of every random choice.
+    Every random choice is drawn from `rng`.
     """
 
     def __init__(self, settings: SearchSettings, rng: np.random.Generator) -> None:
-        self._settings = settings
-        self._rng = rng
+        self._settings, self._rng = settings, rng
         self._angles = np.arange(settings.min_angle, settings.max_angle + 1, 10)
         self._angle_weights = np.ones(len(self._angles))
         self._asked = 0
@@ -318,7 +305,6 @@ class Search(ABC):
         return
 
     def _random(self) -> tuple[Road, Conditions]:
-        """Draw a random test."""
         return self._random_road(), self._settings.conditions.draw(self._rng)
 
     def _random_road(self) -> Road:

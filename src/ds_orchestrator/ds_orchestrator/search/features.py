@@ -300,11 +300,7 @@ DEFAULT_AXES = tuple(map(feature_of, DEFAULT_FEATURES))
 
 def column_axis(column: str, width: float) -> Feature:
     """Make the axis of a map over a column of imported outcomes, in bins of a width."""
-    return Feature(name=column, title=column, value=_unknown, bins=Bins(size=width))
-
-
-def _unknown(_: TestedRun) -> None:
-    """Value of a column, which no run has."""
+    return Feature(name=column, title=column, value=lambda run: None, bins=Bins(size=width))
 
 
 def cell_of(

@@ -82,13 +82,7 @@ class SqliteFile:
         StoreError: there is no campaign, or it has another version, is damaged, or cannot be written.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        begin: Mapping[str, str] | None = None,
-        *,
-        read_only: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, begin: Mapping[str, str] | None = None, *, read_only: bool = False) -> None:
         self.path = path
         self._writes = begin is not None
         self._lock = threading.Lock()
@@ -254,10 +248,7 @@ class SqliteFile:
         if name.startswith("SQLITE_FULL"):
             return StoreError(f"{self.path} cannot grow, the disk is full: make room, and give the same command again")
         text = "".join(c if c.isprintable() else "?" for c in " ".join(str(error).split()))[:200]
-        if (
-            name.startswith(("SQLITE_CORRUPT", "SQLITE_NOTADB", "SQLITE_TOOBIG", "SQLITE_CONSTRAINT"))
-            or "decode" in text
-        ):
+        if name.startswith(_DAMAGED) or "decode" in text:
             return self.damaged(text)
         if name.startswith("SQLITE_BUSY"):
             return StoreError(f"{self.path} is locked by another process: end it, and give the same command again")

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError
@@ -35,7 +35,6 @@ from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome
 
 _SECONDS = "seconds "
-Key = TypeVar("Key", bound=Hashable)
 
 
 class Store:
@@ -54,13 +53,7 @@ class Store:
         StoreError: the file belongs to another campaign or version, is damaged, or cannot be written.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        *,
-        config: str | None = None,
-        read_only: bool = False,
-    ) -> None:
+    def __init__(self, path: Path, *, config: str | None = None, read_only: bool = False) -> None:
         self._file = SqliteFile(path, None if config is None else {"config": config}, read_only=read_only)
         if config is not None and self.config != config:
             try:
@@ -243,19 +236,19 @@ class Store:
         """
         for read in (self.notes, self.errors, self.searches, self.results, self.given_up, self.gates):
             read()
-        named = [("tests", "sibling", siblings), ("executions", "simulator", simulators)]
-        named.append(("gates", "simulator", simulators))
-        for table, column, names in named:
+        for table, column, names in (
+            ("tests", "sibling", siblings),
+            ("executions", "simulator", simulators),
+            ("gates", "simulator", simulators),
+        ):
             for (name,) in self._file.ask(f"SELECT DISTINCT {column} FROM {table}"):
                 if name not in names:
                     raise self._file.damaged(f"{table} of {name!r:.60}, a simulator that is not in its configuration")
         if self._file.ask("SELECT 1 FROM tests WHERE run >= ? OR number >= ? LIMIT 1", (runs, budget)):
             raise self._file.damaged("tests with a run or number beyond its configuration")
         for table, what in (("executions", "an execution"), ("gates", "a gate")):
-            lost = self._file.ask(
-                f"SELECT test_id FROM {table} WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1"
-            )
-            if lost:
+            orphans = f"SELECT test_id FROM {table} WHERE test_id NOT IN (SELECT test_id FROM tests) LIMIT 1"
+            if lost := self._file.ask(orphans):
                 raise self._file.damaged(f"{what} of {lost[0][0]!r:.60}, a test that does not exist")
 
         both = self._file.ask(
@@ -306,21 +299,15 @@ class Store:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
-    def failures(self) -> dict[SimulatorName, FailureCount]:
-        """Simulator -> failures among its executions."""
-        return self._failures(lambda row: row.simulator)
-
     def failures_of_groups(self) -> dict[tuple[SimulatorName, int, SimulatorName], FailureCount]:
         """Sibling and run of a search, and simulator -> failures among the executions of its tests there."""
-        return self._failures(lambda row: (row.sibling, row.run, row.simulator))
-
-    def _failures(self, key: Callable[[DriveCount], Key]) -> dict[Key, FailureCount]:
-        failures: Counter[Key] = Counter()
-        tests: Counter[Key] = Counter()
+        counts: dict[tuple[SimulatorName, int, SimulatorName], FailureCount] = {}
         for row in self._drive_counts():
-            tests[key(row)] += row.executions
-            failures[key(row)] += row.executions * Outcome[row.outcome].is_failure
-        return {one: FailureCount(failures[one], count) for one, count in tests.items()}
+            key = row.sibling, row.run, row.simulator
+            failures, tests = counts.get(key, (0, 0))
+            failures += row.executions * Outcome[row.outcome].is_failure
+            counts[key] = FailureCount(failures, tests + row.executions)
+        return counts
 
     def outcome_counts(self) -> Counter[tuple[str, str]]:
         """Simulator and name of the outcome -> number of executions, in the order of `executions`."""

@@ -13,7 +13,7 @@ from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, 
 from ds_analysis.comparison.sequential import BATCH
 from ds_base.installation import ds_command
 from ds_base.progress import logger_of
-from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.config import SearchConfig
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -320,8 +320,6 @@ def _cannot_drive(network: Network) -> str:
     """Why a network cannot be driven as it was; "" if it can."""
     from ds_driver.networks.network_driver import driver_sha256
 
-    if network.driver == AUTOPILOT:
-        return ""
     try:
         return "" if driver_sha256(network.driver) == network.sha256 else "its files have changed since"
     except (DriverError, ValueError, OSError) as error:
