@@ -33,11 +33,7 @@ def image_of(message: Any, topic: str) -> NDArray[np.uint8]:
 
 
 class OdometryReader:
-    """Converts the nav_msgs/Odometry of one run to states in the road frame.
-
-    Args:
-        settings: description of the simulator.
-    """
+    """Converts the nav_msgs/Odometry of one run to states in the road frame."""
 
     def __init__(self, settings: RosSettings) -> None:
         self._topic, self._origin, self._vehicle = settings.odometry, settings.origin, settings.vehicle

@@ -89,14 +89,23 @@ class CommandSettings(_Strict):
     Attributes:
         topic: topic of the commands.
         type: this project's message, or a key of `ds_driver.control.other_stacks.KINDS`.
-        acceleration: of `ds_sim_ros.speed_law`, m/s^2; chosen as in `examples/bicycle.py`, a small car.
-        drag: of `ds_sim_ros.speed_law`, 1/s; chosen there, too: a top speed of 36 km/h.
+        acceleration: at full throttle, see `speed_after`, m/s^2; chosen as in `examples/bicycle.py`, a small car.
+        drag: see `speed_after`, 1/s; chosen there, too: a top speed of 36 km/h.
     """
 
     topic: RosName
     type: Literal["twist", "twist_stamped", "ackermann", "servo", "autoware", "drive_command"]
     acceleration: Annotated[float, Field(gt=0.0, le=100.0)] = 3.0
     drag: Annotated[float, Field(gt=0.0, le=10.0)] = 0.3
+
+    def speed_after(self, speed: float, throttle: float) -> float:
+        """Speed that a message asks for, m/s, one frame after another one: u' = acceleration * throttle - drag * u.
+
+        It does not look at the vehicle, so that what is asked for depends on the commands alone. A speed that were
+        proportional to the throttle would make equation 2 swing, as a simulator may follow within one frame. The drag
+        is implicit, so that no permitted value of it makes the speed swing.
+        """
+        return (speed + self.acceleration * throttle * FRAME_TIME) / (1.0 + self.drag * FRAME_TIME)
 
 
 class RoadSettings(_Strict):

@@ -22,7 +22,6 @@ from ds_sim.simulator import AutopilotGains, Command, Observation, Outcome, Simu
 from ds_sim_ros.readings import OdometryReader, image_of
 from ds_sim_ros.roads import check_is_track, read_track
 from ds_sim_ros.settings import CameraSettings, RosSettings, read_settings
-from ds_sim_ros.speed_law import SpeedLaw
 
 if TYPE_CHECKING:
     from ds_sim_ros.ros.link import Link
@@ -42,24 +41,19 @@ NOT_REPEATABLE = "real time: runs are not deterministic"
 class RosWorld(Vehicle, Scene):
     """Vehicle and scene of another simulator: `ds_sim.parts.Vehicle` and `ds_sim.parts.Scene` on one connection.
 
-    Args:
-        settings: description of the simulator.
-        camera: of the images.
-        folder: folder of the description.
-
     Attributes:
         track: the road, where it is fixed.
     """
 
     def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
         super().__init__(camera)
-        way, command = settings.road, settings.command
+        way = settings.road
         self.track: Road | None = None
         if way.centre_line:
             self.track, moved = read_track(folder / way.centre_line, way.lane_width, way.lane)
             settings = settings.model_copy(update={"origin": settings.origin.of_moved(moved)})
         self._settings, self._folder = settings, folder
-        self._law = SpeedLaw(command.acceleration, command.drag)
+        self._speed = 0.0
         self._reader = OdometryReader(settings)
         self._link: Link | None = None
         self._request: tuple[Road, int] | None = None
@@ -81,7 +75,7 @@ class RosWorld(Vehicle, Scene):
         """Load the chosen road there, with the vehicle at rest at its start; see `Vehicle.reset`."""
         if self._request is None:
             raise SimulatorError(f"{self._settings.name}: no road is chosen: load one")
-        self._law.reset()
+        self._speed = 0.0
         road, seed = self._request
         if self._link is not None and not self._link.is_alone:
             self.close()  # the simulator was started anew, which a new connection sees without the old one
@@ -89,15 +83,11 @@ class RosWorld(Vehicle, Scene):
 
     def advance(self, command: Command) -> None:
         """Pass one frame there; see `Vehicle.advance`."""
-        speed = self._law.advance(command.throttle)
-        self._ask(lambda link: self._take(link.advance(command, speed), command.steering))
+        self._speed = self._settings.command.speed_after(self._speed, command.throttle)
+        self._ask(lambda link: self._take(link.advance(command, self._speed), command.steering))
 
     def state(self) -> VehicleState:
-        """State at the end of the last frame.
-
-        Raises:
-            SimulatorError: no road is loaded.
-        """
+        """State at the end of the last frame; SimulatorError without a loaded road."""
         if self._state is None:
             raise SimulatorError(f"{self._settings.name}: no road is loaded: load one first")
         return self._state

@@ -17,9 +17,8 @@ from ds_road import Road, RoadError
 from ds_sim.simulator import MAX_SPEED, Command, SimulatorError
 from ds_sim_ros.readings import OdometryReader, image_of
 from ds_sim_ros.roads import check_is_track, read_track, write_road
-from ds_sim_ros.settings import RosSettings, RosSettingsError
+from ds_sim_ros.settings import CommandSettings, RosSettings, RosSettingsError
 from ds_sim_ros.simulator import RosSimulator
-from ds_sim_ros.speed_law import SpeedLaw
 
 TRACK = Road.from_road_points([(125.0, 20.0 + 5.0 * i) for i in range(21)])
 
@@ -116,10 +115,10 @@ def test_a_track_outside_of_the_box_is_driven_in_it_from_where_the_simulator_has
 
 @pytest.mark.parametrize("drag", [0.1, 0.3, 10.0])
 def test_the_throttle_law_settles_whatever_the_drag(drag: float) -> None:
-    law, speeds = SpeedLaw(3.0, drag), []
+    command, speeds = CommandSettings(topic="/drive", type="twist", acceleration=3.0, drag=drag), [0.0]
     for _ in range(1000):
-        speeds.append(law.advance(max(0.0, 1.0 - (law.speed / MAX_SPEED) ** 2)))
+        speeds.append(command.speed_after(speeds[-1], max(0.0, 1.0 - (speeds[-1] / MAX_SPEED) ** 2)))
     assert np.ptp(speeds[-100:]) < 0.01 and 0.0 < speeds[-1] < MAX_SPEED
     for _ in range(2000):
-        law.advance(0.0)
-    assert law.speed < 0.01
+        speeds.append(command.speed_after(speeds[-1], 0.0))
+    assert speeds[-1] < 0.01

@@ -23,9 +23,11 @@ QUIET = 0.1
 a message on one machine."""
 AtStart = Callable[[Any], bool]
 """Whether an odometry is that of the vehicle at the start."""
+Pair = tuple[Received, Received]
+"""Odometry and image."""
 
 
-class _Topics:
+class Topics:
     """The two topics that a frame is made of."""
 
     def __init__(self, odometry: Inbox, image: Inbox, names: tuple[str, str], timeout: float) -> None:
@@ -33,22 +35,21 @@ class _Topics:
 
     @property
     def deadline(self) -> float:
+        """Until when to wait that begins now, s of the monotonic clock."""
         return time.monotonic() + self._timeout
 
     def clear(self) -> None:
+        """Forget all messages."""
         for inbox in self.inboxes:
             inbox.clear()
 
-    def newest(self) -> tuple[Received, Received] | None:
+    def newest(self) -> Pair | None:
+        """The last messages to arrive; None until both topics have one."""
         odometry, image = (inbox.newest for inbox in self.inboxes)
         return None if odometry is None or image is None else (odometry, image)
 
-    def wait(self, odometry: int, image: int) -> tuple[Received, Received]:
-        """Wait for the first messages with these stamps, ns, or later ones.
-
-        Raises:
-            SimulatorError: one does not come in time.
-        """
+    def wait(self, odometry: int, image: int) -> Pair:
+        """Wait for the first messages with these stamps, ns, or later ones."""
         deadline, arrived = self.deadline, []
         for name, inbox, stamp in zip(self._names, self.inboxes, (odometry, image), strict=True):
             received = inbox.wait(stamp, deadline)
@@ -57,7 +58,24 @@ class _Topics:
             arrived.append(received)
         return arrived[0], arrived[1]
 
+    def settled(self, is_settled: Callable[[Received, Received], bool], poll: float, after: str) -> Pair:
+        """Newest messages once they fulfil a condition, looked at every so often, or when time is up.
+
+        Raises:
+            SimulatorError: none came.
+        """
+        deadline, newest = self.deadline, None
+        while time.monotonic() < deadline:
+            time.sleep(poll)
+            newest = self.newest()
+            if newest is not None and is_settled(*newest):
+                break
+        if newest is None:
+            raise self.missing(f"after {after}")
+        return newest
+
     def missing(self, what: str, name: str = "") -> SimulatorError:
+        """Error of a message that does not come, of a topic or the first silent one."""
         silent = [one for one, inbox in zip(self._names, self.inboxes, strict=True) if inbox.newest is None]
         name = name or (silent or list(self._names))[0]
         newest = self.inboxes[self._names.index(name)].newest
@@ -69,15 +87,11 @@ class _Topics:
 
 
 class LockStep:
-    """Asks for the steps of each frame, and waits for the messages that are stamped with its end.
+    """Asks for the steps of each frame, and waits for the messages that are stamped with its end."""
 
-    Args:
-        topics: of the simulator.
-        services: of the simulator.
-        settings: of the steps.
-    """
+    latency = None
 
-    def __init__(self, topics: _Topics, services: Services, settings: StepSettings) -> None:
+    def __init__(self, topics: Topics, services: Services, settings: StepSettings) -> None:
         self._topics, self._services, self._settings = topics, services, settings
         self._now = 0
         self._tolerance = round(settings.seconds * 0.5e9)
@@ -91,7 +105,7 @@ class LockStep:
             self._step(repeatable=True)
             time.sleep(QUIET)
 
-    def begin(self, at_start: AtStart) -> tuple[Received, Received]:
+    def begin(self, at_start: AtStart) -> Pair:
         """Pass one frame at rest, as a simulator that is reset may publish nothing before it.
 
         Returns:
@@ -100,18 +114,16 @@ class LockStep:
         time.sleep(QUIET)  # what was sent before the reset arrives, and is forgotten
         self._topics.clear()
         self._step()
-        deadline, newest = self._topics.deadline, None
-        while time.monotonic() < deadline:
-            time.sleep(QUIET / 4)
-            newest = self._topics.newest()
-            if newest is not None and self._is_settled(*newest) and at_start(newest[0].message):
-                break
-        if newest is None:
-            raise self._topics.missing("after a step")
+
+        def is_settled(odometry: Received, image: Received) -> bool:
+            quiet = time.monotonic() - max(odometry.arrived, image.arrived) >= QUIET
+            return quiet and abs(odometry.stamp - image.stamp) <= self._tolerance and at_start(odometry.message)
+
+        newest = self._topics.settled(is_settled, QUIET / 4, "a step")
         self._now = newest[0].stamp
         return newest
 
-    def advance(self) -> tuple[Received, Received]:
+    def advance(self) -> Pair:
         """Pass one frame with the command that was sent; returns the odometry and the image of its end."""
         self._step()
         self._now += FRAME
@@ -129,10 +141,6 @@ class LockStep:
         request = {"simulation_interfaces/srv/StepSimulation": {"steps": self._settings.per_frame}}
         self._services.call(self._settings.step, request, repeatable=repeatable)
 
-    def _is_settled(self, odometry: Received, image: Received) -> bool:
-        quiet = time.monotonic() - max(odometry.arrived, image.arrived) >= QUIET
-        return quiet and abs(odometry.stamp - image.stamp) <= self._tolerance
-
 
 class RealTime:
     """Lets time pass; a frame ends with the first odometry 1/20 s after the frame before, by its stamp.
@@ -141,29 +149,22 @@ class RealTime:
         latency: largest time by which a frame came later, and by which its image was older than its odometry, s.
     """
 
-    def __init__(self, topics: _Topics) -> None:
+    def __init__(self, topics: Topics) -> None:
         self._topics = topics
-        self._last: tuple[Received, Received] | None = None
+        self._last: Pair | None = None
         self.latency = (0.0, 0.0)
 
     def connect(self) -> None:
         """Do nothing: what is lost comes again."""
 
-    def begin(self, at_start: AtStart) -> tuple[Received, Received]:
+    def begin(self, at_start: AtStart) -> Pair:
         """Wait until the vehicle stands at the start; see `LockStep.begin`."""
         self._topics.clear()
-        deadline, newest = self._topics.deadline, None
-        while time.monotonic() < deadline:
-            time.sleep(FRAME_TIME / 10)
-            newest = self._topics.newest()
-            if newest is not None and at_start(newest[0].message):
-                break
-        if newest is None:
-            raise self._topics.missing("after the reset")
+        newest = self._topics.settled(lambda odometry, _: at_start(odometry.message), FRAME_TIME / 10, "the reset")
         self._last, self.latency = newest, (0.0, 0.0)
         return newest
 
-    def advance(self) -> tuple[Received, Received]:
+    def advance(self) -> Pair:
         """Wait for the end of the frame; see `LockStep.advance`."""
         assert self._last is not None
         due = self._last[0].stamp + FRAME
@@ -174,11 +175,3 @@ class RealTime:
         self.latency = max(self.latency[0], late), max(self.latency[1], age)
         self._last = newest
         return newest
-
-
-def make_clock(
-    odometry: Inbox, image: Inbox, names: tuple[str, str], timeout: float, services: Services, step: StepSettings | None
-) -> LockStep | RealTime:
-    """Make the clock of a simulator; real time without `step`."""
-    topics = _Topics(odometry, image, names, timeout)
-    return RealTime(topics) if step is None else LockStep(topics, services, step)

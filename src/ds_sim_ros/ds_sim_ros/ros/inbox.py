@@ -15,13 +15,7 @@ MOST = 200
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """A message with a header.
-
-    Attributes:
-        stamp: of its header, ns.
-        arrived: time of the monotonic clock, s.
-        message: the message.
-    """
+    """A message, the stamp of its header, ns, and its arrival by the monotonic clock, s."""
 
     stamp: int
     arrived: float

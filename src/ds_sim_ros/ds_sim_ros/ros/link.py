@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from ds_interfaces.msg import DriveCommand
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
@@ -28,12 +27,13 @@ from ds_driver.control.other_stacks import KINDS, Motion, set_part
 from ds_driver.ros.command_publisher import message_type
 from ds_road import Road
 from ds_sim.ros.conversions import road_to_message
+from ds_sim.ros.neighbours import names_of
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Command, SimulatorError
 from ds_sim_ros.roads import write_road
-from ds_sim_ros.ros.clocks import AtStart, make_clock
-from ds_sim_ros.ros.inbox import MOST, Inbox, Received
+from ds_sim_ros.ros.clocks import AtStart, LockStep, Pair, RealTime, Topics
+from ds_sim_ros.ros.inbox import MOST, Inbox
 from ds_sim_ros.ros.services import POLL, Services
 from ds_sim_ros.settings import RosSettings
 
@@ -46,17 +46,14 @@ RECEIVER_TIME = 2.0
 class Link:
     """Drives one simulator; where it fails, close it and make another.
 
-    Args:
-        settings: description of the simulator.
-        folder: folder of the description, for its relative paths.
-
     Raises:
         SimulatorError: a topic of the simulator is missing.
     """
 
     def __init__(self, settings: RosSettings, folder: Path) -> None:
         self._settings, self._folder = settings, folder
-        domain = settings.domain if settings.domain is not None else _user_domain()
+        own = int(os.environ.get(USER_DOMAIN) or os.environ.get("ROS_DOMAIN_ID") or 0)
+        domain = own if settings.domain is None else settings.domain
         self._claim = _Claim(f"{domain}_{settings.command.topic.strip('/').replace('/', '.')}")
         self._context = Context()
         init_ros(context=self._context, args=[], domain_id=domain)
@@ -79,21 +76,22 @@ class Link:
         self._subscribe(settings.image, Image, image)
         self._receiver = "" if settings.time is None else self._find_receiver()
         self._services = Services(self._node, self._thread, settings.timeout)
-        names = (settings.odometry, settings.image)
-        self._clock = make_clock(odometry, image, names, settings.timeout, self._services, settings.time)
+        topics = Topics(odometry, image, (settings.odometry, settings.image), settings.timeout)
+        step = settings.time
+        self._clock = RealTime(topics) if step is None else LockStep(topics, self._services, step)
         self._fresh = True
 
     @property
     def latency(self) -> tuple[float, float] | None:
         """See `RealTime.latency`; None in lock-step."""
-        return getattr(self._clock, "latency", None)
+        return self._clock.latency
 
     @property
     def is_alone(self) -> bool:
         """Whether one node alone publishes each topic; a simulator that was killed stays in the graph for 20 s."""
         return all(self._publishers(topic) == 1 for topic in (self._settings.odometry, self._settings.image))
 
-    def begin(self, road: Road, seed: int, at_start: AtStart) -> tuple[Received, Received]:
+    def begin(self, road: Road, seed: int, at_start: AtStart) -> Pair:
         """Load a road and put the vehicle at rest at its start; returns odometry and image.
 
         Raises:
@@ -108,7 +106,7 @@ class Link:
             self._fresh = False
         return self._clock.begin(at_start)
 
-    def advance(self, command: Command, speed: float) -> tuple[Received, Received]:
+    def advance(self, command: Command, speed: float) -> Pair:
         """Send a command, pass one frame, and return the odometry and the image of its end.
 
         Args:
@@ -173,9 +171,9 @@ class Link:
         )
         deadline = time.monotonic() + RECEIVER_TIME
         while time.monotonic() < deadline:
-            takes = _nodes(self._node.get_subscriptions_info_by_topic(command))
-            moves = _nodes(self._node.get_publishers_info_by_topic(odometry))
-            services = {f"{name}/get_parameters" for name in takes & moves}
+            takes = names_of(self._node.get_subscriptions_info_by_topic(command))
+            moves = names_of(self._node.get_publishers_info_by_topic(odometry))
+            services = {f"{name}/get_parameters" for name in takes if name in moves}
             if matching := services & {name for name, _ in self._node.get_service_names_and_types()}:
                 return min(matching)
             self._thread.pause(POLL)
@@ -233,26 +231,14 @@ class _CommandTopic:
         motion = Motion(command.steering, speed=speed if throttle is None else None, throttle=throttle)
         self._kind.fill(message, motion, self._geometry)
         if self._kind.stamp:
-            set_part(message, self._kind.stamp, self._now())
+            set_part(message, self._kind.stamp, self._node.get_clock().now().to_msg())
         return message
-
-    def _now(self) -> Time:
-        return self._node.get_clock().now().to_msg()
-
-
-def _nodes(ends: list[TopicEndpointInfo]) -> set[str]:
-    """Full names of the nodes of a topic, of those that are known already."""
-    return {f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in ends if one.node_namespace.startswith("/")}
 
 
 def _name_of(kind: Any) -> str:
     """Name of a message's type, such as `sensor_msgs/msg/Image`."""
     package, folder, *_ = kind.__module__.split(".")
     return f"{package}/{folder}/{kind.__name__}"
-
-
-def _user_domain() -> int:
-    return int(os.environ.get(USER_DOMAIN) or os.environ.get("ROS_DOMAIN_ID") or 0)
 
 
 class _Claim:

@@ -17,13 +17,7 @@ POLL = 0.02
 
 
 class Services:
-    """Services of one simulator, as one node sees them.
-
-    Args:
-        node: node that owns the clients.
-        thread: thread that spins it.
-        timeout: limit of each wait, s.
-    """
+    """Services of one simulator, as one node sees them."""
 
     def __init__(self, node: Node, thread: NodeThread, timeout: float) -> None:
         self._node, self._thread, self._timeout = node, thread, timeout
@@ -73,11 +67,7 @@ class Services:
 
 
 def interface(name: str) -> Any:
-    """Import the class of a message or service, such as `std_srvs/srv/Trigger`.
-
-    Raises:
-        SimulatorError: its package is not installed.
-    """
+    """Import the class of a message or service, such as `std_srvs/srv/Trigger`."""
     package, folder, kind = name.split("/")
     try:
         return getattr(import_module(f"{package}.{folder}"), kind)
