@@ -183,15 +183,6 @@ def test_damaged_rows_get_one_line(tmp_path: Path, change: str, named: str) -> N
     assert len(str(refused.value).splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [("fog=1", "unknown condition 'fog'"), ("visibility=3", "expected 20 m or more"), (3, "conditions: 3")],
-)
-def test_bad_conditions_are_refused_in_one_line(text: object, named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
-        parse_config({"conditions": text}, "test.yaml")
-
-
 def test_conditions_that_a_simulator_cannot_realise_are_refused_before_anything_starts(tmp_path: Path) -> None:
     quick = "tests.engines.quick_simulator:QuickSimulator"
     config = CONFIG.model_copy(

@@ -8,19 +8,15 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from tests.campaign.engines import MadeUpEngine
 
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.control.autopilot import Autopilot
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
-from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_all
-from ds_sim.registry import DONKEY, SimulatorName, label_of, make_simulator
-from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Outcome
+from ds_sim.registry import DONKEY, SimulatorName, label_of
 from ds_studies.whole_campaign import run_campaign
 
 CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}\n"
@@ -59,27 +55,6 @@ def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch:
         run_campaign(config, out)
 
 
-class ShortDrives:
-    """Drives twenty steps with the autopilot in this process."""
-
-    capacity: int | None = None
-
-    def stop(self) -> None: ...
-
-    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        made = make_simulator(request.simulator)
-        session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(request.scenario)
-        while session.driving and observation is not None and observation.step < 20:
-            observation = session.advance(
-                pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
-            )
-        session.end(Outcome.TIMEOUT, "enough for a test")
-        made.close()
-        assert session.run is not None
-        return session.run
-
-
 def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     folder = tmp_path / "a car's folder"
     folder.mkdir()
@@ -89,7 +64,7 @@ def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     assert config.twin
     (out / "bags").mkdir(parents=True)
     store = Store(out / "campaign.sqlite", config=config.identity())
-    Campaign(config, out, store, ShortDrives(), Listener()).run()
+    Campaign(config, out, store, MadeUpEngine(), Listener()).run()
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
     assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 import signal
 import sqlite3
 import subprocess
@@ -14,14 +13,13 @@ from pathlib import Path
 
 import pytest
 from tests.campaign.engines import MadeUpEngine
-from tests.campaign.test_campaign import maps_text, run
+from tests.campaign.test_campaign import run
 
 from ds_base.folder_files import StoreError, locked
 from ds_cli import main as cli
-from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, read_config
+from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.graph import signals as stopping
 from ds_orchestrator.store.store import Store
-from ds_sim import DONKEY
 
 CONFIG = """
 siblings: [donkey]
@@ -197,30 +195,6 @@ def test_a_read_only_folder_is_read_and_not_run(
     status, said = ds("report", campaign)
     assert status == 2 and len(said.splitlines()) == 1
     assert content(campaign) == before
-
-
-@pytest.mark.parametrize(("record", "half", "size"), [("none", 40, "128k"), ("telemetry", 5, "256k")])
-def test_a_full_disk_ends_the_run_and_loses_nothing(
-    tmp_path: Path, mount: Callable[..., Path], record: str, half: int, size: str
-) -> None:
-    """The disk is full for the store, or for a bag; with more space the campaign ends like an undisturbed one."""
-    settings = SearchConfig(population=half, iterations=half, runs=1, min_angle=40, max_angle=90)
-    config = CampaignConfig(siblings=[DONKEY], twin=None, driver="autopilot", seed=7, record=record, search=settings)  # type: ignore[arg-type]
-    _, whole = run(tmp_path / "whole", MadeUpEngine(), config)
-    small = mount(tmp_path / "small", "-t", "tmpfs", "-o", f"size={size}", "tmpfs")
-    with pytest.raises(ValueError, match="disk is full: make room|No space left on device.: check the disk"):
-        run(small, MadeUpEngine(), config)
-    copy = tmp_path / "copy"
-    shutil.copytree(small, copy)
-    store = Store(copy / "campaign.sqlite")
-    kept = {(e.test_id, e.simulator): e.trajectory_sha256 for e in store.executions()}
-    store.close()
-    assert 0 < len(kept) < 2 * half
-    rest = MadeUpEngine()
-    _, store = run(copy, rest, config)
-    assert len(rest.roads) == 2 * half - len(kept)
-    assert maps_text(store) == maps_text(whole)
-    assert kept.items() <= {(e.test_id, e.simulator): e.trajectory_sha256 for e in store.executions()}.items()
 
 
 def test_a_process_that_was_killed_before_it_wrote_anything_leaves_a_folder_to_begin_in(tmp_path: Path) -> None:
