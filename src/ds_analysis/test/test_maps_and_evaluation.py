@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -17,14 +16,14 @@ from scipy.stats import beta
 from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.statistics import Array
-from ds_analysis.paper.correlation import check_robustness, correlate, evaluate, paired_differences
+from ds_analysis.paper.correlation import check_robustness, correlate, paired_differences
 from ds_base.intervals import jeffreys_interval
 from ds_orchestrator.maps.algebra import apply, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
-from ds_orchestrator.search.features import DEFAULT_AXES, Cell, feature_of
+from ds_orchestrator.search.features import Cell, feature_of
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
-from ds_road import Road, generate
+from ds_road import generate
 from ds_sim import SimulatorName
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.scenario import Scenario
@@ -148,12 +147,6 @@ def test_the_measured_contrast_of_lines_is_that_of_the_sibling_that_searched() -
     assert [feature_of("visible_contrast").label(k) for k in (0, 4)] == ["0.05", "0.8"]
 
 
-def test_stuck_and_timeout_are_failures() -> None:
-    tests = [make_test("a0", "a", X), make_test("a1", "a", X)]
-    done = [make_execution("a0", "a", 0.1, Outcome.STUCK), make_execution("a1", "a", 0.1, Outcome.TIMEOUT)]
-    assert build_maps([ON_A], None, tests, done)[MapId.union(ON_A)].cells[CELLS[X]].probability == 1.0
-
-
 cells = st.dictionaries(
     st.tuples(st.integers(0, 4), st.integers(4, 9)),
     st.builds(
@@ -180,16 +173,6 @@ def test_merge_does_not_depend_on_order_and_never_exceeds_any_sibling(maps: list
         assert value.probability == pytest.approx(other.cells[cell].probability)
         assert value.probability <= min(m.cells[cell].probability for m in maps) + 1e-12
         assert value.quality_loss == min(m.cells[cell].quality_loss for m in maps)
-
-
-@settings(deadline=None)  # the first example imports SciPy
-@given(feature_maps)
-def test_one_sibling_gives_itself_back(feature_map: FeatureMap) -> None:
-    assert merge(M, [feature_map]).cells == feature_map.cells
-    alone = union(M, [feature_map])
-    assert probabilities(alone) == probabilities(feature_map)
-    for cell, value in alone.cells.items():
-        assert value.quality_loss == feature_map.cells[cell].quality_loss == pytest.approx(value.pooled_quality_loss)
 
 
 @settings(deadline=None)  # the first example imports SciPy
@@ -224,15 +207,6 @@ def test_both_qualities_of_a_union_with_unequal_counts() -> None:
     # A cell that is empty in one map takes the other's values: empty is not 0.
     assert paper.cells[2, 5].quality_loss == pooled.cells[2, 5].quality_loss == 0.9
     assert paper.cells[1, 5].probability == pytest.approx(1 / 10)
-
-
-def test_maps_of_different_features_do_not_mix() -> None:
-    other = FeatureMap(id=MapId.union(ON_B), cells={}, features=DEFAULT_AXES[::-1])
-    for combine in (union, merge):
-        with pytest.raises(ValueError, match="different features"):
-            combine(M, [FeatureMap(id=MapId.union(ON_A), cells={}), other])
-        with pytest.raises(ValueError, match="no maps"):
-            combine(M, [])
 
 
 # Elites of the table: a0 and a3; b0, which failed before b1, and b3; c2, which failed while c0 did not, and c3.
@@ -297,15 +271,6 @@ def test_the_interval_of_a_product_is_that_of_its_distribution() -> None:
     assert merged_interval("product", counts[::-1]) == (low, high)
     assert merged_interval("product", [(0, 3), (2, 3)])[0] == 0.0
     assert merged_interval("product", [(3, 3), (3, 3)])[1] == 1.0
-
-
-def test_the_interval_of_extremes_is_exact() -> None:
-    """P(max <= z) is the product of the distribution functions."""
-    counts = [(1, 5), (2, 5), (4, 8)]
-    low, high = merged_interval("maximum", counts)
-    for end, tail in ((low, 0.025), (high, 0.975)):
-        cdf = math.prod(float(beta(f + 0.5, n - f + 0.5).cdf(end)) for f, n in counts)
-        assert cdf == pytest.approx(tail, abs=0.005)
 
 
 def test_the_authors_rules_on_the_same_counts() -> None:
@@ -396,21 +361,6 @@ def average_precision(score: list[float], fails: np.ndarray[Any, Any]) -> float:
     return total
 
 
-def test_intervals_over_cells_are_those_of_a_bootstrap() -> None:
-    """Against resamples drawn here; repeating gives the same interval."""
-    rng = np.random.default_rng(8)
-    truth = np.round(rng.random(40) * (rng.random(40) < 0.5), 2)
-    ours = np.clip(truth + rng.normal(0, 0.3, 40), 0, 1)
-    found = correlate(row(ours.tolist()), row(truth.tolist()), "probability", resamples=400)
-    again = correlate(row(ours.tolist()), row(truth.tolist()), "probability", resamples=400)
-    assert found == again and found.r is not None and found.r_interval is not None and found.auc_interval is not None
-    drawn = rng.integers(40, size=(4000, 40))
-    expected = np.quantile([np.corrcoef(ours[k], truth[k])[0, 1] for k in drawn], [0.025, 0.975])
-    assert found.r_interval == pytest.approx(expected, abs=0.05)
-    assert found.r_interval[0] < found.r < found.r_interval[1]
-    assert 0 <= found.auc_interval[0] < found.auc_interval[1] <= 1
-
-
 def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
     """Against numbers and resamples drawn here; a cell that only one sibling fills does not count."""
     rng = np.random.default_rng(12)
@@ -471,18 +421,6 @@ def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_generated_the_te
     assert sliced.features == tuple(map(feature_of, plan.features[:2])) and set(sliced.cells) == {(50, 2)}
 
 
-def test_counts_add_up_over_origins() -> None:
-    maps = build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS)
-    for sibling in SIBLINGS:
-        parts = [
-            maps[MapId.search(SimulatorName(sibling))],
-            *(maps[MapId.migration(SimulatorName(o), SimulatorName(sibling))] for o in SIBLINGS if o != sibling),
-        ]
-        for cell, value in maps[MapId.union(SimulatorName(sibling))].cells.items():
-            assert value.tests == sum(p.cells[cell].tests for p in parts if cell in p.cells)
-            assert value.failures == sum(p.cells[cell].failures or 0 for p in parts if cell in p.cells)
-
-
 def row(values: list[float]) -> FeatureMap:
     cells: dict[Cell, MapCell] = {
         (i, 5): MapCell(tests=1, failures=0, probability=v, quality_loss=1 - v) for i, v in enumerate(values)
@@ -502,16 +440,6 @@ def test_auc_prc_has_the_bits_of_scikit_learn() -> None:
             assert auc_prc(predicted, truth) == average_precision_score(truth > 0.0, predicted)
 
 
-def test_pearson_equals_the_textbook_formula() -> None:
-    ours, truth = [0.0, 0.25, 0.5, 1.0, 0.0], [0.0, 0.5, 0.5, 1.0, 0.25]
-    mx, my = sum(ours) / 5, sum(truth) / 5
-    covariance = sum((a - mx) * (b - my) for a, b in zip(ours, truth, strict=True))
-    r = covariance / math.sqrt(sum((a - mx) ** 2 for a in ours) * sum((b - my) ** 2 for b in truth))
-    found = correlate(row(ours), row(truth), "probability")
-    assert found.r == pytest.approx(r) and found.cells == 5 and found.p is not None and 0 < found.p < 1
-    assert correlate(row(ours), row(truth), "quality_loss").r == pytest.approx(-r)
-
-
 @pytest.mark.parametrize(
     ("ours", "truth", "reason"),
     [([0.1, 0.2], [0.0, 1.0], "2 cells"), ([0.0, 0.5, 1.0], [0.0] * 3, "twin"), ([0.5] * 3, [0.0, 1.0, 0.0], "map")],
@@ -519,13 +447,3 @@ def test_pearson_equals_the_textbook_formula() -> None:
 def test_a_correlation_that_is_not_defined_says_why(ours: list[float], truth: list[float], reason: str) -> None:
     found = correlate(row(ours), row(truth), "probability")
     assert found.r is None and found.p is None and reason in found.reason
-
-
-def test_every_sibling_and_the_merge_are_compared_with_the_twin() -> None:
-    found = evaluate(build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS), SIBLINGS, TWIN, resamples=20)
-    ids = [*map(MapId.union, SIBLINGS), MapId.merged()]
-    assert [(c.map, c.value) for c in found] == [(i, v) for v in ("probability", "quality_loss") for i in ids]
-
-
-def test_roads_for_the_table_exist() -> None:
-    assert isinstance(ROADS[X], Road) and CELLS[X] != CELLS[Y]

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from progress_lines import ProgressLines
-from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
+from scipy.stats import nct, norm, t, wilcoxon
 
 from ds_analysis.paper.open_loop import OpenLoopError, architecture_of, predict
 from ds_analysis.paper.paper_tables import error_tables
@@ -48,13 +48,6 @@ def test_distance_is_the_area_between_the_distribution_functions() -> None:
     assert row.mean_squared == pytest.approx(np.mean(ONE**2)) and row.beyond == np.mean(ONE > 0.6)
 
 
-def test_the_siblings_together_are_their_errors_one_after_the_other() -> None:
-    rows = compare_errors({"a": ONE, "b": OTHER}, TWIN)
-    assert [(r.name, r.images) for r in rows] == [("a", 400), ("b", 300), ("merged", 700)]
-    (alone, _) = compare_errors({"x": np.concatenate((ONE, OTHER))}, TWIN)
-    assert rows[2].distance == alone.distance and rows[2].power == alone.power
-
-
 def test_effect_and_power_are_the_textbooks() -> None:
     """Power of a t test by the non-central t distribution; the authors count both samples' errors for each sample."""
     (row, _) = compare_errors({"a": ONE}, TWIN)
@@ -72,11 +65,6 @@ def test_effect_and_power_are_the_textbooks() -> None:
     assert true.power == pytest.approx(power(400, 500), abs=1e-6)
     # Sample size by the normal approximation: 2 ((z_0.975 + z_0.8) / d)^2.
     assert row.enough == pytest.approx(2 * ((norm.ppf(0.975) + norm.ppf(0.8)) / effect) ** 2, rel=0.02)
-
-
-def test_other_ways_use_the_errors_themselves() -> None:
-    (raw,) = [v for v in check_error_robustness({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
-    assert raw.distance == pytest.approx(wasserstein_distance(ONE, TWIN)) and raw.p is not None
 
 
 def test_equal_errors_have_no_test_and_no_effect() -> None:

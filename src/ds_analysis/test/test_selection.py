@@ -82,16 +82,6 @@ def test_p_is_the_share_of_all_orders_of_the_families() -> None:
     assert every[0] == largest((0, 1, 2, 3, 4, 5))
 
 
-def test_shares_are_measured_by_the_splits_of_other_families() -> None:
-    families = np.arange(20)
-    values, failed = np.arange(20.0)[None], np.arange(20) >= 12
-    split = choose_split(values, failed, families, np.random.default_rng(1))
-    assert split is not None and split.is_clear and split.apart is not None
-    assert split.threshold == 12.0 and split.harder.tolist() == failed.tolist()
-    # Without test 12, whose value decides, the others call harder what is 13 or more.
-    assert [(one.failures, one.tests) for one in split.apart] == [(7, 7), (1, 13)]
-
-
 def test_tests_that_end_alike_have_no_split() -> None:
     rng = np.random.default_rng(1)
     for failed in (np.ones(9, np.bool_), np.zeros(9, np.bool_)):

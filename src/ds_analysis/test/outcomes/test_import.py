@@ -206,27 +206,6 @@ def test_what_is_wrong_gets_one_line(tmp_path: Path, columns: dict[str, Any], sa
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("separator", [";", "\t"])
-def test_columns_may_be_separated_by_semicolons_or_tabs(tmp_path: Path, separator: str) -> None:
-    study = imported(tmp_path, long_table(), LONG)
-    long_table().to_csv(tmp_path / "t.csv", index=False, sep=separator)
-    pd.testing.assert_frame_equal(import_outcomes([tmp_path / "t.csv"], Columns.model_validate(LONG)).rows, study.rows)
-
-
-@pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe" * 50, b'"unclosed', b"PAR1 and no more PAR1"])
-def test_received_files_that_are_no_tables_get_one_line(tmp_path: Path, content: bytes) -> None:
-    for name in ("t.csv", "t.parquet", "outcomes.parquet"):
-        (tmp_path / name).write_bytes(content)
-        read: Any = read_study if name == "outcomes.parquet" else (lambda folder, name=name: _read(folder / name))
-        with pytest.raises(OutcomeTableError) as raised:
-            read(tmp_path)
-        assert "\n" not in str(raised.value)
-
-
-def _read(path: Path) -> Study:
-    return import_outcomes([path], Columns())
-
-
 def test_a_number_that_differs_between_drives_of_a_test_is_no_feature(tmp_path: Path) -> None:
     rows = [
         f"t{n},{sim},{run},{int(n > 20)},{0.01 * n},{5 + n % 7},{30 + run + 0.1 * n}"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ds_analysis.common.statistics import Array, Bools, Indices
-from ds_analysis.real.certificate import Bet, Certificate, certify, drives_until
+from ds_analysis.real.certificate import Bet, certify, drives_until
 
 
 def bets_of(truth: Bools, predicted: Array, order: Indices, drawn: Bools) -> list[Bet]:
@@ -51,14 +51,6 @@ def test_the_truth_is_hardly_ever_excluded_at_any_time(rate: float, chosen: bool
         ends = [certify(bets[:k], tests) for k in range(1, tests + 1, 3)]
         wrong += any(not one.low <= truth.sum() <= one.high for one in ends)
     assert wrong / runs <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / runs)
-
-
-def test_all_driven_is_all_known() -> None:
-    truth = np.random.default_rng(3).random(40) < 0.3
-    order = np.random.default_rng(4).permutation(40)
-    found = certify(bets_of(truth, np.full(40, 0.5), order, np.ones(40, bool)), 40)
-    assert found.low == found.high == truth.sum()
-    assert certify([], 40) == Certificate(tests=40, drawn=0, low=0, high=40)
 
 
 def test_good_predictions_narrow_the_bounds_and_bad_ones_cost_little() -> None:

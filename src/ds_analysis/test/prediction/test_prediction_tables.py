@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTableError, S
 from ds_analysis.common.statistics import families_of
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
-from ds_orchestrator.search.algorithms import DeepHyperion, SearchSettings
 from ds_orchestrator.store.model import Origin, Test
 from ds_road import MutationError, Road, generate, mutate
 from ds_sim import BULLET, DONKEY, PANDA
@@ -49,16 +47,6 @@ def test_families_are_those_of_a_recorded_pedigree() -> None:
             continue
         roots.append(roots[parent])
     assert families_of(roads).tolist() == roots
-
-
-def test_a_search_has_at_most_as_many_families_as_random_roads() -> None:
-    search = DeepHyperion(SearchSettings(population=5, iterations=25), np.random.default_rng(2))
-    roads = []
-    while not search.done:
-        roads.append(search.ask())
-        search.tell(1.0 - 4.0 * roads[-1].curvature)
-    families = families_of(roads)
-    assert families[:5].tolist() == [0, 1, 2, 3, 4] and set(families.tolist()) == {0, 1, 2, 3, 4}
 
 
 def test_a_sample_of_a_large_campaign_has_whole_families_and_says_so(tmp_path: Path) -> None:
@@ -137,9 +125,3 @@ def test_another_simulator_can_play_the_twin(tmp_path: Path) -> None:
         table.with_twin(PANDA)
     with pytest.raises(OutcomeTableError, match="no test has a verdict yet"):
         table_of_campaign(CampaignData(config=CONFIG))
-
-
-def test_a_road_that_a_campaign_drove_twice_is_one_test(tmp_path: Path) -> None:
-    with closing(make_campaign(tmp_path, CONFIG, 8, roads=5)) as store:
-        table = table_of_campaign(read_campaign(store))
-    assert len(table) == 5 == len({road.road_id for road in table.roads})

@@ -231,15 +231,6 @@ def test_outcomes_that_cannot_be_are_refused_in_one_line(tmp_path: Path, row: st
     assert named in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_two_outcomes_of_one_test_contradict_each_other(tmp_path: Path) -> None:
-    file = tmp_path / "drives.csv"
-    file.write_text(CSV + "a,completed,Ada,2026-03-01,,\na,failed,Bob,2026-03-02,,\n")
-    with pytest.raises(
-        RecordError, match="test a has two outcomes: completed .Ada, 2026-03-01, drives.csv., and failed"
-    ):
-        added([], read_csv(file, HALF_LANES, scale=16.0))
-
-
 def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = write_comparison(tmp_path / "compared")
     before = (folder / "siblings.json").read_bytes()

@@ -11,27 +11,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import beta, spearmanr
+from scipy.stats import beta
 from sklearn.metrics import roc_auc_score
 
-from ds_analysis.common.cross_validation import auc_roc_by_ranks, best_feature, predict_failures
-from ds_analysis.common.driven_road import GRID, DrivenRoad, lateral_profile, recorded_profile
-from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State, table_of_runs
+from ds_analysis.common.cross_validation import auc_roc_by_ranks, predict_failures
+from ds_analysis.common.driven_road import GRID, DrivenRoad
+from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State
 from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
 from ds_analysis.siblings.analysis import SiblingAnalysis, analyse, analysis_tables
 from ds_analysis.siblings.failure_patterns import nestings
 from ds_analysis.siblings.residuals import residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.executor import execution_of
-from ds_report.sibling_pictures import draw_failures, draw_matrix
+from ds_report.sibling_pictures import draw_failures
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
-from ds_sim.oracle import LaneTracker
 from ds_sim.registry import SOFTBODY, SimulatorName, make_simulator
-from ds_sim.scenario import Scenario
-from ds_sim.session import NO_IMAGE, RunRecord
-from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import Outcome
 
 A_NAME, TWIN = map(SimulatorName, ("a", "twin"))
 
@@ -168,16 +165,6 @@ def test_too_few_failures_are_too_few_to_say() -> None:
     assert nothing.residuals[0].plain is None and "0 roads, expected 20" in nothing.residuals[0].caution
 
 
-def test_the_best_feature_is_that_of_the_largest_rank_correlation() -> None:
-    """With outcomes of two values, the AUC orders features as Spearman's coefficient does, whose ties are the same."""
-    failed = noise(3) + 8 * RIGHT > 1.5
-    values = np.array([[of(road) for of in ROAD_FEATURES.values()] for road in ROADS])
-    distinct = [k for k in range(values.shape[1]) if len(np.unique(values[:, k])) == len(ROADS)]
-    rho = [abs(spearmanr(values[:, k], failed).statistic) for k in distinct]
-    assert best_feature(values[:, distinct], failed) == int(np.argmax(rho))
-    assert best_feature(np.column_stack((values[:, 0], -RIGHT)), RIGHT > HARD) == 1
-
-
 def test_no_prediction_depends_on_the_outcome_that_it_predicts() -> None:
     """Outcomes of chance have no area beyond chance, however many features there are to choose from."""
     rng = np.random.default_rng(5)
@@ -224,21 +211,6 @@ def test_per_place_what_curvature_explains_is_taken_out() -> None:
     assert same.plain is None
 
 
-def test_the_same_outcomes_give_the_same_numbers() -> None:
-    outcomes = made_up({"a": 2 * RIGHT / HARD + 0.2 * noise(1), "twin": 2 * RIGHT / HARD + 0.2 * noise(2)})
-    first, second = (information_about(outcomes, TWIN, [A_NAME], repeats=1) for _ in range(2))
-    assert first == second and first[0].bits is not None
-
-
-def test_a_verdict_needs_an_interval_above_zero() -> None:
-    known = {"about": "t", "sibling": "s", "beyond": (), "left": 0.5, "caution": ""}
-    verdicts = [
-        AddedInformation(**known, bits=0.1, interval=ends).verdict  # type: ignore[arg-type]
-        for ends in ((0.01, 0.2), (-0.01, 0.2), (0.0, 0.2), None)
-    ]
-    assert verdicts == ["adds information", "nothing shown", "nothing shown", "nothing shown"]
-
-
 def test_nesting_is_a_share_with_the_interval_of_clopper_and_pearson() -> None:
     """20 roads fail on both, 5 on the first alone, 10 on the second alone."""
     verdicts = [(2.5, 2.5)] * 20 + [(2.5, 0.5)] * 5 + [(0.5, 2.5)] * 10 + [(0.5, 0.5)] * 15
@@ -279,43 +251,6 @@ def test_nesting_of_a_single_family_counts_as_one_observation() -> None:
     assert found.second_given_first == 0.5 and found.second_given_first_interval == pytest.approx((0.0, 0.975))
 
 
-def record(road: Road, outcome: Outcome, *, seed: int = 0, offset: float = 0.25) -> RunRecord:
-    """Create a run that drives 30 m with a constant lateral position."""
-    run = RunRecord(scenario=Scenario(road, seed=seed), outcome=outcome)
-    for step, arc in enumerate(np.linspace(0.0, 30.0, 31)):
-        vehicle = VehicleState(x=0.0, y=float(arc), yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
-        lane = LaneState(
-            lateral_position=offset,
-            lateral_distance=2.0 - abs(offset),
-            preview_lateral_position=offset,
-            arc_length=float(arc),
-        )
-        run.observations.append(
-            Observation(
-                image=NO_IMAGE, step=step, time=step * 0.05, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING
-            )
-        )
-        run.commands.append(Command(0.0, 0.0))
-    run.commands.pop()
-    return run
-
-
-def test_outcomes_of_runs_leave_out_errors_and_what_lies_beyond_the_lane() -> None:
-    fail, drive, error = Outcome.OUT_OF_BOUNDS, Outcome.COMPLETED, Outcome.SIM_ERROR
-    runs = {
-        "a": [record(road, outcome) for road, outcome in zip(ROADS, (drive, fail, drive), strict=False)],
-        "b": [record(road, outcome, offset=-9.0) for road, outcome in zip(ROADS, (error, fail, drive), strict=False)],
-    }
-    found = table_of_runs(
-        {SimulatorName(name): [DrivenRoad.of_run(run) for run in of] for name, of in runs.items()}
-    ).judged()
-    assert found.roads == ROADS[1:3]
-    assert [found.failed(SimulatorName(name)).tolist() for name in "ab"] == [[True, False], [True, False]]
-    assert found.lateral.tolist() == [[0.25, 2.0], [0.25, 2.0]]
-    np.testing.assert_array_equal(found.profiles["b"][0], np.full(59, -2.0))
-    assert found.features.shape == (2, len(ROAD_FEATURES))
-
-
 def test_the_first_sentence_names_who_adds_something() -> None:
     def adds(sibling: str, low: float) -> AddedInformation:
         return AddedInformation(
@@ -332,43 +267,6 @@ def test_the_first_sentence_names_who_adds_something() -> None:
     assert said(adds("a", -0.05)) == ["nothing is shown that a would add about car."]
     few = AddedInformation(about="car", sibling=A_NAME, beyond=(), caution="too few")
     assert said(few) == ["Whether a sibling adds anything about car is open: too few."]
-
-
-def test_the_pictures_show_every_road_of_every_simulator() -> None:
-    """One more failure recolours its column in its simulator's row and its point in its panel, and nothing else."""
-    lateral = np.where(RIGHT > HARD, 2.5, 0.5)
-    changed = lateral.copy()
-    changed[int(np.argmin(RIGHT))] = 2.5
-    feature = "lane_curvature_max_right"
-    before, after = (made_up({"a": lateral, "b": other}) for other in (lateral, changed))
-    one, other = draw_matrix(before, feature), draw_matrix(after, feature)
-    rows, columns = np.nonzero((one != other).any(axis=2))
-    middle = one.shape[0] // 2
-    assert middle - 20 <= rows.min() <= rows.max() < middle + 40 and columns.max() - columns.min() < 25
-    one, other = draw_failures(before, feature), draw_failures(after, feature)
-    rows, columns = np.nonzero((one != other).any(axis=2))
-    assert rows.min() >= 210 and one.shape == other.shape == (460, 1140, 3)
-    np.testing.assert_array_equal(other, draw_failures(after, feature))
-
-
-def test_a_stored_trajectory_has_the_profile_of_its_run() -> None:
-    """A slalom about the lane's centre, by the lane tracker and by the positions alone."""
-    for road in (*ROADS[:3], ROADS[3].in_lane("left")):
-        lane = road.lane_centre
-        lengths = np.hypot(*np.diff(lane, axis=0).T)
-        along = np.linspace(0.0, lengths.sum() - 1.0, 400)
-        right = (road.right_edge - road.left_edge) / 8.0
-        arcs = np.concatenate(([0.0], np.cumsum(lengths)))
-        centre, across = (
-            np.column_stack([np.interp(along, arcs, values[:, k]) for k in (0, 1)]) for values in (lane, right)
-        )
-        path = centre + 0.5 * np.sin(along / 7.0)[:, None] * across
-        tracker = LaneTracker(lane)
-        lateral, arc = np.array([tracker.update(x, y) for x, y in path.tolist()]).T
-        trajectory = np.column_stack((path, np.zeros((400, 2)), lateral))
-        np.testing.assert_allclose(
-            recorded_profile(road, trajectory), lateral_profile(arc, lateral, 2.0), rtol=0, atol=1e-6
-        )
 
 
 def test_a_stored_drive_is_compared_as_its_run_to_the_bit() -> None:
