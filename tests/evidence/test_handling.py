@@ -139,18 +139,3 @@ def test_the_nose_dips_in_proportion_to_the_deceleration(subject: Subject, compa
     expected = subject.pitch_per_deceleration * slowing[steady].mean()
     what, by = "pitch while slowing, degrees", "moment over springs, by hand"
     compare(subject.name, what, by, math.degrees(pitch[steady].mean()), math.degrees(expected), rel=0.05)
-
-
-def test_driving_does_not_depend_on_the_heading(subject: Subject) -> None:
-    """The plane has no preferred direction, and left mirrors right."""
-    ends = []
-    for yaw, side in ((0.0, 1.0), (math.pi / 2, 1.0), (0.0, -1.0)):
-        car = subject.make()
-        car.reset(0.0, 0.0, yaw, np.random.default_rng(0))
-        last = drive(car, 100, side * 0.3, 0.5)[-1]
-        car.close()
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        ends.append((last.x * cos + last.y * sin, side * (last.y * cos - last.x * sin), side * (last.yaw - yaw)))
-    assert ends[1] == pytest.approx(ends[0], abs=0.02)
-    assert ends[2] == pytest.approx(ends[0], abs=0.02)
-    assert ends[0][1] < -1.0

@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
+from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim_panda.vehicle import published
 from ds_sim_panda.vehicle.integration import derivative
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
@@ -34,16 +32,6 @@ def drive(car: MultiBodyVehicle, frames: int, steering: float, throttle: float) 
         car.advance(Command(steering, throttle))
         states.append(car.state())
     return states
-
-
-def slalom(car: MultiBodyVehicle, frames: int = 100, throttle: float = 0.5) -> NDArray[np.float64]:
-    """Drive a slalom; returns (frames, 4) of x, y, yaw, speed."""
-    rows = []
-    for frame in range(frames):
-        car.advance(Command(0.4 * math.sin(0.07 * frame), throttle))
-        state = car.state()
-        rows.append((state.x, state.y, state.yaw, state.speed))
-    return np.array(rows)
 
 
 @pytest.mark.parametrize("number", published.CARS)
@@ -74,26 +62,6 @@ def test_the_right_hand_side_is_that_of_the_package_at_random_states(number: int
     assert 100 < kinematic < 900
 
 
-def test_it_starts_where_reset_puts_it_and_stays_there_whatever_the_steering(car: MultiBodyVehicle) -> None:
-    car.reset(123.4, -56.7, 1.1, RNG)
-    start = car.state()
-    assert (start.x, start.y, start.yaw) == pytest.approx((123.4, -56.7, 1.1), abs=1e-9)
-    assert (start.speed, start.heave, start.roll, start.pitch) == pytest.approx((0.0, 0.0, 0.0, 0.0), abs=1e-9)
-    still = drive(car, 100, 0.0, 0.0)[-1]
-    assert (still.x, still.y, still.heave) == pytest.approx((start.x, start.y, 0.0), abs=1e-6)
-    turned = drive(car, 100, 1.0, 0.0)[-1]
-    assert math.hypot(turned.x - start.x, turned.y - start.y) < 0.005
-    assert turned.yaw == start.yaw
-
-
-def test_a_slow_circle_is_the_kinematic_one(car: MultiBodyVehicle) -> None:
-    last = drive(car, 300, -0.2, 0.15)[-1]
-    radius = math.hypot(P.wheelbase / math.tan(last.steering_angle), P.wheelbase / 2.0)
-    assert 0.5 < last.speed < 1.5
-    assert math.hypot(last.speed, last.lateral_speed) / last.yaw_rate == pytest.approx(radius, rel=0.02)
-    assert math.atan2(last.lateral_speed, last.speed) == pytest.approx(math.asin(P.wheelbase / 2.0 / radius), abs=0.01)
-
-
 def test_a_start_does_not_spin_the_wheels_and_a_stop_is_final(car: MultiBodyVehicle) -> None:
     starting = drive(car, 40, 0.0, 1.0)
     assert all(b.speed > a.speed for a, b in zip(starting[:-1], starting[1:], strict=True))
@@ -111,22 +79,6 @@ def test_the_steering_has_the_published_rate(car: MultiBodyVehicle) -> None:
     angles = [0.0, *(s.steering_angle for s in drive(car, 60, 1.0, 0.0))]
     assert np.abs(np.diff(angles)).max() == pytest.approx(0.4 * FRAME_TIME)
     assert angles[-1] == pytest.approx(-0.91)
-
-
-def test_halving_the_substep_changes_the_path_little(car: MultiBodyVehicle) -> None:
-    finer = MultiBodyVehicle(dataclasses.replace(P, substeps=2 * P.substeps, stable_step=P.stable_step / 2))
-    finer.reset(0.0, 0.0, 0.0, RNG)
-    assert slalom(finer)[:, :2] == pytest.approx(slalom(car)[:, :2], abs=1e-3)
-
-
-def test_reset_after_close_starts_over(car: MultiBodyVehicle) -> None:
-    before = slalom(car, 20)
-    car.close()
-    car.close()
-    with pytest.raises(SimulatorError, match=r"^the multi-body car has not been placed yet: call reset first$"):
-        car.state()
-    car.reset(0.0, 0.0, 0.0, RNG)
-    assert np.array_equal(slalom(car, 20), before)
 
 
 def test_invalid_parameters_are_refused_in_one_line() -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 from panda_survey import LUMINANCE, PIXEL, distances, picture, row_of, survey
 from panda_views import CAMERA, STRAIGHT, pose, project
 
-from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.model import Conditions
 from ds_sim_panda.scene.along_road import repaired
 from ds_sim_panda.scene.meshes import course_of
 from ds_sim_panda.scene.panda_scene import PandaScene
@@ -114,14 +113,6 @@ def test_contrast_falls_with_distance_as_koschmieder_says() -> None:
             assert hazy[part].mean() == pytest.approx((expected * clear)[part].mean(), rel=0.04, abs=0.004)
 
 
-def test_fog_hides_the_skyline_and_what_is_beyond_its_visibility() -> None:
-    scene = PandaScene(CAMERA)
-    scene.load(STRAIGHT, np.random.default_rng(1), Conditions(visibility=25.0))
-    image = scene.still(pose(127.0, 60.0, math.pi / 2), np.random.default_rng(1))
-    assert np.ptp(image[:60, 100:220].reshape(-1, 3), axis=0).max() <= 6
-    assert np.ptp(image[140].astype(int) @ [1, 1, 1]) > 100
-
-
 def test_a_shadow_falls_away_from_the_sun_of_the_conditions() -> None:
     azimuth, elevation, tall = math.radians(60.0), math.radians(35.0), 4.0
     foot = np.array([128.0, 100.0])
@@ -148,25 +139,3 @@ def test_the_low_sun_is_where_it_stands() -> None:
     rows, columns = np.nonzero(images[1] >= 3 * 254)
     assert (columns.mean(), rows.mean()) == pytest.approx((column, row), abs=2.0)
     assert (images[1] >= images[0] - 3).all()
-
-
-def test_stronger_is_never_weaker() -> None:
-    strengths: dict[str, tuple[float, ...]] = {
-        "line_contrast": (0.8, 0.4, 0.1),
-        "line_cover": (0.2, 0.5, 0.9),
-        "shadow_density": (0.1, 0.4, 0.8),
-        "visibility": (500.0, 100.0, 25.0),
-        "repair_share": (0.1, 0.3, 0.6),
-        "pavement_reflectance": (0.15, 0.3, 0.5),
-    }
-    scene, vehicle = PandaScene(CAMERA), pose(127.0, 60.0, math.pi / 2)
-
-    def seen(**conditions: Any) -> NDArray[np.int64]:
-        scene.load(STRAIGHT, np.random.default_rng(1), Conditions(**conditions))
-        return scene.still(vehicle, np.random.default_rng(1)).astype(int)
-
-    clear = seen()
-    for name, values in strengths.items():
-        changes = [float(np.abs(seen(**{name: value}) - clear).mean()) for value in values]
-        assert 0.0 < changes[0] < changes[1] < changes[2], name
-    assert np.array_equal(seen(), clear) and DEFAULT.is_default

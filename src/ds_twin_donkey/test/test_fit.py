@@ -269,15 +269,6 @@ def test_camera_and_start_are_found_from_smoothed_poses(lock: float, delay: floa
     assert 0.7 < start.max_steering_angle / lock < 1.4 and 0.4 < start.command_delay / delay < 2.5
 
 
-@pytest.mark.long
-def test_a_located_recording_is_fitted_with_its_camera() -> None:
-    drive = located_drive(P.changed(max_steering_angle=0.45), Mounting(forward=0.08), np.random.default_rng(6), 200)
-    settings = FitSettings(window_seconds=2.0, max_evaluations=4, names=("max_steering_angle",))
-    fitted, mounting = fit_located([drive], settings=settings)
-    assert fitted.parameters.max_steering_angle == pytest.approx(0.45, rel=0.08)
-    assert mounting.forward == pytest.approx(0.08, abs=0.02)
-
-
 def test_a_located_recording_is_known_by_its_table_and_refused_if_short(tmp_path: Path) -> None:
     drive = located_drive(P, Mounting(), np.random.default_rng(6), 20)
     assert find_mounting([], P) == Mounting()
@@ -288,14 +279,6 @@ def test_a_located_recording_is_known_by_its_table_and_refused_if_short(tmp_path
     for column, kind in (("std_lateral_m", "located"), ("note", "table")):
         path.write_text("\n".join([f"time_s,steering,throttle,x_m,{column}", *rows]))
         assert read_log(tmp_path).kind == kind
-
-
-def test_poses_are_moved_to_the_car_and_back() -> None:
-    """A point 0.1 m ahead of a car at the origin that looks along y, and looks 0.2 rad to the left of it."""
-    mounting, car = Mounting(forward=0.1, yaw=0.2), np.array([[0.0, 0.0, np.pi / 2, 1.0, 0.5]])
-    pose = mounting.to_pose(car)
-    assert pose[0] == pytest.approx([0.0, 0.1, np.pi / 2 + 0.2, 1.0, 0.5])
-    assert mounting.to_car(pose) == pytest.approx(car)
 
 
 def test_a_table_of_motion_is_a_log(tmp_path: Path) -> None:
