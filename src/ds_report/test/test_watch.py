@@ -162,14 +162,6 @@ def test_a_campaign_that_ends_while_it_is_read_leaves_everything_in_its_file(tmp
         assert db.execute("SELECT count(*) FROM executions").fetchone() == (12,)
 
 
-def test_a_read_only_store_refuses_every_change(tmp_path: Path) -> None:
-    make_campaign(tmp_path, CONFIG, 1).close()
-    store = Store(tmp_path / "campaign.sqlite", read_only=True)
-    with pytest.raises(StoreError, match="cannot be used"):
-        store.note("a", "b")
-    store.close()
-
-
 def test_state_counts_what_the_store_holds(tmp_path: Path) -> None:
     store = make_campaign(tmp_path, CONFIG, 4)
     store.add_error("bullet-0-0001", EVIL, 0, Outcome.SIM_ERROR, "the wheels came off")

@@ -306,12 +306,9 @@ def donkey_pilot(folder: Path, weights: NDArray[np.float64], bias: float, names:
     return folder / "p.onnx"
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_what_evidence_does_not_decide_is_as_the_maker_has_it(
-    tmp_path: Path, drives: list[Recording], seed: int
-) -> None:
+def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, drives: list[Recording]) -> None:
     """A pilot that has never seen these roads, whose best description is due to chance."""
-    random = np.random.default_rng(seed).normal(0.0, 0.01, (3, ROWS, COLUMNS))
+    random = np.random.default_rng(1).normal(0.0, 0.01, (3, ROWS, COLUMNS))
     file = donkey_pilot(tmp_path, random, 0.0, ("img_in", "n_outputs0"))
 
     file.with_suffix(".yaml").write_text(describe(file, forms_of(file), drives, None))
@@ -382,19 +379,3 @@ def test_drives_decide_by_their_number(more_drives: list[Recording]) -> None:
     assert not agreement(bad, more_drives).surely_above(agreement(good, more_drives))
     one_drive = np.where(np.arange(len(wanted)) < len(more_drives[0].steering) // 6, good, bad)
     assert not agreement(one_drive, more_drives).surely_above(agreement(bad, more_drives))
-
-
-@pytest.mark.parametrize(
-    ("times", "said", "factor"),
-    [
-        (0.1, "too weakly: 0.1 times", 10.0),
-        (0.3, "too weakly, as in radians: 0.3", 3.3),
-        (4.0, "too strongly: 4 ", 0.25),
-    ],
-)
-def test_says_which_way_a_scale_is_wrong(
-    made: Made, drives: list[Recording], times: float, said: str, factor: float
-) -> None:
-    (finding,) = check(made(times=times), drives).findings
-    assert f"It answers {said}" in finding.text
-    assert yaml.safe_load(finding.line)["outputs"]["steering"]["scale"] == pytest.approx(factor, rel=0.05)

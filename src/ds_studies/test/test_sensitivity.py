@@ -17,14 +17,12 @@ import pytest
 from ds_analysis.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
 from ds_analysis.sensitivity.result import RoadResult, Sensitivity, coverage, threshold_of
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines.start import ENGINES
 from ds_report.sensitivity_picture import draw_sensitivity
-from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
-from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName, make_simulator
+from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
 from ds_studies.sensitivity import analysis, measurement
@@ -291,17 +289,6 @@ def test_thresholds_of_translated_images_say_what_they_are_not(
     )
     assert found.document()["translated_images"] == translated
     assert any("sees translated images" in note for note in found.table().notes) == translated
-
-
-def test_a_picture_changes_nothing_for_the_autopilot() -> None:
-    """Why the autopilot need not drive again where a factor changes pictures alone."""
-    road = Road([(125, 25 * i) for i in range(4)])
-    (fog,) = factors_named(["visibility"])
-    bullet = make_simulator("bullet")
-    clear, foggy = (
-        drive_road(bullet, make_driver(AUTOPILOT, bullet.spec), road, 1, fog.conditions(level)) for level in (0, LEVELS)
-    )
-    assert clear.observations == foggy.observations and clear.commands == foggy.commands
 
 
 def test_results_name_values_that_json_can_hold() -> None:

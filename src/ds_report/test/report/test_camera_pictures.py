@@ -14,14 +14,12 @@ from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.model import Origin, Test
 from ds_report.camera_pictures import (
     SIZE,
-    camera_pictures,
     drive_pictures,
     moments,
     plan_pictures,
-    replay_frames,
     telling_tests,
 )
-from ds_sim.registry import BULLET, DONKEY, SimulatorName, make_simulator
+from ds_sim.registry import BULLET, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 
@@ -32,10 +30,6 @@ def picture(text: str) -> np.ndarray:
     found = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)
     assert found is not None
     return cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
-
-
-def test_camera_pictures_repeat() -> None:
-    assert camera_pictures([DONKEY], TEST.scenario) == camera_pictures([DONKEY], TEST.scenario)
 
 
 def test_pictures_are_what_the_simulator_has_shown() -> None:
@@ -119,9 +113,3 @@ def test_replays_show_failed_drives_first_and_stay_within_their_bound() -> None:
     assert (least.spacing, least.replayed, set(least.frames)) == (2.0, 2, {("t2", "A"), ("t2", "B")})
     none = plan_pictures(tests, driven, cells, strips=1, replays=0)
     assert (none.replayed, none.strips) == (0, 1) and set(none.frames) == {("t2", "A"), ("t2", "B")}
-
-
-def test_a_replay_ends_with_the_end_of_its_drive() -> None:
-    execution = make_execution(TEST, "bullet", 2.5)
-    last = len(execution.trajectory) - 1
-    assert replay_frames(execution, 10) == sorted({*range(last, -1, -10), 0})

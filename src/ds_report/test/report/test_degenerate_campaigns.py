@@ -15,7 +15,6 @@ from report_campaigns import make_execution, road
 
 from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.feature_map import MapId, map_ids
 from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
@@ -126,15 +125,3 @@ def test_correlations_of_an_earlier_version_are_read(tmp_path: Path) -> None:
     (found,) = read_correlations(tmp_path, TWO)
     assert found.map == MapId.union(SimulatorName("path_to_x:Sim")) and found.value == "quality_loss"
     assert found.r_interval == (0.1, 0.9) and found.failing is None and found.caution == ""
-
-
-def test_a_campaign_is_read_once_and_unchanged(tmp_path: Path) -> None:
-    store = campaign(tmp_path, TWO, [FAILS, PASSES], [0, 1])
-    data = read_campaign(store)
-    assert data.config == TWO and [t.test_id for t in data.tests] == ["t-0-0000", "t-0-0001"]
-    assert len(data.executions) == 6 and set(data.cells) == {"t-0-0000", "t-0-0001"}
-    reads = []
-    store.executions = lambda **_: reads.append(1) or []  # type: ignore[method-assign, func-returns-value]
-    write_all(tmp_path, store, data=data)
-    assert not reads and "failed on 1 of 2 roads" in (tmp_path / "report.html").read_text(encoding="utf-8")
-    store.close()

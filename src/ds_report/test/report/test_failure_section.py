@@ -51,9 +51,3 @@ def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
     monkeypatch.setattr("ds_report.sections.reasons_of", lambda data: made)
     section = failure_section(data)
     assert section is not None and section.sentences[0].startswith(said)
-
-
-def test_without_failures_there_is_no_section(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=[BULLET], twin=None, driver=AUTOPILOT)
-    with closing(make_campaign(tmp_path, config, 0)) as store:
-        assert failure_section(read_campaign(store)) is None

@@ -49,18 +49,6 @@ def test_a_cell_stands_where_its_features_say_and_an_empty_one_is_not_zero() -> 
     assert len(pixels_of(zero, EMPTY)) == len(grey)
 
 
-def test_each_value_is_drawn_and_numbers_are_written() -> None:
-    both = make_map(MapId.union(A), {(3, 16): (0.0, 1.0)})
-    probability = draw_map(both, "probability", bounds=BOUNDS)
-    quality = draw_map(both, "quality_loss", bounds=BOUNDS)
-    assert len(pixels_of(probability, rgb(PASS))) > 500 and len(pixels_of(quality, rgb(FAIL))) > 500
-    near = draw_map(make_map(MapId.union(A), {(3, 16): (0.004, 0.0)}), "probability", bounds=BOUNDS)
-    seven = MapCell(tests=7, failures=0, probability=0.0, quality_loss=0.0)
-    many = FeatureMap(id=MapId.union(A), cells={(3, 16): seven})
-    assert near.shape == probability.shape
-    assert not np.array_equal(draw_map(many, "probability", bounds=BOUNDS), probability)
-
-
 def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:
     plain = make_map(MapId.union(A), {(3, 16): (0.0, 1.0)})
     apart = replace(plain, excluded={(3, 16): 2, (2, 17): 4, (4, 18): 1})
@@ -73,18 +61,6 @@ def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:
     boxes = cv2.connectedComponents(cv2.dilate(changed[60:].astype(np.uint8), np.ones((9, 25))))[0] - 1
     assert boxes == 3 and changed[:60].any()
     assert pixels_of(drawn, rgb(PASS)).shape[0] > 0.9 * pixels_of(without, rgb(PASS)).shape[0]
-
-
-def test_bounds_hold_every_map_and_make_pictures_of_one_size() -> None:
-    maps = [
-        make_map(MapId.merged(), {(2, 17): (0, 0)}),
-        make_map(MapId.twin(T), {(4, 15): (0, 0)}),
-        make_map(MapId.union(A), {}),
-    ]
-    assert bounds_of(maps) == BOUNDS
-    assert len({draw_map(m, "probability", bounds=BOUNDS).shape for m in maps}) == 1
-    empty = draw_map(make_map(MapId.merged(), {}), "quality_loss", bounds=bounds_of([make_map(MapId.merged(), {})]))
-    assert len(pixels_of(empty, EMPTY)) > 500
 
 
 def test_write_maps_writes_every_map_and_the_overview_with_equal_bytes(tmp_path: Path) -> None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-import zlib
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -21,7 +20,6 @@ from statsmodels.stats.proportion import proportion_confint
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, evaluate, paired_differences
 from ds_base.table import Column, Table
-from ds_base.words import duration
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
@@ -80,24 +78,6 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, Store
     return Page(html), html, store, config
 
 
-def unpacked(text: str) -> np.ndarray:
-    """Decode the numbers in a packed text, following the documentation of `pack`."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(4, -1).astype(np.int64)
-    codes = np.sum([plane << (8 * k) for k, plane in enumerate(planes)], axis=0)
-    return np.where(codes % 2 == 0, codes // 2, -(codes + 1) // 2)
-
-
-class Columns:
-    """Takes column after column from unpacked numbers."""
-
-    def __init__(self, numbers: np.ndarray) -> None:
-        self.numbers = numbers
-
-    def take(self, length: int) -> np.ndarray:
-        part, self.numbers = self.numbers[:length], self.numbers[length:]
-        return np.cumsum(np.cumsum(part)) / 100
-
-
 def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
     page, html, *_ = campaign
     # Plotly's code names sites for geographic maps; the policy below forbids fetching from them.
@@ -110,67 +90,6 @@ def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -
             assert target is None or target.startswith(("data:", "#")), (tag, target)
     policies = [a["content"] for tag, a in page.elements if a.get("http-equiv") == "Content-Security-Policy"]
     assert policies == ["default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"]
-
-
-def test_every_map_and_every_test_is_inside(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
-    page, _, store, config = campaign
-    maps, _ = results(read_campaign(store))
-    data = page.data
-    assert (
-        set(data["maps"])
-        == {map_id.name for map_id in maps}
-        == {name for names in data["groups"].values() for name in names}
-    )
-    for map_id, feature_map in maps.items():
-        cells: dict[Cell, Any] = {(c[0], c[1]): c[2:] for c in data["maps"][map_id.name]["cells"]}
-        assert set(cells) == set(feature_map.cells)
-        for cell, value in feature_map.cells.items():
-            tests, failures, probability, interval, quality = cells[cell]
-            assert [tests, failures] == [value.tests, value.failures]
-            assert value.interval is not None
-            expected = [value.probability, *value.interval, value.quality_loss]
-            assert [probability, *interval, quality] == pytest.approx(expected, abs=1e-4)
-            for k, axis in enumerate(data["axes"]):
-                assert 0 <= cell[k] - axis["low"] < len(axis["begins"]) - 1
-    curvature = data["axes"][1]
-    assert (curvature["title"], float(curvature["begins"][0])) == ("curvature, 1/m", curvature["low"] / 100)
-    assert [test[0] for test in data["tests"]] == [test.test_id for test in store.tests()]
-    assert tuple(data["selected"]) in maps[MapId.merged()].cells
-    assert [s["name"] for s in data["simulators"]] == config.simulators
-    assert len({(s["colour"], s["dash"]) for s in data["simulators"]}) == len(config.simulators)
-
-
-def test_places_hold_the_lines_of_their_tests(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
-    page, _, store, config = campaign
-    tests = {test.test_id: test for test in store.tests()}
-    seen, failed = [], 0
-    for (place, indices), text in zip(page.data["places"], page.data["lines"], strict=True):
-        columns = Columns(unpacked(text))
-        for index in indices:
-            shown = page.data["tests"][index]
-            test = tests[shown[0]]
-            seen.append(test.test_id)
-            assert tuple(place) == (test.road.turns_count, int(100 * test.road.curvature))
-            for line in (test.road.points, test.road.right_edge):
-                for k in (0, 1):
-                    assert columns.take(shown[9]) == pytest.approx(line[:, k], abs=0.0051)
-            for run, simulator in zip(shown[10], config.simulators, strict=True):
-                execution = store.execution(test.test_id, simulator)
-                assert execution is not None
-                last = len(execution.trajectory) - 1
-                frames = sorted({*range(0, last, 2), last})
-                assert run[5:7] == [len(frames), 1]
-                for k in (0, 1, 4):
-                    assert columns.take(run[5]) == pytest.approx(execution.trajectory[frames, k], abs=0.0051)
-                # The last frame has no command of its own and shows the last one.
-                steering = [execution.steering[min(frame, last - 1)] for frame in frames]
-                assert columns.take(run[5]) == pytest.approx(steering, abs=0.0051)
-                words = execution.outcome.name.lower().replace("_", " ")
-                assert run[:2] == [words, execution.outcome.is_failure]
-                assert run[2] == pytest.approx(execution.fitness, abs=1e-3)
-                failed += run[1]
-        assert not len(columns.numbers)
-    assert sorted(seen) == sorted(tests) and failed > 3
 
 
 def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
@@ -198,51 +117,6 @@ def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
     assert "every attempt ended in an error on nowhere:A; the search continued without it" in cells
     assert any(text.startswith("1 attempt ended in an error.") for text in page.texts["p"])
     assert any(text.startswith("1 test. A test without an outcome enters no map") for text in page.texts["p"])
-
-
-def test_cameras_are_pictures_and_a_missing_simulator_is_a_note(
-    campaign: tuple[Page, str, Store, CampaignConfig],
-) -> None:
-    page, *_ = campaign
-    pictures = [a for tag, a in page.elements if tag == "img"]
-    captions = [text for text in page.texts["figcaption"] if text]
-    assert len(pictures) == 1 and "cannot be loaded" in captions[-1]
-    raw = base64.b64decode((pictures[0]["src"] or "").removeprefix("data:image/png;base64,"))
-    image = cv2.imdecode(np.frombuffer(raw, np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None and image.shape == (160, 320, 3) and image.std() > 20
-    place = re.search(r"([\d.]+) m along the lane", captions[0])
-    assert place and 45.0 <= float(place[1]) < 46.0
-
-
-def test_the_same_store_gives_the_same_bytes(tmp_path: Path) -> None:
-    config = CampaignConfig(siblings=[SimulatorName("nowhere:A")], twin=None)
-    pages = []
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        store = make_campaign(tmp_path / name, config, 3)
-        pages.append(report_of(tmp_path / name, store).read_bytes())
-    assert pages[0] == pages[1]
-    text = pages[0].decode()
-    assert "This campaign has no twin" in text
-    # The configuration can be copied out and run again.
-    assert "cat &gt; campaign.yaml" in text and "siblings:\n- nowhere:A\ntwin: null\n" in text
-
-
-def test_a_campaign_that_has_only_begun_has_a_report(tmp_path: Path) -> None:
-    config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=SimulatorName("nowhere3:C")
-    )
-    store = Store(tmp_path / "campaign.sqlite", config=config.model_dump_json())
-    page = Page(report_of(tmp_path, store).read_text())
-    assert "Nothing was driven yet" in page.texts["p"][1]
-    assert page.data["tests"] == [] and page.data["selected"] is None
-    store.add_test(Test("A-0-0000", Scenario(road(1), seed=1), Origin(SimulatorName("nowhere:A"), 0, 0)))
-    store.add_execution(make_execution(store.tests()[0], "nowhere:A", 2.4))
-    page = Page(report_of(tmp_path, store).read_text())
-    assert [run is None for run in page.data["tests"][0][10]] == [False, True, True]
-    assert any("no cell of the feature map in common" in text for text in page.texts["li"])
-    assert any("1 of 3 runs have a verdict" in text for text in page.texts["li"])
-    assert "nowhere2:B, nowhere3:C" in page.texts["td"] and "not driven yet" in page.texts["td"]
 
 
 def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
@@ -278,20 +152,6 @@ def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
     assert len(paper["x"]) == 6
 
 
-def test_three_features_make_places_of_three_bins(tmp_path: Path) -> None:
-    features = ["turns_count", "curvature", "direction_coverage:10"]
-    config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=None, features=features
-    )
-    store = make_campaign(tmp_path, config, 4)
-    maps, _ = results(read_campaign(store))
-    data = Page(report_of(tmp_path, store).read_text()).data
-    assert [len(place) for place, _ in data["places"]] == [3] * len(data["places"])
-    assert {tuple(c[:3]) for c in data["maps"]["merged"]["cells"]} == set(maps[MapId.merged()].cells)
-    third = data["axes"][2]
-    assert third["begins"][0] == str(10 * third["low"]) and not third["whole"]
-
-
 def test_a_thousand_tests_stay_small() -> None:
     config = CampaignConfig()
     made = make_tests(config, 500, roads=40)
@@ -304,11 +164,6 @@ def test_a_thousand_tests_stay_small() -> None:
     assert len(page["tests"]) == 1000
     # Plotly takes 5 MB and pictures 2, so that 5,000 tests stay below 20 MB.
     assert len(json.dumps(page)) < 2.5e6
-
-
-def test_durations_are_short_words() -> None:
-    words = ["0 s", "59 s", "1 min 00 s", "3 min 20 s", "1 h 00 min", "5 h 07 min"]
-    assert [duration(s) for s in (0.4, 59.4, 60, 200, 3600, 18_440)] == words
 
 
 # Two siblings and a twin over four cells, each six times: they agree on failure in one, on none in one, and disagree in
@@ -394,12 +249,6 @@ def test_findings_say_why_there_is_no_correlation() -> None:
     assert "does not predict" in said([BULLET, SOFTBODY], MERGED, (0.0, 1.0, 0.5, 0.0))
 
 
-def test_findings_of_one_sibling() -> None:
-    text = said([BULLET], UNIONS["bullet"], TWIN)
-    assert "bullet, the only sibling, has failures in 12 of 24 cells." in text
-    assert "its map and the merged map are the same" in text
-
-
 def shaped(curvature: float, turns: int, number: int) -> Test:
     """A test whose road has these features, whatever its control points, and is no mutant of another."""
     made = Road(road(number).control_points)
@@ -425,13 +274,6 @@ def test_the_headline_names_the_bend_from_which_roads_fail() -> None:
         f"80% (95% interval {100 * ends[0][0]:.0f} to {100 * ends[0][1]:.0f}%) fail, against "
         f"0% (95% interval 0 to {100 * ends[1][1]:.0f}%)."
     )
-
-
-def test_the_headline_names_turns_where_they_separate_better() -> None:
-    few = [(0.1 + 0.01 * (k % 7), 2, False) for k in range(20)]
-    many = [(0.1 + 0.01 * (k % 7), 5, True) for k in range(8)]
-    text = where_it_fails(DriverName("net"), outcomes(*few, *many))
-    assert "net fails on roads with 5 turns or more: 8 of 8 such roads failed, and none of the 20 others." in text
 
 
 def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
@@ -464,14 +306,6 @@ def test_a_threshold_on_bends_names_the_conditions_under_which_it_was_found() ->
     assert text.startswith(
         "On the twin T, all tests in fog or haze with a visibility of 40 to 50 m (visibility), net fails on tests "
     )
-
-
-def test_the_headline_names_the_conditions_that_separate_nothing() -> None:
-    mixed = under(outcomes(*[(0.1, 3, k in (2, 9)) for k in range(12)]), "visibility", [20.0 + k for k in range(12)])
-    text = where_it_fails(DriverName("net"), mixed)
-    assert text.startswith("net failed on 2 of 12 tests, 17%")
-    assert "on the twin T, all tests in fog or haze with a visibility of 20 to 31 m (visibility). None of" in text
-    assert "None of the tightest bend, the number of turns and visibility separates these tests clearly" in text
 
 
 def test_a_condition_that_a_test_leaves_to_the_simulator_has_no_threshold() -> None:
@@ -525,14 +359,6 @@ def test_a_road_fails_where_the_twin_fails_or_else_where_every_sibling_does() ->
     assert road_outcomes(data).failed == (True, False) and road_outcomes(data).where == "the twin n:T"
     alone = replace(data, config=CampaignConfig(siblings=[SimulatorName("n:A"), SimulatorName("n:B")], twin=None))
     assert road_outcomes(alone).failed == (False, True) and road_outcomes(alone).where == "every sibling"
-
-
-def test_limits_say_what_was_tested_and_what_was_not() -> None:
-    found = summarise(driven(CampaignConfig()), results(driven(CampaignConfig()))[0], [])
-    only = road(0)
-    assert f"Tested: 1 road with {only.turns_count} turns" in found.limits
-    assert f"{1 / only.curvature:.1f} m radius" in found.limits and "traffic" in found.limits
-    assert "Only the shape of the road varied" in found.limits
 
 
 def test_limits_name_the_conditions_that_were_tested() -> None:

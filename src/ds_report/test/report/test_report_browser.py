@@ -357,14 +357,6 @@ def test_folds_open_with_their_maps_and_tables(opened: Opened, campaign: Campaig
     assert opened.complaints == []
 
 
-def test_an_address_opens_its_cell(opened: Opened, campaign: Campaign) -> None:
-    test = campaign.store.tests()[-1]
-    opened.page.evaluate(
-        "place => { location.hash = place; }", f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
-    )
-    opened.page.wait_for_selector(f'[data-test="{test.test_id}"]')
-
-
 def test_three_features_are_shown_slice_by_slice(browser: Browser, tmp_path: Path) -> None:
     features = ["turns_count", "curvature", "direction_coverage:10"]
     config = CampaignConfig(siblings=[SimulatorName("nowhere:A")], twin=None, features=features)

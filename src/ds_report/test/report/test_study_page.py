@@ -9,9 +9,7 @@ import numpy as np
 import pandas as pd
 
 from ds_analysis.outcomes.columns import Columns
-from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import import_outcomes, write_study
-from ds_orchestrator.maps.feature_map import MapId
 from ds_report.study_page import write_study_page
 from ds_sim import SimulatorName
 
@@ -48,20 +46,3 @@ def test_too_few_tests_still_have_maps_and_counts(tmp_path: Path) -> None:
     study = import_outcomes([table(tmp_path, 4)], Columns())
     text = write_study_page(tmp_path, study).read_text()
     assert "expected at least 10" in text and "What was read" in text
-
-
-def test_maps_count_every_test_and_merge_by_every_operator(tmp_path: Path) -> None:
-    study = import_outcomes([table(tmp_path, 60)], Columns(twin=CAR, map={"speed": 5.0, "curve": 0.1}))
-    maps = maps_of_study(study)
-    rows = study.rows
-    for map_id in (MapId.union(OTHER), MapId.twin(CAR)):
-        own = rows[rows["simulator"] == map_id.simulator]
-        for cell, content in maps[map_id].cells.items():
-            inside = own[(own["speed"] // 5 == cell[0]) & (own["curve"] // 0.1 == cell[1])]
-            assert (content.tests, content.failures) == (len(inside), int(inside["failed"].sum()))
-        assert sum(content.tests for content in maps[map_id].cells.values()) == 60
-    one, other = maps[MapId.union(SimulatorName(HOSTILE))], maps[MapId.union(SimulatorName("other"))]
-    for cell, content in maps[MapId.merged()].cells.items():
-        assert content.probability == one.cells[cell].probability * other.cells[cell].probability
-    by_other_axes = maps_of_study(study, ["curve", "speed"])
-    assert sum(content.tests for content in by_other_axes[MapId.union(OTHER)].cells.values()) == 60
