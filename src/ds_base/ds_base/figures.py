@@ -53,7 +53,8 @@ def draw_figure(
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
-        figure = Figure((width / _DPI, height / _DPI), _DPI, layout="constrained")
+        # Older versions of Matplotlib cut off fractions of pixels: 4.6 inches are 459.99.
+        figure = Figure(((width + 1e-6) / _DPI, (height + 1e-6) / _DPI), _DPI, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         draw(figure)
         canvas.draw()

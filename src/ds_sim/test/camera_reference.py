@@ -22,7 +22,9 @@ def directions(
     centre = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
     pixels = np.stack((columns, rows), axis=-1)[:, None, :]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
-    flat = cv2.undistortPoints(pixels, spec.intrinsics, np.array(spec.distortion), criteria=criteria)
+    # OpenCV 4 has two functions, OpenCV 5 one for both.
+    undistorted = getattr(cv2, "undistortPointsIter", None) or cv2.undistortPoints
+    flat = undistorted(pixels, spec.intrinsics, np.array(spec.distortion), None, None, criteria=criteria)
     right, down = flat[:, 0, 0], flat[:, 0, 1]
     mount = body * Rotation.from_euler("Y", spec.pitch)
     return mount.apply(np.stack((np.ones_like(right), -right, -down), axis=1)), centre
