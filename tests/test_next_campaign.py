@@ -52,13 +52,6 @@ def test_other_roads_are_proposed_where_everything_comes_out_alike(
     assert after.search.conditions == {} and after.simulators == before.simulators
 
 
-def test_conditions_that_break_the_network_are_searched() -> None:
-    found = proposal(PASS, config(min_angle=WINDING[0]), "out/my sensitivity")
-    assert found is not None and "conditions of out/my sensitivity" in found.sentence
-    words = shlex.split(found.command)
-    assert words[words.index("--sensitivity") + 1] == "out/my sensitivity" and words[-1] == "harder"
-
-
 def test_two_siblings_without_a_twin_stay_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = parse_config({"driver": "autopilot", "twin": "none", "search": SMALL}, "here")
     found = proposal(FAIL, before)

@@ -10,6 +10,7 @@ import pytest
 from made_executions import made_execution
 
 from ds_analysis.common.statistics import Array
+from ds_analysis.failures import reasons
 from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of, where
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
@@ -113,7 +114,7 @@ def test_cutting_straight_slow_and_odd_commands_are_told_apart() -> None:
     assert reason_of(made_test(RIGHT), replace(slow, outcome=Outcome.STUCK)).kind == "stops on the road: it crawls"
 
 
-def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None:
+def test_the_largest_group_comes_first_and_large_campaigns_are_sampled(monkeypatch: pytest.MonkeyPatch) -> None:
     path = straight_on(RIGHT)
     wide, drift = failed(path, steering_from(40.0, -0.4), RIGHT), straight_on(RIGHT)
     drift[:, 0] -= np.arange(len(drift)) * 0.03
@@ -125,7 +126,8 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled() -> None
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
     assert [where(group) for group in groups.values()] == ["8 on bullet", "1 on bullet"]
-    assert [reason.test_id for reason in reasons_of(data, most=3)] == [
+    monkeypatch.setattr(reasons, "MOST_FAILURES", 3)
+    assert [reason.test_id for reason in reasons_of(data)] == [
         "bullet-0-0000",
         "bullet-0-0003",
         "bullet-0-0006",

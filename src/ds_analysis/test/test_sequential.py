@@ -18,11 +18,11 @@ def test_bets_multiply_as_their_definition_says() -> None:
     capital = [1.0]
     for n in (1, 2, 3):
         capital.append(sum((1 + c) ** n + (1 - c) ** n for c in stakes) / 6)
-    assert sequential_evidence((1, 1, 1), 0.05)[0] == pytest.approx(1 / max(capital))
-    assert sequential_evidence((), 0.05) == (1.0, (-1.0, 1.0))
-    p, (low, high) = sequential_evidence((-1,) * 12, 0.05)
+    assert sequential_evidence((1, 1, 1))[0] == pytest.approx(1 / max(capital))
+    assert sequential_evidence(()) == (1.0, (-1.0, 1.0))
+    p, (low, high) = sequential_evidence((-1,) * 12)
     assert p < 0.05 and low == -1.0 and high < 0.0
-    assert sequential_evidence((1,) * 9 + (0,) * 100, 0.05)[0] < 0.05  # what was sure stays sure
+    assert sequential_evidence((1,) * 9 + (0,) * 100)[0] < 0.05  # what was sure stays sure
 
 
 @pytest.mark.parametrize(("newly", "fixed"), [(0.0, 0.0), (0.1, 0.1), (0.3, 0.3), (0.3, 0.0), (0.05, 0.2)])
@@ -32,7 +32,7 @@ def test_the_truth_is_hardly_ever_missed_by_who_stops_when_it_suits(newly: float
     draws = rng.choice([1, -1, 0], size=(400, 60), p=[newly, fixed, 1 - newly - fixed])
     missed = false = 0
     for series in draws:
-        looks = [sequential_evidence(tuple(map(int, series[:n])), 0.05) for n in range(5, 61, 5)]
+        looks = [sequential_evidence(tuple(map(int, series[:n]))) for n in range(5, 61, 5)]
         missed += any(not low - 0.005 <= newly - fixed <= high + 0.005 for _, (low, high) in looks)
         false += newly == fixed and any(p < 0.05 for p, _ in looks)
     assert missed <= 400 * 0.08 and false <= 400 * 0.08

@@ -11,6 +11,7 @@ import base64
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 
@@ -242,13 +243,10 @@ def _camera_picture(
     name: SimulatorName, scenario: Scenario, trusted: Collection[str], driver: DriverName
 ) -> CameraPicture:
     try:
-        simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
-        try:
-            reached = _drive_to(simulator, scenario, CAMERA_PLACE)
+        with closing(make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))) as simulator:
+            reached = _drive_to(simulator, scenario)
             physics = simulator.spec.physics
             image = _paired(reached.image, driver, name)
-        finally:
-            simulator.close()
     except Exception as error:  # a missing or broken simulator must not prevent the report
         return CameraPicture(simulator=name, note=f"no picture: {' '.join(str(error).split())}")
     note = (
@@ -260,12 +258,12 @@ def _camera_picture(
     return CameraPicture(simulator=name, physics=physics, picture=data_address(image), note=note)
 
 
-def _drive_to(simulator: Simulator, scenario: Scenario, place: float) -> Observation:
-    """Drive to a place of the lane, m; return the first observation there, or the last one before it."""
+def _drive_to(simulator: Simulator, scenario: Scenario) -> Observation:
+    """Drive to `CAMERA_PLACE`; return the first observation there, or the last one before it."""
     latest = simulator.load(scenario.road, seed=scenario.seed, conditions=scenario.conditions)
     autopilot = Autopilot(simulator.spec.autopilot)
     for _ in range(_CAMERA_STEPS):
-        if latest.lane.arc_length >= place or latest.outcome is not Outcome.RUNNING:
+        if latest.lane.arc_length >= CAMERA_PLACE or latest.outcome is not Outcome.RUNNING:
             break
         latest = simulator.step(autopilot.command(latest.lane.preview_lateral_position, latest.vehicle.speed))
     return latest
@@ -303,16 +301,12 @@ def drive_pictures(
             simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
         except Exception as error:  # a missing or broken simulator must not prevent the report
             return dict.fromkeys(drives, _no_pictures(error))
-        try:
+        with closing(simulator):
+            shown = [test for test in tests if test.test_id in drives]
             return {
-                test.test_id: render_drive(
-                    simulator, name, test, drives[test.test_id], frames[test.test_id, name], driver
-                )
-                for test in tests
-                if test.test_id in drives
+                one.test_id: render_drive(simulator, name, one, drives[one.test_id], frames[one.test_id, name], driver)
+                for one in shown
             }
-        finally:
-            simulator.close()
 
     with ThreadPoolExecutor(1 if one_by_one else _THREADS) as pool:
         # A thread for each simulator: some renderers belong to one thread at a time.

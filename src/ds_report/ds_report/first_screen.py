@@ -136,7 +136,7 @@ def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
     if not data.failed or (missing and not config.elites_only):
         return "The campaign is not finished: go on with it.", shlex.join(("ds", "campaign", "resume", folder))
     if proposed := proposal({name: count for name, count in data.failures.items() if count.tests}, config):
-        return proposed.sentence, proposed.command
+        return proposed
     if config.twin is None:
         return "Drive on your car the tests that tell most about it.", shlex.join(("ds", "real", "propose", folder))
     return (

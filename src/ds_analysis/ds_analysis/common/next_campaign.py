@@ -3,8 +3,7 @@
 
 Neither says where the limits of a network are. Rules, fixed before they were applied to any campaign:
 
-1. Everything passes: more winding roads, under the conditions that a sensitivity analysis found if there is one; on
-   winding roads already, find those conditions first.
+1. Everything passes: more winding roads; on winding roads already, find the conditions that break the network.
 2. Everything fails: the same roads without conditions if there are any; else gentler roads; on gentle roads already,
    look at one drive.
 """
@@ -13,7 +12,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.template import SIZES
@@ -26,28 +25,17 @@ NO_TWIN = "none"
 """In the place of the twin, for `ds test --sims`."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Proposal:
-    """What to do next.
-
-    Attributes:
-        sentence: for a reader, ends with a full stop.
-        command: for a shell, does it when pasted.
-    """
+class Proposal(NamedTuple):
+    """What to do next: a sentence, and a command for a shell."""
 
     sentence: str
     command: str
 
 
-def proposal(
-    tally: Mapping[str, tuple[int, int]],
-    config: CampaignConfig,
-    sensitivity: str = "",
-) -> Proposal | None:
+def proposal(tally: Mapping[str, tuple[int, int]], config: CampaignConfig) -> Proposal | None:
     """Propose harder or gentler tests; None if nothing was driven, or some tests pass and some fail.
 
-    `tally` has failures and tests of a finished campaign for each simulator; `sensitivity` is the folder of `ds
-    sensitivity --out` for this network, or "".
+    `tally` has failures and tests of a finished campaign for each simulator.
     """
     failures, tests = (sum(column) for column in zip(*tally.values(), strict=True)) if tally else (0, 0)
     where = ", ".join(name for name, (_, of) in tally.items() if of)
@@ -56,15 +44,11 @@ def proposal(
         return None
     if not failures:
         passed = f"All {tests} drives on {where} pass, so they show no limit of {config.driver}"
-        if search.min_angle < WINDING[0] or sensitivity:
-            under = f", under the conditions of {sensitivity} that break it" if sensitivity else ""
-            return Proposal(
-                sentence=f"{passed}: test more winding roads{under}.",
-                command=_campaign("harder", config, WINDING, sensitivity),
-            )
+        if search.min_angle < WINDING[0]:
+            return Proposal(f"{passed}: test more winding roads.", _campaign("harder", config, WINDING))
         return Proposal(
-            sentence=f"{passed}, even on winding roads: find the conditions that break it.",
-            command=f"ds sensitivity --driver {shlex.quote(str(config.driver))} "
+            f"{passed}, even on winding roads: find the conditions that break it.",
+            f"ds sensitivity --driver {shlex.quote(str(config.driver))} "
             f"--sims {shlex.quote(','.join(config.simulators))} --out sensitivity",
         )
     failed = (
@@ -73,30 +57,22 @@ def proposal(
     )
     if search.conditions or not config.conditions.is_default:
         angles = (search.min_angle, search.max_angle)
-        return Proposal(sentence=f"{failed}, leave out the conditions.", command=_campaign("gentler", config, angles))
+        return Proposal(f"{failed}, leave out the conditions.", _campaign("gentler", config, angles))
     if search.max_angle > GENTLE[1]:
-        return Proposal(sentence=f"{failed}, test gentler roads.", command=_campaign("gentler", config, GENTLE))
+        return Proposal(f"{failed}, test gentler roads.", _campaign("gentler", config, GENTLE))
     return Proposal(
-        sentence=f"{failed}, look at one drive, its camera and its commands: even gentle roads are too hard.",
-        command=f"ds drive --sim {shlex.quote(config.siblings[0])} --driver {shlex.quote(str(config.driver))} "
+        f"{failed}, look at one drive, its camera and its commands: even gentle roads are too hard.",
+        f"ds drive --sim {shlex.quote(config.siblings[0])} --driver {shlex.quote(str(config.driver))} "
         f"--seed 1 --max-angle {GENTLE[0]}",
     )
 
 
-def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int], sensitivity: str = "") -> str:
+def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int]) -> str:
     """The command that runs a campaign like the given one, but for its roads and conditions."""
     own = (config.search.population, config.search.iterations, config.search.runs)
     size = next((n for n, s in SIZES.items() if (s.population, s.iterations, s.runs) == own), "small")
-    under = f"--sensitivity {shlex.quote(sensitivity)} " if sensitivity else ""
-    return " ".join(
-        [
-            f"ds test {shlex.quote(str(config.driver))} --sims {_simulators(config)}",
-            f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]}",
-            f"{under}--out {name}",
-        ]
-    )
-
-
-def _simulators(config: CampaignConfig) -> str:
     names = [*config.siblings, config.twin or NO_TWIN] if len(config.siblings) > 1 else config.simulators
-    return shlex.quote(",".join(names))
+    return (
+        f"ds test {shlex.quote(str(config.driver))} --sims {shlex.quote(','.join(names))} "
+        f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]} --out {name}"
+    )

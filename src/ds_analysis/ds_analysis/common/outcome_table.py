@@ -149,6 +149,11 @@ class OutcomeTable:
         """(tests,) whether a test has a verdict on every sibling."""
         return np.all([self.known(name) for name in self.siblings], axis=0)
 
+    @property
+    def on_a_sibling(self) -> Bools:
+        """(tests,) whether a test has a verdict on some sibling."""
+        return np.any([self.known(name) for name in self.siblings], axis=0)
+
     def select(self, rows: Bools | Indices) -> Self:
         """Keep some tests, with the features and families that they have among all."""
         kept = np.arange(len(self))[rows]

@@ -203,7 +203,7 @@ def p_of_difference(changes: Array, families: Indices) -> float:
     return float(p_of_leads(np.stack((changes, -changes)), families).min())
 
 
-def most_frequent(labels: Sequence[Label], families: Indices, alpha: float = ALPHA) -> Label | None:
+def most_frequent(labels: Sequence[Label], families: Indices) -> Label | None:
     """The most frequent label, if it is clearly more frequent than the second one, by rule 3; else None.
 
     The first against the second, two-sided, is a valid test of the first against all (Gutmann and Maymin, Annals of
@@ -213,4 +213,4 @@ def most_frequent(labels: Sequence[Label], families: Indices, alpha: float = ALP
     if len(ranked) < 2:
         return ranked[0] if ranked else None
     first, second = (np.array([label == one for label in labels], np.float64) for one in ranked)
-    return ranked[0] if p_of_difference(first - second, families) <= alpha else None
+    return ranked[0] if p_of_difference(first - second, families) <= ALPHA else None

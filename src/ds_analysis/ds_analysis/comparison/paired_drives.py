@@ -210,7 +210,7 @@ class PairedCounts:
         if not self.tests:
             return None
         if self.changes is not None:
-            return sequential_evidence(self.changes, ALPHA)[1]
+            return sequential_evidence(self.changes)[1]
         return difference_interval(self.newly_fail, self.fixed, self.both_fail, self.both_pass)
 
     @property
@@ -219,7 +219,7 @@ class PairedCounts:
         from scipy.stats import binom
 
         if self.changes is not None:
-            return sequential_evidence(self.changes, ALPHA)[0]
+            return sequential_evidence(self.changes)[0]
         if self.p_of_families is not None:
             return self.p_of_families
         fewer, changes = min(self.newly_fail, self.fixed), self.newly_fail + self.fixed

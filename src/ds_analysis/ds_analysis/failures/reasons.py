@@ -58,15 +58,15 @@ Groups = Mapping[str, Sequence[Reason]]
 """Kind -> failures of this kind in the campaign's order, the largest group first."""
 
 
-def reasons_of(data: CampaignData, most: int = MOST_FAILURES) -> list[Reason]:
-    """Give the reason of every failure of a campaign, each scenario once; of evenly spread ones if more than `most`.
+def reasons_of(data: CampaignData) -> list[Reason]:
+    """Give the reason of every failure of a campaign, each scenario once; of evenly spread ones of too many.
 
     Failures without frames, of a campaign restored from a table, are left out.
     """
     data = data.distinct
     tests = {test.test_id: test for test in data.tests}
     failed = [e for e in data.executions if e.outcome.is_failure and e.test_id in tests]
-    chosen = failed[:: -(-len(failed) // most)] if failed else []
+    chosen = failed[:: -(-len(failed) // MOST_FAILURES)] if failed else []
     return [reason_of(tests[e.test_id], e) for e in chosen if len(e.trajectory) > 1]
 
 

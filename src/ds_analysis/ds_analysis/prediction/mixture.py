@@ -128,7 +128,7 @@ class Prediction:
 
 def too_few(table: OutcomeTable) -> str:
     """Why a table has too few tests for a prediction; empty if it has enough."""
-    tests = int(np.any([table.known(name) for name in table.siblings], axis=0).sum())
+    tests = int(table.on_a_sibling.sum())
     if tests >= FEWEST_TESTS:
         return ""
     return f"{tests} tests have a verdict on a sibling, expected at least {FEWEST_TESTS}: drive more tests"
@@ -143,17 +143,17 @@ def predict(table: OutcomeTable) -> Prediction:
     columns = [table.column(name) for name in table.siblings]
     driven = np.column_stack([table.known(name) for name in table.siblings])
     failed = np.column_stack([table.failed(name) for name in table.siblings])
-    tests = driven.any(axis=1)
     if reason := too_few(table):
         raise OutcomeTableError(reason)
     for name in table.siblings:
         if not table.known(name).any():
             raise OutcomeTableError(f"no test has a verdict on {name}: drive tests there, or leave it out")
-    scale = table.features[tests].std(axis=0)
+    features = table.features[table.on_a_sibling]
+    scale = features.std(axis=0)
     used = scale > 1e-12
     limits = table.limits[:, columns]
     outcomes = SiblingOutcomes(
-        features=(table.features[:, used] - table.features[tests][:, used].mean(axis=0)) / scale[used],
+        features=(table.features[:, used] - features[:, used].mean(axis=0)) / scale[used],
         failed=failed,
         known=driven,
         margins=np.log(np.maximum(table.lateral[:, columns], 1e-3 * limits) / limits),

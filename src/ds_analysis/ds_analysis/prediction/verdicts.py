@@ -123,7 +123,7 @@ def judge(table: OutcomeTable, prediction: Prediction, *, tolerated: float = TOL
         tolerated: failure rate up to which a cell counts as safe.
     """
     driven = {drive.row for drive in prediction.drives}
-    judged = np.any([table.known(name) for name in table.siblings], axis=0)
+    judged = table.on_a_sibling
     judged[list(driven)] = True
     used = np.flatnonzero(judged)
     tests = [
