@@ -27,7 +27,8 @@ from ds_bags.info import describe, in_words
 from ds_bags.layout import BagError
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
-from ds_base.bounded_yaml import BoundedYamlError, read_yaml
+from ds_base.bounded_file import FileError
+from ds_base.bounded_yaml import read_yaml
 from ds_driver.data.recordings import Reading, open_recording
 from ds_road import Road
 from ds_sim.registry import DONKEY, UntrustedSimulatorError, make_simulator
@@ -225,7 +226,7 @@ KINDS = [
         as_text(lambda n: _YAML + "".join(f"k{k}: [{k}]\n" for k in range(n)), "file.yaml"),
         damaged_file,
         read_yaml,
-        (BoundedYamlError, OSError),
+        (FileError, OSError),
         200,
         small=0,
     ),

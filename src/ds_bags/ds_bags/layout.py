@@ -14,7 +14,8 @@ from functools import lru_cache
 from pathlib import Path, PurePath
 from typing import Any, Literal, get_args
 
-from ds_base.bounded_yaml import BoundedYamlError, YamlLimits, load_yaml, read_bounded
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_yaml import YamlLimits, load_yaml
 from ds_base.errors import InputError
 from ds_base.folder_files import make_parents, place_folder
 
@@ -164,7 +165,7 @@ def parse_metadata(text: str) -> Any:
     A storage that is not named, as by `ros2 bag reindex` of Humble, is the one of the files' names.
 
     Raises:
-        BoundedYamlError: it is not YAML, or beyond `MAX_METADATA`.
+        FileError: it is not YAML, or beyond `MAX_METADATA`.
     """
     metadata = load_yaml(text, limits=MAX_METADATA)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
@@ -184,10 +185,10 @@ def bag_information(folder: Path) -> dict[str, Any]:
     """
     path = regular_file(folder / "metadata.yaml")
     try:
-        information = parse_metadata(read_bounded(path, MAX_METADATA.size).decode())
+        information = parse_metadata(read_regular(path, MAX_METADATA.size).decode())
     except UnicodeDecodeError:
         raise BagError(f"{path} cannot be read (not UTF-8 text): copy the bag again") from None
-    except BoundedYamlError as error:
+    except FileError as error:
         raise BagError(f"{path} cannot be read ({printable(error)}): copy the bag again") from None
     try:
         information = information["rosbag2_bagfile_information"]

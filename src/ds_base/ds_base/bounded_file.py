@@ -27,10 +27,6 @@ class FileError(InputError):
 def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
     """Open a regular file for reading; never waits, as a FIFO would make it.
 
-    Args:
-        path: the file.
-        follow_links: whether the path itself may be a link.
-
     Raises:
         FileError: another kind of file.
         OSError: it cannot be opened.
@@ -63,14 +59,14 @@ def read_regular(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool 
     return content
 
 
-def read_words(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = True) -> str:
+def read_words(path: Path, largest: int = LARGEST_FILE) -> str:
     """Read a regular file of UTF-8 text; arguments and errors as in `read_regular`.
 
     Raises:
         FileError: it is no such text.
     """
     try:
-        return read_regular(path, largest, follow_links=follow_links).decode()
+        return read_regular(path, largest).decode()
     except UnicodeDecodeError as error:
         raise FileError(f"not UTF-8 text (byte {error.start})") from None
 

@@ -30,13 +30,13 @@ def load_json(text: str | bytes) -> Any:
         raise FileError(f"not JSON ({' '.join(str(error).split())[:150]})") from None
 
 
-def read_json(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = True) -> Any:
+def read_json(path: Path, largest: int = LARGEST_FILE) -> Any:
     """Read a file; arguments as in `read_regular`, errors as in `load_json`, too.
 
     Raises:
         OSError: it cannot be opened.
     """
-    return load_json(read_regular(path, largest, follow_links=follow_links))
+    return load_json(read_regular(path, largest))
 
 
 def _integer(digits: str) -> int | float:

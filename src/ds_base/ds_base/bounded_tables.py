@@ -46,6 +46,15 @@ def too_large(what: str) -> FileError:
     return FileError(f"more than {what}, the limit for a table: take a part of it")
 
 
+@contextmanager
+def _table_memory() -> Iterator[None]:
+    try:
+        with limited_memory(TABLE_MEMORY):
+            yield
+    except MemoryError:
+        raise too_large(f"{TABLE_MEMORY // 2**30} GiB of memory") from None
+
+
 class _Counted(io.RawIOBase):
     """Text of a table, counted while it is read; a reader takes memory for lines and values, not for bytes alone."""
 
@@ -98,14 +107,12 @@ def read_csv(path: Path) -> pd.DataFrame:
             header = file.readline(_LONGEST_HEADER).decode()
         separator = next((one for one in ";\t" if "," not in header and one in header), ",")
         _check_names(next(csv.reader([header], delimiter=separator), []))
-        with _text_of(path) as file, limited_memory(TABLE_MEMORY), warnings.catch_warnings():
+        with _text_of(path) as file, _table_memory(), warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # rows that are longer than the header
             text = io.BufferedReader(_Counted(file, separator), 2**18)
             frame = pd.read_csv(text, sep=separator, index_col=False, skip_blank_lines=False)
     except FileError:
         raise
-    except MemoryError:
-        raise too_large(f"{TABLE_MEMORY // 2**30} GiB of memory") from None
     except (EOFError, OSError, ValueError, Warning, csv.Error, zlib.error, lzma.LZMAError) as error:
         if isinstance(error, OSError) and error.errno is not None:
             raise
@@ -140,7 +147,7 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     import pyarrow.parquet as pq
 
     try:
-        with open_regular(path) as file, limited_memory(TABLE_MEMORY):
+        with open_regular(path) as file, _table_memory():
             parquet = pq.ParquetFile(file)
             schema, about = parquet.schema_arrow, parquet.metadata
             names = schema.names if columns is None else list(columns)
@@ -171,8 +178,6 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
             return table
     except (FileError, FileNotFoundError, PermissionError):
         raise
-    except MemoryError:
-        raise too_large(f"{TABLE_MEMORY // 2**30} GiB of memory") from None
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, OverflowError) as error:
         raise FileError(f"not Parquet ({_line(error)}): expected a table") from None
 

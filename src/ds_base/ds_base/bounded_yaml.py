@@ -60,27 +60,14 @@ class BoundedYamlError(FileError):
         super().__init__(" ".join(f"{place}{message}".split()))
 
 
-def read_yaml(path: Path, *, limits: YamlLimits = DEFAULT_LIMITS, unique_keys: bool = False) -> Any:
-    """Read a YAML file; arguments and errors as in `load_yaml`.
+def read_yaml(path: Path) -> Any:
+    """Read a YAML file in which no key comes twice.
 
     Raises:
-        BoundedYamlError: not a regular file, beyond the limits, or not YAML.
+        FileError: not a regular file, beyond the limits, or not YAML.
         OSError: it cannot be opened.
     """
-    return load_yaml(read_bounded(path, limits.size), limits=limits, unique_keys=unique_keys)
-
-
-def read_bounded(path: Path, size: int) -> bytes:
-    """Read a regular file of at most so many bytes; a FIFO, a device or a folder is refused before it is opened.
-
-    Raises:
-        BoundedYamlError: another kind of file, or a longer one.
-        OSError: it cannot be opened.
-    """
-    try:
-        return read_regular(path, size)
-    except FileError as error:
-        raise BoundedYamlError(str(error)) from None
+    return load_yaml(read_regular(path, DEFAULT_LIMITS.size), unique_keys=True)
 
 
 def load_yaml(text: str | bytes, *, limits: YamlLimits = DEFAULT_LIMITS, unique_keys: bool = False) -> Any:

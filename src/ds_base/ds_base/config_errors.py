@@ -10,7 +10,8 @@ from typing import Any, get_args
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from ds_base.bounded_yaml import BoundedYamlError, read_yaml
+from ds_base.bounded_file import FileError
+from ds_base.bounded_yaml import read_yaml
 
 _EXPECTED: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "int_type": lambda _: "a whole number",
@@ -41,10 +42,10 @@ _LONGEST = 60
 def read_keys(path: Path, refusal: type[ValueError]) -> Any:
     """Read the value of a YAML file; raise `refusal`, with one line, if it cannot be read."""
     try:
-        return read_yaml(path, unique_keys=True)
+        return read_yaml(path)
     except OSError as error:
         raise refusal(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
+    except FileError as error:
         raise refusal(f"{path}: not YAML: {error}") from None
 
 

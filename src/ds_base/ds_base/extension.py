@@ -37,18 +37,13 @@ def installed(group: Group) -> Mapping[str, EntryPoint]:
     return {entry.name: entry for entry in entry_points(group=f"digital_siblings.{group}")}
 
 
-def plugin_of(part: str, group: Group) -> str:
-    """Folder of this checkout, such as `plugins/ds_sim_mine`, whose package adds a part; "" without one.
-
-    Args:
-        part: name of the part.
-        group: kind of part.
-    """
+def plugin_of(simulator: str) -> str:
+    """Folder of this checkout, such as `plugins/ds_sim_mine`, whose package adds a simulator; "" without one."""
     import tomllib
 
     for file in sorted(Path(__file__).resolve().parents[3].glob("plugins/*/pyproject.toml")):
         groups = tomllib.loads(read_words(file))["project"].get("entry-points", {})
-        if part in groups.get(f"digital_siblings.{group}", ()):
+        if simulator in groups.get("digital_siblings.simulators", ()):
             return f"plugins/{file.parent.name}"
     return ""
 

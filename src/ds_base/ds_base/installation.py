@@ -7,6 +7,7 @@ import os
 import platform
 import re
 import shlex
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -17,11 +18,7 @@ WHEEL = "digital-siblings"
 
 
 def share_folders(package: str) -> list[Path]:
-    """Folders in which the shared files of a ROS package may be, such as its messages, the first ones first.
-
-    Args:
-        package: name of a package without Python modules, such as `ds_interfaces`.
-    """
+    """Folders in which the shared files of a ROS package may be, such as its messages, the first ones first."""
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     shares = [prefix / "share" / package for prefix in [*prefixes, Path(__file__).parent]]
     return [*shares, Path(__file__).parents[2] / package]  # a checkout whose workspace is not built yet
@@ -45,11 +42,7 @@ def wheel_version() -> str | None:
 
 
 def ds_command(*words: object) -> str:
-    """A command that can be typed where `ds` was started, with names of files quoted.
-
-    Args:
-        words: verbs, options and arguments.
-    """
+    """A command that can be typed where `ds` was started, with names of files quoted."""
     return shlex.join([os.environ.get("DS_COMMAND", "ds"), *map(str, words)])
 
 
@@ -86,11 +79,7 @@ EXTRAS = {
 
 
 def missing_module(name: str) -> str:
-    """Say in one line that a module is not installed, and what to type.
-
-    Args:
-        name: of the module, such as `ModuleNotFoundError` has it.
-    """
+    """Say in one line that a module, by the name in `ModuleNotFoundError`, is not installed, and what to type."""
     library = name.partition(".")[0]
     if library not in EXTRAS:
         return f"the Python package {library} is missing: ds doctor says how to install what is missing"
@@ -120,13 +109,9 @@ _DISTRIBUTIONS = (
 )  # fmt: skip
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python and of the libraries that results depend on, by name, and the machine type."""
-    return dict(_versions())
-
-
 @lru_cache(maxsize=1)  # each look-up parses a distribution's metadata
-def _versions() -> dict[str, str]:
+def versions() -> Mapping[str, str]:
+    """Versions of Python and of the libraries that results depend on, by name, and the machine type."""
     versions_by_name = {"python": platform.python_version(), "machine": platform.machine()}
     for name in _DISTRIBUTIONS:
         try:

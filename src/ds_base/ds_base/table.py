@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +24,6 @@ Value = str | Number | Annotated[int, Field(ge=-(2**53), le=2**53)] | tuple[Numb
 """None is a missing number, a pair an interval."""
 Style = Literal["text", "count", "number", "small", "p"]
 """number: three digits after the point; small: five."""
-_LARGEST_FILE = 16 * 2**20
 WIDTH = 130
 """Characters of a table that is not shown on a terminal; chosen: the widest one fits."""
 _SMALLEST_P = 1e-300
@@ -207,7 +206,7 @@ def read_tables(path: Path) -> list[Table]:
         TableError: the file does not hold tables.
     """
     try:
-        tables = _KEPT.validate_json(read_regular(path, _LARGEST_FILE, follow_links=False))
+        tables = _KEPT.validate_json(read_regular(path, follow_links=False))
         if any(len(row) != len(table.columns) for table in tables for row in table.rows):
             raise ValueError("a row has another length than the columns")
     except FileNotFoundError:
@@ -216,8 +215,3 @@ def read_tables(path: Path) -> list[Table]:
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
         raise TableError(f"{path} cannot be read ({reason}): remove it, or give `ds evaluate` --data again") from None
     return tables
-
-
-def document_of(tables: Sequence[Table]) -> Mapping[str, Any]:
-    """Convert tables to JSON values, by name."""
-    return {table.name: table.document() for table in tables}

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -94,9 +94,8 @@ def is_detail(table: Table) -> bool:
 
 def tables_result(tables: list[Table], out: Path | None, following: str, *, everything: bool) -> Result:
     """Write tables to a folder, and print the main ones, or everything; `following` is what a user types next."""
-    from ds_base.table import document_of, write_tables
+    from ds_base.table import write_tables
 
-    document: dict[str, Any] = dict(document_of(tables))
     if out is not None:
         write_tables(tables, out)
 
@@ -111,7 +110,7 @@ def tables_result(tables: list[Table], out: Path | None, following: str, *, ever
         if out is not None:
             print(f"{out}: every table as CSV and LaTeX")
 
-    return Result(document=document, show=show, next=following)
+    return Result(document={one.name: one.document() for one in tables}, show=show, next=following)
 
 
 @app.command("evaluate")

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.progress import counted
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
@@ -177,8 +177,8 @@ def _find_boards(paths: Sequence[Path], corners: tuple[int, int]) -> tuple[list[
     shape = (0, 0)
     for path in counted(paths, "photographs of the board"):
         try:
-            image = rgb_of_file(read_bounded(path, MAX_FILE))
-        except (OSError, BoundedYamlError, ImageError) as error:
+            image = rgb_of_file(read_regular(path, MAX_FILE))
+        except (OSError, FileError, ImageError) as error:
             raise RecordingError(
                 f"{path}: {getattr(error, 'strerror', None) or error}: give JPEG or PNG files"
             ) from None

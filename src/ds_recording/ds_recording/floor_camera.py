@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_whole
-from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_yaml import DEFAULT_LIMITS, load_yaml
 from ds_recording.errors import RecordingError
 from ds_recording.lens import MODELS, Lens, Rays
 from ds_road.road import abbreviated
@@ -163,9 +164,9 @@ def read_camera(path: Path) -> FloorCamera:
         RecordingError: it cannot be read, or a value is missing or out of range; one line.
     """
     try:
-        text = read_bounded(path, DEFAULT_LIMITS.size).replace(b"!!opencv-matrix", b"")
+        text = read_regular(path, DEFAULT_LIMITS.size).replace(b"!!opencv-matrix", b"")
         content = load_yaml(text.replace(b"%YAML:1.0", b"", 1), unique_keys=True)
-    except (OSError, BoundedYamlError) as error:
+    except (OSError, FileError) as error:
         raise RecordingError(
             f"{path}: {getattr(error, 'strerror', None) or error}: give a camera's YAML file"
         ) from None

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_json, write_whole
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import read_json
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_base.folder_files import enter_folder
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
@@ -78,7 +78,7 @@ def read_located(folder: Path) -> Located:
     """
     try:
         about = read_json(folder / ABOUT, MAX_FILE)
-        header, *rows = read_bounded(folder / LOCATED, MAX_FILE).decode().splitlines()
+        header, *rows = read_regular(folder / LOCATED, MAX_FILE).decode().splitlines()
         if tuple(header.split(",")) != COLUMNS:
             raise ValueError(f"{LOCATED} has the columns {header[:80]}, expected {','.join(COLUMNS)}")
         table = np.array([[float(v) if v else np.nan for v in row.split(",")] for row in rows])
@@ -89,7 +89,7 @@ def read_located(folder: Path) -> Located:
         width = about.get("lane_width_m")
         if isinstance(width, bool) or not isinstance(width, int | float) or not 0.0 < width < 1e3:
             raise ValueError(f"lane_width_m in {ABOUT} is {abbreviated(width)}, expected metres")
-    except (OSError, ValueError, BoundedYamlError) as error:
+    except (OSError, ValueError, FileError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{folder}: {reason!s:.200}: give a folder that `ds recording locate` wrote") from None
     track, _ = read_track(folder / TRACK)

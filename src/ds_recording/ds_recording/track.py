@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ds_base.atomic_files import write_whole
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_recording.errors import RecordingError
 
 Array = NDArray[np.float64]
@@ -147,10 +147,10 @@ def read_track(path: Path) -> tuple[Track, Array]:
         RecordingError: it cannot be read, or is no such file.
     """
     try:
-        text = read_bounded(path, MAX_TRACK_FILE).decode()
+        text = read_regular(path, MAX_TRACK_FILE).decode()
         rows = [line.split(",") for line in text.splitlines() if line.strip() and not line.startswith("#")]
         values = np.array([[float(v) for v in row] for row in rows])
-    except (OSError, UnicodeDecodeError, BoundedYamlError, ValueError) as error:
+    except (OSError, UnicodeDecodeError, FileError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{path}: {reason!s:.200}: expected lines x_m,y_m,w_tr_right_m,w_tr_left_m") from None
     if values.ndim != 2 or values.shape[1] != 4 or len(values) < 4 or not np.isfinite(values).all():

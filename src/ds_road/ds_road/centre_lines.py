@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road.geometry import BOX
+from ds_road.geometry import BOX, arc_lengths
 from ds_road.road import MAX_POINTS, Road, RoadError, Side
 
 Points = NDArray[np.float64]
@@ -56,7 +56,7 @@ class CentreLine:
     @property
     def length(self) -> float:
         """Length, m."""
-        return float(_along(self.points)[-1])
+        return float(arc_lengths(self.points)[-1])
 
     @property
     def closed(self) -> bool:
@@ -94,17 +94,13 @@ class CentreLine:
         points, last = self.points, self.length - length + 1e-9
         if self.closed:
             points = np.vstack((self._without_return, points[:1]))
-            last = _along(points)[-1] - 1e-9
+            last = arc_lengths(points)[-1] - 1e-9
             points = np.vstack((points, points[1:]))
-        along = _along(points)
+        along = arc_lengths(points)
         return [
             replace(self, name=f"{self.name}_{start:.0f}", points=_between(points, along, start, length), made=None)
             for start in np.arange(0.0, last, every)
         ]
-
-
-def _along(points: Points) -> Points:
-    return np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
 
 
 def _between(points: Points, along: Points, start: float, length: float) -> Points:

@@ -42,9 +42,6 @@ def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path) -> list
             and `.` become `_`.
         folder: created if missing; files of the same name are replaced.
 
-    Returns:
-        Paths of the files, in the order of the roads.
-
     Raises:
         RoadError: two roads have the same name, or none was given.
 
@@ -58,7 +55,9 @@ def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path) -> list
     """
     if not roads:
         raise RoadError("no road to export: expected at least one")
-    files = [f"{_file_name(name)}.xodr" for name in names]
+    # No other character in a file's name, no hidden file.
+    plain = (re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".")[:200] for name in names)
+    files = [f"{name or 'road'}.xodr" for name in plain]
     if twice := sorted({file for file in files if files.count(file) > 1}):
         raise RoadError(f"two roads are called {twice[0]}: give them different names")
     enter_folder(folder)
@@ -155,21 +154,12 @@ def _lane(side: ElementTree.Element, number: int, width: float | None, mark: str
     )
 
 
-def _add(
-    parent: ElementTree.Element, tag: str, text: str | None = None, **attributes: str | float
-) -> ElementTree.Element:
+def _add(parent: ElementTree.Element, tag: str, **attributes: str | float) -> ElementTree.Element:
     """Append an element; numbers are written so that every bit comes back."""
     texts = {key: value if isinstance(value, str) else repr(float(value)) for key, value in attributes.items()}
-    element = ElementTree.SubElement(parent, tag, texts)
-    element.text = text
-    return element
+    return ElementTree.SubElement(parent, tag, texts)
 
 
 def _printable(name: str) -> str:
     """A name without the characters that XML 1.0 forbids."""
     return "".join(c for c in name if c.isprintable())
-
-
-def _file_name(name: str) -> str:
-    plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name).lstrip(".")[:200]
-    return plain or "road"

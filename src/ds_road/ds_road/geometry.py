@@ -148,8 +148,11 @@ def turns_count(points: NDArray[np.float64], *, maxitwo_compatible: bool = False
     change = (change + half_turn) % (2 * half_turn) - half_turn
     labels = ["s" if abs(d) <= STRAIGHT else "l" if d > 0 else "r" for d in change]
     runs = [(label, len(list(group))) for label, group in groupby(labels)]
-    runs = _absorb(runs, _joins_a_straight_or_the_same)
-    runs = _absorb(runs, lambda label, length, previous: length < SHORT_RUN)
+    # Short straights, and short turns after a turn to the same side; then all short runs.
+    runs = _absorb(
+        runs, lambda run, length, last: length < SHORT_STRAIGHT if run == "s" else length < SHORT_RUN and run == last
+    )
+    runs = _absorb(runs, lambda run, length, last: length < SHORT_RUN)
     return sum(label != "s" for label, _ in runs)
 
 
@@ -170,12 +173,6 @@ def direction_coverage(points: NDArray[np.float64]) -> float:
     angles = np.degrees(np.arccos(np.clip(steps[:, 1] / np.hypot(*steps.T), -1.0, 1.0)))
     edges = np.linspace(0.0, 360.0, DIRECTION_BINS + 1)
     return len(np.unique(np.digitize(angles, edges))) / len(edges)
-
-
-def _joins_a_straight_or_the_same(label: str, length: int, previous: str) -> bool:
-    if label == "s":
-        return length < SHORT_STRAIGHT
-    return length < SHORT_RUN and label == previous
 
 
 def _absorb(runs: list[tuple[str, int]], joins: Callable[[str, int, str], bool]) -> list[tuple[str, int]]:

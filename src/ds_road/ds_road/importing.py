@@ -7,7 +7,6 @@ its middle, without turning it.
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,20 +21,18 @@ from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import load_json
 from ds_base.bounded_xml import parse_xml
 from ds_base.left_out import LeftOut
-from ds_base.progress import LOGGER
+from ds_base.progress import logger_of
 from ds_road.centre_lines import CentreLine, in_box
 from ds_road.commonroad import WIDTH_SPREAD, constant_width, read_commonroad
 from ds_road.files import LARGEST_FILE, road_from_json, road_to_json
-from ds_road.opendrive import SPACING, read_opendrive
+from ds_road.opendrive import MOST_ROADS, SPACING, read_opendrive
 from ds_road.road import LANE_WIDTH, MAX_POINTS, Road, RoadError, Side
 from ds_road.tracks import Track, read_track
 
 SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
 
-_LINES = logging.getLogger(LOGGER)
-MOST_ROADS = 2_000
-"""Roads of a file of another tool; chosen: as many as a regression suite has tests, read within seconds."""
+LOG = logger_of(__name__)
 
 
 @dataclass(frozen=True)
@@ -106,18 +103,7 @@ def cut_roads(
 ) -> list[ImportedRoad]:
     """Read the roads of a file and cut them into sections, as for a track that is too large for the box.
 
-    Args:
-        path: file.
-        length: of a section, m.
-        every: distance between the starts of two sections, m.
-        left_out: see `import_roads`.
-        lane_width: see `import_roads`.
-        lane: see `import_roads`.
-        scale: see `import_roads`.
-
-    Raises:
-        RoadError: see `import_roads`; or no road is as long.
-        OSError: the file cannot be read.
+    A section of `length` m begins every so many metres; other arguments and errors are those of `import_roads`.
     """
     left_out = left_out or LeftOut("roads", strict=True)
     sections: list[CentreLine] = []
@@ -168,7 +154,7 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | 
         raise RoadError(str(error)) from None
     kind = root.tag.rpartition("}")[2]
     if kind == "OpenDRIVE":
-        return read_opendrive(root, left_out, most=MOST_ROADS)
+        return read_opendrive(root, left_out)
     if kind == "commonRoad":
         left_out.total += 1
         return [CentreLine.of(path.stem, read_commonroad(root))]
@@ -187,7 +173,7 @@ def _track(track: Track, name: str, lane_width: float | None, lanes: int, scale:
     widths = (left + right) / lanes
     if lane_width is None and np.ptp(widths) > WIDTH_SPREAD:  # unlike a lane's, a track's width may vary
         lane_width = float(widths.min())
-        _LINES.info(
+        LOG.info(
             "%s: lanes of %.2f to %.2f m: they are as wide as in the narrowest place", name, widths.min(), widths.max()
         )
     return CentreLine(name, middle, lane_width or constant_width(widths))

@@ -24,24 +24,21 @@ STEPS_CODE = "digital_siblings_steps_per_piece"
 LANE_CODE = "digital_siblings_lane"
 """Code of the user data in which an exported road names a lane that no rule of traffic does."""
 _MOST_STEPS = 100
+MOST_ROADS = 2_000
+"""Roads of a file of another tool; chosen: as many as a regression suite has tests, read within seconds."""
 LONGEST = 10_000.0
 """m; chosen: far longer than what fits into the box, and sampled at once."""
 JOINT = 0.01
 """Largest gap between two pieces, m: what ASAM's checker allows."""
 
 
-def read_opendrive(root: Element, left_out: LeftOut, *, most: int) -> list[CentreLine]:
+def read_opendrive(root: Element, left_out: LeftOut) -> list[CentreLine]:
     """Roads of a file that lie outside of junctions.
 
     Driven is the innermost driving lane: to the right of the reference line in right-hand traffic, or, of a road that
     has none there, the one to its left, against the line. The road's centre line is that lane's inner border, and its
-    width, which has to be constant, becomes that of both lanes. Height, other lanes, links, objects and signals are
-    ignored.
-
-    Args:
-        root: root of the document, whose namespaces are ignored.
-        left_out: takes the roads that cannot be read.
-        most: largest number of roads.
+    width, which has to be constant, becomes that of both lanes. Height, other lanes, links, objects, signals and
+    namespaces are ignored.
 
     Raises:
         RoadError: there is no road outside of junctions, or too many; one line says why.
@@ -51,8 +48,8 @@ def read_opendrive(root: Element, left_out: LeftOut, *, most: int) -> list[Centr
     elements = [element for element in root.iter("road") if element.get("junction", "-1") == "-1"]
     if not elements:
         raise RoadError("an OpenDRIVE file without roads outside of junctions: expected at least one")
-    if len(elements) > most:
-        raise RoadError(f"{len(elements)} roads, expected at most {most}: divide the file")
+    if len(elements) > MOST_ROADS:
+        raise RoadError(f"{len(elements)} roads, expected at most {MOST_ROADS}: divide the file")
     roads = []
     for element in elements:
         name = element.get("name") or element.get("id") or "road"
@@ -115,9 +112,7 @@ def _borders(lanes: Sequence[Element], along: NDArray[np.float64]) -> tuple[NDAr
     return inner, outer
 
 
-def _reference_line(
-    element: Element,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _reference_line(element: Element) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Distances s (n,), points (n, 2) and headings (n,) of samples, joints twice."""
     pieces = _entries(element, "planView/geometry")
     if not pieces:

@@ -277,7 +277,7 @@ def unknown_simulator(name: str) -> str:
     """Say in one line that there is no such simulator, which there are, and how one of this checkout is installed."""
     near = did_you_mean(name, simulators())
     names = f"unknown simulator {name!r}{near}: expected one of {', '.join(simulators())}, or module:Class"
-    folder = plugin_of(name, "simulators")
+    folder = plugin_of(name)
     return f"{names}; {folder} of this checkout has it: type make {name}" if folder else names
 
 

@@ -18,9 +18,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.bounded_file import FileError
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_xml import parse_xml
-from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
+from ds_base.bounded_yaml import DEFAULT_LIMITS, load_yaml
 from ds_road.road import abbreviated
 from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
@@ -69,7 +69,7 @@ def read_start(path: Path) -> Start:
     """
     notes: list[str] = []
     try:
-        content = read_bounded(path, DEFAULT_LIMITS.size)
+        content = read_regular(path, DEFAULT_LIMITS.size)
         if path.suffix == ".py":
             parameters = _of_myconfig(content.decode())
         elif content.lstrip()[:1] == b"<":
@@ -85,7 +85,7 @@ def read_start(path: Path) -> Start:
         return Start(DonkeyParameters().changed(**parameters), taken + notes)
     except OSError as error:
         raise ParameterFileError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except (ValueError, SyntaxError, FileError, BoundedYamlError) as error:
+    except (ValueError, SyntaxError, FileError) as error:
         raise ParameterFileError(f"{path}: {' '.join(str(error).split()):.500}") from None
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_json
+from ds_base.bounded_file import FileError
 from ds_base.bounded_json import read_json
-from ds_base.bounded_yaml import BoundedYamlError
 from ds_twin_donkey.logs import CHANNELS, Drive
 from ds_twin_donkey.windows import UNKNOWNS
 
@@ -71,7 +71,7 @@ class Kept:
                 eta=eta,
                 sigma=sigma,
             )
-        except (OSError, ValueError, KeyError, TypeError, BoundedYamlError):
+        except (OSError, ValueError, KeyError, TypeError, FileError):
             return None  # none, or one that this program has not written
 
     def keep(self, state: FitState) -> None:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from ds_base.atomic_files import write_whole
-from ds_base.bounded_yaml import DEFAULT_LIMITS, BoundedYamlError, load_yaml, read_bounded
+from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_yaml import DEFAULT_LIMITS, load_yaml
 from ds_base.errors import InputError
 from ds_twin_donkey.parameters import DonkeyParameters
 
@@ -82,11 +83,11 @@ def read_parameters(path: Path) -> tuple[DonkeyParameters, str]:
         ParameterFileError: not a regular file, larger than 1 MiB, not YAML, or not parameters of this car.
     """
     try:
-        content = read_bounded(path, DEFAULT_LIMITS.size)
+        content = read_regular(path, DEFAULT_LIMITS.size)
         raw = load_yaml(content, unique_keys=True)
     except OSError as error:
         raise ParameterFileError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
+    except FileError as error:
         raise ParameterFileError(f"{path}: not YAML ({error})") from None
     if not isinstance(raw, dict) or raw.get("format") != FORMAT or not isinstance(raw.get("parameters"), dict):
         raise ParameterFileError(f"{path}: not a file of {FORMAT!r}: write one with `ds twin fit`")

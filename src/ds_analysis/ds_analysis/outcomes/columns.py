@@ -13,7 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.common.statistics import Bools
-from ds_base.bounded_yaml import BoundedYamlError, read_yaml
+from ds_base.bounded_file import FileError
+from ds_base.bounded_yaml import read_yaml
 from ds_sim.registry import SimulatorName
 
 GUIDE = "docs/outcomes.md"
@@ -151,10 +152,10 @@ def read_columns(path: Path) -> Columns:
         OutcomeTableError: one line says which key is wrong, and what is expected.
     """
     try:
-        return Columns.model_validate(read_yaml(path, unique_keys=True))
+        return Columns.model_validate(read_yaml(path))
     except OSError as error:
         raise OutcomeTableError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
+    except FileError as error:
         raise OutcomeTableError(f"{path}: not YAML ({error})") from None
     except ValidationError as error:
         first = error.errors()[0]

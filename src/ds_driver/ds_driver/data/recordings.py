@@ -19,7 +19,7 @@ from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run
 from ds_bags.verification import COMPRESSED, IMAGE
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.folder_files import place_folder
 from ds_base.left_out import LeftOut
 from ds_base.progress import Progress, counted, logger_of
@@ -194,8 +194,8 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
     for record, file in pictures:
         image, trouble = None, ""
         try:
-            image = recording.reading.fitted(rgb_of_file(read_bounded(file, MAX_IMAGE_FILE)))
-        except (OSError, ImageError, BoundedYamlError) as error:
+            image = recording.reading.fitted(rgb_of_file(read_regular(file, MAX_IMAGE_FILE)))
+        except (OSError, ImageError, FileError) as error:
             trouble = f"{file}: {getattr(error, 'strerror', None) or error}"
         yield RecordedFrame(
             index=record.index,

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from ds_base.bounded_yaml import BoundedYamlError, read_yaml
+from ds_base.bounded_file import FileError
+from ds_base.bounded_yaml import read_yaml
 from ds_driver.control.bicycle import Geometry, pursuit_curvature
 from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop
@@ -253,10 +254,10 @@ def read_description(path: Path) -> DescribedNetwork:
         DriverError: a key is invalid; one line names it and the allowed values.
     """
     try:
-        raw = read_yaml(path, unique_keys=True)
+        raw = read_yaml(path)
     except OSError as error:
         raise DriverError(f"{path}: cannot be read ({error.strerror}): check the path") from None
-    except BoundedYamlError as error:
+    except FileError as error:
         raise DriverError(f"{path}: not YAML ({error})") from None
     try:
         return DescribedNetwork.model_validate(raw)

@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.installation import ds_command
 from ds_driver.networks.pilot import DriverError
 
@@ -40,8 +40,8 @@ def refuse_foreign(file: Path) -> None:
     if not file.is_file():
         return
     try:
-        content = read_bounded(file, LARGEST_FILE)
-    except (BoundedYamlError, OSError):
+        content = read_regular(file, LARGEST_FILE)
+    except (FileError, OSError):
         return  # whoever loads it says so
     if problem := foreign(content, file):
         raise DriverError(problem)

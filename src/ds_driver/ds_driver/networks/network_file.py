@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.words import listed
 from ds_driver.networks.backends import (
     BackendError,
@@ -58,8 +58,8 @@ def runner_of(file: Path, chosen: str, device: str = "cpu") -> Runner:
     """Load a network file with one of `backends_for` it, whatever its description says; see `DescribedNetworkPilot`."""
     kind = KINDS[file.suffix.lower()]
     try:
-        content = read_bounded(file, LARGEST_FILE)
-    except (BoundedYamlError, OSError) as error:
+        content = read_regular(file, LARGEST_FILE)
+    except (FileError, OSError) as error:
         raise DriverError(f"{file} cannot be read ({getattr(error, 'strerror', None) or error})") from None
     if problem := foreign(content, file):
         raise DriverError(problem)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.progress import counted
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
@@ -87,8 +87,8 @@ def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _decoded(file: Path) -> tuple[str, NDArray[np.uint8]]:
     try:
-        return str(file), rgb_of_file(read_bounded(file, MAX_IMAGE_FILE))
-    except (OSError, ImageError, BoundedYamlError) as error:
+        return str(file), rgb_of_file(read_regular(file, MAX_IMAGE_FILE))
+    except (OSError, ImageError, FileError) as error:
         reason = getattr(error, "strerror", None) or error
         raise Sim2RealError(f"{file}: {reason}: remove that file, or copy it again") from None
 

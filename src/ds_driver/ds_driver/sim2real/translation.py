@@ -18,10 +18,9 @@ from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_file import read_regular
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import read_json
 from ds_base.bounded_tables import read_parquet
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
@@ -174,8 +173,8 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
         target = out / "images" / image.name
         if not target.exists():
             try:
-                pixels = rgb_of_file(read_bounded(image, MAX_IMAGE_FILE))
-            except (OSError, ImageError, BoundedYamlError) as error:
+                pixels = rgb_of_file(read_regular(image, MAX_IMAGE_FILE))
+            except (OSError, ImageError, FileError) as error:
                 reason = getattr(error, "strerror", None) or error
                 raise Sim2RealError(f"{image}: {reason}: copy the tub again") from None
             write_whole(target, jpeg(translator.translate(pixels)))

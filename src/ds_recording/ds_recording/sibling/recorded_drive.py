@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from ds_bags.donkey_tub import TubError, is_tub, read_tub
 from ds_bags.layout import BagError
-from ds_base.bounded_yaml import BoundedYamlError, read_bounded
+from ds_base.bounded_file import FileError, read_regular
 from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
@@ -97,7 +97,7 @@ def read_drive(folder: Path) -> RecordedDrive:
     xy = np.stack((located.column("x_m"), located.column("y_m")), axis=1) * SCALE + shift
     digest = hashlib.sha256()
     for name in (LOCATED, TRACK, CAMERA):
-        digest.update(read_bounded(folder / name, MAX_FILE))
+        digest.update(read_regular(folder / name, MAX_FILE))
     return RecordedDrive(
         poses=np.column_stack((xy, located.column("yaw_rad"))),
         photographs=tuple(files[frame] for frame in frames),
@@ -129,10 +129,10 @@ def _photographs(folder: Path, located: Located) -> dict[int, bytes]:
     try:
         if is_tub(source):
             pictures = read_tub(source).pictures
-            return {one.index: read_bounded(file, MAX_IMAGE_FILE) for one, file in pictures if one.index in wanted}
+            return {one.index: read_regular(file, MAX_IMAGE_FILE) for one, file in pictures if one.index in wanted}
         frames = open_recording(source, Reading(whole=True, camera=topic if isinstance(topic, str) else None)).frames()
         return {one.index: png(one.image) for one in frames if one.image is not None and one.index in wanted}
-    except (OSError, BoundedYamlError, TubError, BagError) as error:
+    except (OSError, FileError, TubError, BagError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{source}: {reason}: put the recording there, or locate it again") from None
 
