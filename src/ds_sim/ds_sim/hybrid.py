@@ -96,10 +96,7 @@ class HybridSimulator(RoadSimulator):
 
 
 def hybrid_name(names: Mapping[str, str]) -> SimulatorName:
-    """Name a hybrid.
-
-    Raises:
-        HybridError: a simulator's name holds a comma.
+    """Name a hybrid; HybridError if a simulator's name holds a comma.
 
     Examples:
         >>> from ds_sim.hybrid import hybrid_name
@@ -113,12 +110,7 @@ def hybrid_name(names: Mapping[str, str]) -> SimulatorName:
 
 
 def exchangeable(name: str) -> RoadSimulator:
-    """Make a simulator whose parts can be exchanged.
-
-    Raises:
-        HybridError: it is not made of a vehicle and a scene.
-        ds_sim.registry.UnknownSimulatorError: there is no such simulator.
-    """
+    """Make a simulator whose parts can be exchanged; HybridError if it is not made of a vehicle and a scene."""
     simulator: Simulator = make_simulator(name)
     if not isinstance(simulator, RoadSimulator):
         raise HybridError(f"{name} is no RoadSimulator, so its parts cannot be exchanged: docs/add_a_simulator.md")

@@ -54,10 +54,9 @@ class LaneTracker:
         return self._project(x, y)[0]
 
     def _project(self, x: float, y: float) -> tuple[float, float, int]:
-        """Project onto the nearest segment in the window; the line is extended straight at both ends.
+        """Project onto the nearest segment in the window: lateral position and arc length, m, and the segment's index.
 
-        Returns:
-            Lateral position (m), arc length (m), index of the segment.
+        The line is extended straight at both ends.
         """
         first = max(0, self._nearest - WINDOW)
         least, best, place, side = math.inf, first, 0.0, 0.0

@@ -72,15 +72,9 @@ class Vehicle(ABC):
 def check_ranges(
     parameters: Any, limits: Mapping[str, tuple[float, float]], usual: tuple[float, float] = (0.0, math.inf)
 ) -> None:
-    """Check the numbers of a dataclass of a vehicle's parameters.
+    """Check that the numbers of a vehicle's parameters, a dataclass, are within limits by field; ValueError if not.
 
-    Args:
-        parameters: the dataclass.
-        limits: smallest and largest value by name of the field.
-        usual: the same for all other fields.
-
-    Raises:
-        ValueError: a value is not finite or out of range.
+    All other fields have the usual limits.
     """
     for field in fields(parameters):
         value, (low, high) = getattr(parameters, field.name), limits.get(field.name, usual)

@@ -201,10 +201,9 @@ class UntrustedSimulatorError(InputError):
 def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> SimulatorName:
     """Check a simulator name that was read from a received file, before anything is imported.
 
-    A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML,
-    of bounded size, in which nothing can run. Any other name imports a Python module, which runs its code, so a file
-    alone never decides it: the user repeats exactly that name in an option. The same holds for `ros@FILE`, which
-    commands whatever listens to its topics.
+    A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML, of
+    bounded size, in which nothing can run. Any other name imports Python code, and `ros@FILE` commands whatever listens
+    to its topics: the user repeats exactly that name in an option.
 
     Args:
         name: as the file has it.
@@ -247,14 +246,7 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
 
 
 def simulator_class(base: str) -> type[Simulator]:
-    """Import the class of a simulator.
-
-    Args:
-        base: one of `simulators`, or `module:Class`.
-
-    Raises:
-        UnknownSimulatorError: no simulator has this name, or its class cannot be imported.
-    """
+    """Import the class of one of `simulators`, or of `module:Class`; UnknownSimulatorError where that is impossible."""
     from ds_sim.simulator import Simulator
 
     plugin = installed("simulators").get(base)
@@ -282,11 +274,7 @@ def unknown_simulator(name: str) -> str:
 
 
 def with_libraries(names: Sequence[SimulatorName]) -> tuple[list[SimulatorName], list[str]]:
-    """Sort registered simulators by whether the libraries that they need are installed.
-
-    Returns:
-        Names of those whose libraries are, and for each of the others one line with what to type.
-    """
+    """Sort simulators: those whose libraries are installed, and for each other one a line with what to type."""
     missing = {name: simulator_class(name).missing() for name in names}
     return (
         [name for name in names if not missing[name]],

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import closing
 
 from ds_base.errors import RunError
 from ds_sim.conditions.model import NotApplicableError
@@ -41,8 +42,7 @@ def resimulate(simulator_name: SimulatorName, run: RunRecord) -> Iterator[Observ
     Raises:
         ResimulationError: a frame differs from the recording; names the step and the size of the difference.
     """
-    simulator = make_simulator(simulator_name)
-    try:
+    with closing(make_simulator(simulator_name)) as simulator:
         for step, recorded in enumerate(run.observations):
             try:
                 observation = (
@@ -55,8 +55,6 @@ def resimulate(simulator_name: SimulatorName, run: RunRecord) -> Iterator[Observ
             if difference := difference_between(observation, recorded):
                 raise ResimulationError(simulator_name, step, difference)
             yield observation
-    finally:
-        simulator.close()
 
 
 def difference_between(observation: Observation, recorded: Observation) -> str:

@@ -14,6 +14,7 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable, Collection, Mapping
+from contextlib import closing
 from functools import cache, partial
 from pathlib import Path
 
@@ -90,11 +91,7 @@ def missing_because(name: str) -> str:
 
 
 def run_check(name: str, make: Factory | str) -> None:
-    """Run one of `CHECKS` on a simulator.
-
-    Args:
-        name: key of `CHECKS`.
-        make: see `check_simulator`.
+    """Run one of `CHECKS`, by its key, on a simulator as `check_simulator` takes it.
 
     Raises:
         SimulatorCheckError: the check failed, or the simulator raised an error.
@@ -146,6 +143,14 @@ def _expect(holds: bool, message: str) -> None:
         raise SimulatorCheckError(message)
 
 
+def _expect_error(kind: type[Exception], act: Callable[[], object], otherwise: str) -> None:
+    try:
+        act()
+    except kind:
+        return
+    raise SimulatorCheckError(otherwise)
+
+
 def _near(value: float, expected: float, tolerance: float) -> bool:
     return abs(value - expected) <= tolerance
 
@@ -164,25 +169,16 @@ def _winding_digest(simulator: Simulator, steps: int = 100) -> str:
 
 def _digest_of(make: Factory) -> str:
     """What another process computes."""
-    simulator = make()
-    try:
+    with closing(make()) as simulator:
         return _winding_digest(simulator)
-    finally:
-        simulator.close()
 
 
-Check = Callable[[Simulator], None]
-
-
-def _on_one(check: Check) -> Callable[[Factory], None]:
+def _on_one(check: Callable[[Simulator], None]) -> Callable[[Factory], None]:
     """Run a check on a simulator that is closed afterwards."""
 
     def run(make: Factory) -> None:
-        simulator = make()
-        try:
+        with closing(make()) as simulator:
             check(simulator)
-        finally:
-            simulator.close()
 
     return run
 
@@ -296,11 +292,7 @@ def _the_left_lane_is_driven(simulator: Simulator) -> None:
         f"in the left lane the run begins at x {first.vehicle.x:.2f} with lateral_distance "
         f"{first.lane.lateral_distance:.2f}, expected 123 and 2: drive along road.lane_centre",
     )
-    last = first
-    for _ in range(60):
-        last = simulator.step(Command(0.2, 0.6))
-        if last.outcome is not Outcome.RUNNING:
-            break
+    last = drive(simulator, STRAIGHT.in_lane("left"), _constant(0.2, 0.6), seed=1, steps=60)[-1]
     _expect(
         _near(last.lane.lateral_position, last.vehicle.x - 123.0, 0.02) and last.vehicle.x > 123.2,
         f"in the left lane lateral_position is {last.lane.lateral_position:.2f} at x {last.vehicle.x:.2f}, "
@@ -321,11 +313,8 @@ def _leaving_the_lane_ends_the_run(simulator: Simulator) -> None:
     _expect(last.outcome is Outcome.OUT_OF_BOUNDS, f"the run ended {last.outcome.name}, expected OUT_OF_BOUNDS")
     _expect(last.lane.lateral_distance < 0.0, "the run ended OUT_OF_BOUNDS inside the lane")
     _expect(all(o.lane.lateral_distance >= 0.0 for o in observations[:-1]), "the run went on outside the lane")
-    try:
-        simulator.step(Command(0.0, 0.0))
-    except SimulatorError:
-        return
-    raise SimulatorCheckError("step after the end of a run was accepted, expected a SimulatorError")
+    after = "step after the end of a run was accepted, expected a SimulatorError"
+    _expect_error(SimulatorError, lambda: simulator.step(Command(0.0, 0.0)), after)
 
 
 def _image_has_the_right_type(simulator: Simulator) -> None:
@@ -443,18 +432,10 @@ def _memory_does_not_grow(simulator: Simulator) -> None:
 
 
 def _bad_input_is_refused(simulator: Simulator) -> None:
-    try:
-        simulator.step(Command(0.0, 0.0))
-    except SimulatorError:
-        pass
-    else:
-        raise SimulatorCheckError("step before load was accepted, expected a SimulatorError")
-    try:
-        simulator.load(CROSSING, seed=1)
-    except RoadError:
-        pass
-    else:
-        raise SimulatorCheckError("a road that crosses itself was loaded, expected a ds_road.RoadError")
+    before = "step before load was accepted, expected a SimulatorError"
+    _expect_error(SimulatorError, lambda: simulator.step(Command(0.0, 0.0)), before)
+    crossing = "a road that crosses itself was loaded, expected a ds_road.RoadError"
+    _expect_error(RoadError, lambda: simulator.load(CROSSING, seed=1), crossing)
     for after in ("a refused road", "close"):
         outcome = simulator.load(STRAIGHT, seed=1).outcome
         _expect(outcome is Outcome.RUNNING, f"load after {after} gave {outcome.name}, expected RUNNING")

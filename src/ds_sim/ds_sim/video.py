@@ -85,14 +85,9 @@ def write_video(
 
 
 def write_together(path: Path, drives: Sequence[tuple[str, RunRecord, Iterable[Observation]]]) -> None:
-    """Write drives one below the other; one that has ended shows its last frame until all have.
+    """Write drives, each a title, a run and its observations with images, one below the other, as `write_video` does.
 
-    Args:
-        path: name that ends with `.mp4`; the file appears complete or not at all.
-        drives: title, run, and its observations with images, of each.
-
-    Raises:
-        VideoError: the video cannot be written.
+    One that has ended shows its last frame until all have.
     """
     films = [
         _frames(title, run.road, observations, run.commands, run.conditions) for title, run, observations in drives

@@ -94,7 +94,8 @@ def test_damage_is_refused_in_one_line(data: st.DataObject) -> None:
     if kind == "cut":
         damaged = whole[: data.draw(st.integers(0, len(whole) - 1))]
     elif kind == "longer":
-        damaged = whole + data.draw(st.binary(min_size=1, max_size=40))
+        more = st.binary(min_size=1, max_size=40)
+        damaged = whole + data.draw(more.filter(lambda added: added.strip(b" \t\r\n")))  # JSON may end in blanks
     elif kind == "bit":
         at = data.draw(st.integers(0, len(whole) - 1))
         damaged = whole[:at] + bytes([whole[at] ^ 1 << data.draw(st.integers(0, 7))]) + whole[at + 1 :]

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_road.geometry import arc_lengths
-from ds_sim.camera.atlas import TILE, AtlasMemory, Box, Ground
+from ds_sim.camera.atlas import TILE, AtlasMemory, Ground
 from ds_sim.camera.look import Look
-from ds_sim.camera.surface import SURFACE_CONDITIONS, Surface
+from ds_sim.camera.surface import SURFACE_CONDITIONS, Canvas, Strip, Surface
 from ds_sim.camera.textures import TEXTURE_SIZE, textures
 from ds_sim.conditions.model import DEFAULT, Conditions
 
@@ -66,10 +66,9 @@ def paint_ground(
     if SURFACE_CONDITIONS & conditions.changed.keys():
         source = rng or np.random.default_rng(0)
         surface = Surface(conditions, look, source, resolution=RESOLUTION, leads=(LEAD_IN, LEAD_OUT))
-    centre, across = _with_leads(road)
-    half_width = road.half_width
-    low = centre.min(axis=0) - half_width - MARGIN
-    high = centre.max(axis=0) + half_width + MARGIN
+    centre, across = with_leads(road, LEAD_IN, LEAD_OUT)
+    low = centre.min(axis=0) - road.half_width - MARGIN
+    high = centre.max(axis=0) + road.half_width + MARGIN
     block = 2 ** (LEVELS - 1)
     columns, rows = (math.ceil((high[i] - low[i]) / RESOLUTION / block) * block for i in (0, 1))
     texture = textures(look, LEVELS)
@@ -85,7 +84,7 @@ def paint_ground(
     lead_in, lead_out = slice(0, 2), slice(-2, None)
     body = slice(1, -1)
     beside = surface.reach if surface else 0.0
-    reach = (half_width + beside) / RESOLUTION + look.line_width / RESOLUTION / 2 + _LINE_REACH
+    reach = (road.half_width + beside) / RESOLUTION + look.line_width / RESOLUTION / 2 + _LINE_REACH
     stretches = [
         (part, _touched_tiles(ground, (centre[part] - low) / RESOLUTION, reach)) for part in (lead_in, lead_out, body)
     ]
@@ -93,24 +92,22 @@ def paint_ground(
     raster = ground.open_tiles(touched)
     mask = _MASKS.array(ground.shape)
     asphalt = surface.pavement(texture.asphalt) if surface else texture.asphalt
+    strip = Strip(centre - low, across, road.half_width, road.has_centre_line)
     for part, tiles in stretches:
-        boxes = list(ground.boxes(tiles))
-        lines = None if surface else look
-        _paint_stretch(
-            raster, mask, boxes, asphalt, centre[part] - low, across[part], half_width, lines, road.has_centre_line
-        )
+        canvas = Canvas(raster, mask, list(ground.boxes(tiles)))
+        _paint_stretch(canvas, asphalt, strip.part(part), None if surface else look)
     if surface:
-        surface.draw(raster, mask, list(ground.boxes(touched)), centre - low, across, half_width, road.has_centre_line)
+        surface.draw(Canvas(raster, mask, list(ground.boxes(touched))), strip)
     ground.close_tiles(touched)
     return ground
 
 
-def _with_leads(road: Road) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centre line and unit vectors to the right, both (n + 2, 2), extended straight at either end."""
+def with_leads(road: Road, lead_in: float, lead_out: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centre line and unit vectors to the right, both (n + 2, 2), extended straight by lengths, m, at either end."""
     across = (road.right_edge - road.points) / road.half_width
     ahead = np.stack((-across[:, 1], across[:, 0]), axis=1)
-    start = road.points[0] - LEAD_IN * ahead[0]
-    end = road.points[-1] + LEAD_OUT * ahead[-1]
+    start = road.points[0] - lead_in * ahead[0]
+    end = road.points[-1] + lead_out * ahead[-1]
     return np.vstack((start, road.points, end)), np.vstack((across[:1], across, across[-1:]))
 
 
@@ -129,38 +126,23 @@ def _touched_tiles(ground: Ground, line: NDArray[np.float64], reach: float) -> N
     return tiles
 
 
-def _paint_stretch(
-    raster: NDArray[np.uint8],
-    mask: NDArray[np.uint8],
-    boxes: list[Box],
-    asphalt: NDArray[np.uint8],
-    centre: NDArray[np.float64],
-    across: NDArray[np.float64],
-    half_width: float,
-    look: Look | None,
-    two_lanes: bool,
-) -> None:
-    """Paint one stretch of road, which lies within `boxes`; `centre` is relative to the raster's corner, m.
-
-    Without a look no lines are painted, without two lanes no centre line. `mask` is a raster of zeros, to which it
-    returns.
-    """
+def _paint_stretch(canvas: Canvas, asphalt: NDArray[np.uint8], strip: Strip, look: Look | None) -> None:
+    """Paint one stretch of road; without a look no lines are painted."""
 
     def pixels(offset: float) -> NDArray[np.int32]:
-        return np.round(((centre + offset * across) / RESOLUTION - 0.5) * (1 << _SHIFT)).astype(np.int32)
+        points = strip.centre + offset * strip.across
+        return np.round((points / RESOLUTION - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
-    surface = np.concatenate((pixels(half_width), pixels(-half_width)[::-1]))
-    cv2.fillPoly(mask, [surface], 255, lineType=cv2.LINE_8, shift=_SHIFT)
-    for box in boxes:
+    surface = np.concatenate((pixels(strip.half_width), pixels(-strip.half_width)[::-1]))
+    cv2.fillPoly(canvas.mask, [surface], 255, lineType=cv2.LINE_8, shift=_SHIFT)
+    for box in canvas.boxes:
         top, left = box.top % TEXTURE_SIZE, box.left % TEXTURE_SIZE
         texture = asphalt[top : top + box.bottom - box.top, left : left + box.right - box.left]
-        part = box.of(mask)
-        cv2.copyTo(texture, part, box.of(raster))
+        part = box.of(canvas.mask)
+        cv2.copyTo(texture, part, box.of(canvas.raster))
         part[:] = 0
     if look is None:
         return
     thickness = max(1, round(look.line_width / RESOLUTION))
-    inset = half_width - look.line_width / 2
-    lines = ((inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line))
-    for offset, colour in lines if two_lanes else lines[:2]:
-        cv2.polylines(raster, [pixels(offset)], False, (*colour, 255), thickness, cv2.LINE_AA, _SHIFT)
+    for offset, colour in strip.lines(look):
+        cv2.polylines(canvas.raster, [pixels(offset)], False, (*colour, 255), thickness, cv2.LINE_AA, _SHIFT)

@@ -19,15 +19,10 @@ _NEWTON_STEPS = 8
 
 
 def rays(spec: CameraSpec, columns: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions (right, down, forward) of the rays through pixels, (3, ...).
+    """Directions (right, down, forward) of the rays through pixels, (3, ...); columns and rows are broadcast.
 
     Rays of a pinhole have forward = 1, those of a wide-angle lens have length 1. In both cases a pixel is
     1 / focal length wide at distance 1 along its ray: exactly for the pinhole, within a few percent for the lens.
-
-    Args:
-        spec: camera.
-        columns: pixel columns, broadcast with `rows`; fractions allowed.
-        rows: pixel rows.
     """
     k = spec.intrinsics
     right, down = np.broadcast_arrays((columns - k[0, 2]) / k[0, 0], (rows - k[1, 2]) / k[1, 1])
@@ -88,11 +83,9 @@ def reversed_rays(spec: CameraSpec, samples: int) -> NDArray[np.float32]:
 
 
 def components(rays: NDArray[np.float32], axis: Sequence[float]) -> NDArray[np.float32]:
-    """Components of rays along an axis, (...): scalar products without BLAS, which rounds by the type of processor.
+    """Components of rays (3, ...) along an axis, (...), in single precision.
 
-    Args:
-        rays: (3, ...).
-        axis: three numbers, which are rounded to single precision.
+    They are scalar products without BLAS, which rounds by the type of processor.
     """
     first, second, third = axis
     out = np.multiply(rays[0], np.float32(first))

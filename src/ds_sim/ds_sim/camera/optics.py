@@ -156,12 +156,9 @@ class Optics:
         self._dirt = _smudges(rng, spec, c.lens_dirt)[self._rows, :, None] if c.lens_dirt else None
 
     def apply(self, image: NDArray[np.uint8], axes: _Axes, height: float) -> NDArray[np.uint8]:
-        """Return a rendered image as it reaches the sensor.
+        """Return a rendered image, (rows, columns, 3) uint8 RGB, as it reaches the sensor.
 
-        Args:
-            image: (rows, columns, 3) uint8 RGB.
-            axes: optical axes right, down, forward in the road frame, (3, 3).
-            height: of the camera above ground, m.
+        The axes are right, down, forward in the road frame, (3, 3), and the height that of the camera above ground, m.
         """
         light = decode(image[self._rows])
         if self._extinction:

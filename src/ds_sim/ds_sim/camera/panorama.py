@@ -27,12 +27,7 @@ Painted = NDArray[np.uint8]
 
 
 class Panorama:
-    """Background of one camera and look.
-
-    Args:
-        spec: camera.
-        look: appearance of the world.
-    """
+    """Background of one camera and look."""
 
     def __init__(self, spec: CameraSpec, look: Look) -> None:
         self._spec = spec
@@ -44,14 +39,9 @@ class Panorama:
         self._rays = rays(spec, np.asarray(columns[None, :], np.float64), np.asarray(rows[:, None], np.float64))
 
     def draw(self, frame: Painted, top: int, bottom: int, axes: Sequence[Vector], yaw: float) -> None:
-        """Draw the background into some rows of an RGBA image.
+        """Draw the background into the rows from `top` to `bottom` of an RGBA image, in place.
 
-        Args:
-            frame: (height, width, 4) uint8 image, changed in place.
-            top: first row to fill.
-            bottom: end of the rows to fill.
-            axes: optical axes as rows right, down, forward, in coordinates that are rotated with the vehicle by `yaw`.
-            yaw: heading of the vehicle, rad.
+        The optical axes right, down, forward are in coordinates that are rotated with the vehicle by `yaw`, rad.
         """
         if bottom <= top:
             return

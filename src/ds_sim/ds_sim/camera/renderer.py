@@ -174,13 +174,9 @@ class Camera:
         self._revealed = _Revealed(weakref.ref(ground), x, y, yaw, blur, only_ahead)
 
     def _bands(self, ordered: NDArray[np.float64], height: float, first: int, border_distance: float) -> list[_Band]:
-        """Bands of rows that are drawn alike.
+        """Bands of rows that are drawn alike, from the row `first` of the image on.
 
-        Args:
-            ordered: descents of some rays of every row, sorted, (rows, rays).
-            height: height of the camera, m.
-            first: row of the image to which the first row of `ordered` belongs.
-            border_distance: distance to the border of the rasters, m.
+        The descents of some rays of every row are sorted, (rows, rays); heights and distances are in m.
         """
         if not len(ordered):
             return []
@@ -201,13 +197,8 @@ class Camera:
     ) -> dict[int, NDArray[np.float32]]:
         """Matrices from rays to the atlas for each sample of a pixel during the exposure, (samples or 1, 3, 3).
 
-        The keys are numbers of samples.
-
-        Args:
-            to_plane: for each component of a ray, what it adds to x and y in the road frame and to the descent, (3, 3);
-                x and y times the descent.
-            ground: to which atlas.
-            vehicle: that moves.
+        The keys are numbers of samples. `to_plane` says, for each component of a ray, what it adds to x and y in the
+        road frame, times the descent, and to the descent, (3, 3).
         """
         density, (left, top) = 1.0 / ground.resolution, ground.corner
         in_pixels = to_plane * (density, density, 1.0)
@@ -312,15 +303,7 @@ class Camera:
     def _blend_horizon(
         self, sky: NDArray[np.uint8], axes: tuple[Vector, Vector, Vector], first: int, sky_end: int, top: int
     ) -> None:
-        """Blend sky into rows that the horizon crosses.
-
-        Args:
-            sky: background in the rows to blend, (rows, columns, 4).
-            axes: optical axes.
-            first: first row that shows ground.
-            sky_end: end of the rows that show sky.
-            top: first row of `sky`.
-        """
+        """Blend sky, in the rows from `top` on, into those that the horizon crosses: from `first` to `sky_end`."""
         descent = components(self._centre_rays[:, top : top + len(sky)], [-axis[2] * self._focal for axis in axes])
         np.subtract(0.5, descent, descent)
         descent *= 256.0
@@ -379,11 +362,7 @@ _MEMORY = _Memory()
 def _extent(heading: float, side: float, reach: float, ahead_only: bool) -> tuple[float, float]:
     """Extent of a disc, or of its half that lies ahead, towards smaller and larger coordinates along one axis.
 
-    Args:
-        heading: component of the heading along the axis.
-        side: absolute component along the axis of what is at right angles to the heading.
-        reach: radius of the disc.
-        ahead_only: whether to take the half.
+    Along it, the heading has one component, and what is at right angles to the heading the other, absolute one.
     """
     if not ahead_only:
         return reach, reach

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -56,15 +57,73 @@ _SHIFT = 6
 _Points = NDArray[np.float64]
 
 
-class Surface:
-    """Draws the conditions of one road on its raster.
+@dataclass(frozen=True)
+class Strip:
+    """Road, or a stretch of it, relative to a raster's corner.
 
-    Args:
-        conditions: of the run.
-        look: appearance of the world.
-        rng: source of all that is random.
-        resolution: size of a pixel, m.
-        leads: length of road before the start and beyond the end, m.
+    Attributes:
+        centre: centre line, (n, 2), m.
+        across: unit vectors to the right, (n, 2).
+        half_width: m.
+        two_lanes: whether there is a centre line.
+    """
+
+    centre: _Points
+    across: _Points
+    half_width: float
+    two_lanes: bool
+
+    def part(self, rows: slice) -> Strip:
+        """A stretch of it."""
+        return replace(self, centre=self.centre[rows], across=self.across[rows])
+
+    def lines(self, look: Look) -> list[tuple[float, Colour]]:
+        """Distance to the right of the centre line, m, and colour of each line."""
+        inset = self.half_width - look.line_width / 2
+        lines = [(inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line)]
+        return lines if self.two_lanes else lines[:2]
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What may be drawn on.
+
+    Attributes:
+        raster: (rows, columns, 4) uint8.
+        mask: (rows, columns) uint8 of zeros, to which it returns.
+        boxes: parts of both.
+    """
+
+    raster: NDArray[np.uint8]
+    mask: NDArray[np.uint8]
+    boxes: list[Box]
+
+    def masked(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], Box]]:
+        """Parts under the mask as linear light (rows, columns, 3), to be changed in place, and the mask, 0 to 1.
+
+        The mask is zero afterwards.
+        """
+        for box in self.boxes:
+            covered = box.of(self.mask)
+            columns = np.flatnonzero(covered.max(axis=0))
+            if not len(columns):
+                continue
+            box = Box(box.top, box.left + int(columns[0]), box.bottom, box.left + int(columns[-1]) + 1)
+            covered = box.of(self.mask)
+            alpha = covered.astype(np.float32)[:, :, None]
+            alpha /= np.float32(255.0)
+            pixels = box.of(self.raster)
+            light = decode(pixels[:, :, :3])
+            yield light, alpha, box
+            touched = covered > 0
+            pixels[touched, :3] = encode(light)[touched]
+            covered[:] = 0
+
+
+class Surface:
+    """Draws the conditions of one road on its raster, whose pixels have a size, m.
+
+    The leads are the lengths of road before the start and beyond the end, m.
     """
 
     def __init__(
@@ -101,83 +160,47 @@ class Surface:
         changed[:, :, :3] = encode(grain * own * np.float32(self._brighter))
         return changed
 
-    def draw(
-        self,
-        raster: NDArray[np.uint8],
-        mask: NDArray[np.uint8],
-        boxes: list[Box],
-        centre: _Points,
-        across: _Points,
-        half_width: float,
-        two_lanes: bool = True,
-    ) -> None:
-        """Draw patches, lines and shadows on a paved road.
+    def draw(self, canvas: Canvas, strip: Strip) -> None:
+        """Draw patches, lines and shadows on a paved road with its leads."""
+        line = _Line(strip, self._resolution, self._leads)
+        self._draw_patches(canvas, line)
+        self._draw_lines(canvas, line)
+        self._draw_shadows(canvas, line)
 
-        Args:
-            raster: (rows, columns, 4) uint8.
-            mask: (rows, columns) uint8 of zeros, to which it returns.
-            boxes: parts of the raster that may be drawn on.
-            centre: centre line with its leads, relative to the raster's corner, (n, 2), m.
-            across: unit vectors to the right, (n, 2).
-            half_width: of the road, m.
-            two_lanes: whether there is a centre line.
-        """
-        line = _Line(centre, across, self._resolution, self._leads)
-        self._draw_patches(raster, mask, boxes, line, half_width)
-        self._draw_lines(raster, mask, boxes, line, half_width, two_lanes)
-        self._draw_shadows(raster, mask, boxes, line, half_width)
-
-    def _draw_patches(
-        self, raster: NDArray[np.uint8], mask: NDArray[np.uint8], boxes: list[Box], line: _Line, half_width: float
-    ) -> None:
-        share, rng = self._conditions.repair_share, self._rngs["patches"]
+    def _draw_patches(self, canvas: Canvas, line: _Line) -> None:
+        share, rng, half_width = self._conditions.repair_share, self._rngs["patches"], line.strip.half_width
         if not share:
             return
         for left in (-1.0, -0.5, 0.0, 0.5):
             sides = (left * half_width, (left + 0.5) * half_width)
             for start, end in pieces(rng, line.regions, PATCH_LENGTH, share):
                 outline = np.concatenate((line.part(start, end, sides[0]), line.part(start, end, sides[1])[::-1]))
-                cv2.fillPoly(mask, [outline], 255, lineType=cv2.LINE_AA, shift=_SHIFT)
+                cv2.fillPoly(canvas.mask, [outline], 255, lineType=cv2.LINE_AA, shift=_SHIFT)
         darker = min(NEW_ASPHALT / self._reflectance, 0.6)
-        for part, alpha, _ in _drawn(raster, mask, boxes):
+        for part, alpha, _ in canvas.masked():
             part *= 1.0 - alpha * np.float32(1.0 - darker)
 
-    def _draw_lines(
-        self,
-        raster: NDArray[np.uint8],
-        mask: NDArray[np.uint8],
-        boxes: list[Box],
-        line: _Line,
-        half_width: float,
-        two_lanes: bool,
-    ) -> None:
+    def _draw_lines(self, canvas: Canvas, line: _Line) -> None:
         c, look, rng = self._conditions, self._look, self._rngs["lines"]
         thickness = max(1, round(look.line_width / self._resolution))
-        inset = half_width - look.line_width / 2
         grain = _grain(self._rngs["grain"]) * np.float32(min(c.line_contrast, 1.0 - c.line_contrast))
-        lines: tuple[tuple[float, Colour], ...] = (
-            (inset, look.edge_line),
-            (-inset, look.edge_line),
-            (0.0, look.centre_line),
-        )
-        for offset, colour in lines if two_lanes else lines[:2]:
+        for offset, colour in line.strip.lines(look):
             cap = (thickness / 2.0 + _CAP) * self._resolution
             for start, end in gaps(pieces(rng, line.regions, c.line_cover_length, c.line_cover), 0.0, line.length):
                 low = start + cap if start > 0.0 else start
                 high = end - cap if end < line.length else end
                 if high > low:
-                    cv2.polylines(mask, [line.part(low, high, offset)], False, 255, thickness, cv2.LINE_AA, _SHIFT)
+                    points = line.part(low, high, offset)
+                    cv2.polylines(canvas.mask, [points], False, 255, thickness, cv2.LINE_AA, _SHIFT)
             light = light_of(colour)
-            for part, alpha, box in _drawn(raster, mask, boxes):
+            for part, alpha, box in canvas.masked():
                 top, left = box.top % TEXTURE_SIZE, box.left % TEXTURE_SIZE
                 rows, columns = part.shape[:2]
                 alpha *= np.float32(c.line_contrast) + grain[top : top + rows, left : left + columns, None]
                 part += alpha * (light - part)
 
-    def _draw_shadows(
-        self, raster: NDArray[np.uint8], mask: NDArray[np.uint8], boxes: list[Box], line: _Line, half_width: float
-    ) -> None:
-        c, rng = self._conditions, self._rngs["shadows"]
+    def _draw_shadows(self, canvas: Canvas, line: _Line) -> None:
+        c, rng, half_width = self._conditions, self._rngs["shadows"], line.strip.half_width
         if not c.shadow_density:
             return
         slant = rng.uniform(-MAX_SLANT, MAX_SLANT)
@@ -190,21 +213,22 @@ class Surface:
             # Both sides share the unevenness, so that the shadow has the same length everywhere.
             shift = slant * offsets + waves[index % len(waves)]
             near, far = line.points(start + shift, offsets), line.points(end + shift, offsets)
-            cv2.fillPoly(mask, [np.concatenate((near, far[::-1]))], 255, lineType=cv2.LINE_AA, shift=_SHIFT)
-        for box in boxes:
-            edges = box.of(mask)
+            outline = np.concatenate((near, far[::-1]))
+            cv2.fillPoly(canvas.mask, [outline], 255, lineType=cv2.LINE_AA, shift=_SHIFT)
+        for box in canvas.boxes:
+            edges = box.of(canvas.mask)
             if edges.any():
                 edges[:] = cv2.GaussianBlur(edges, (0, 0), PENUMBRA, borderType=cv2.BORDER_REPLICATE)
-        for part, alpha, _ in _drawn(raster, mask, boxes):
+        for part, alpha, _ in canvas.masked():
             part *= 1.0 - alpha * np.float32(c.shadow_depth)
 
 
 class _Line:
     """Road's centre line by its arc length, in OpenCV's coordinates with fraction bits."""
 
-    def __init__(self, centre: _Points, across: _Points, resolution: float, leads: tuple[float, float]) -> None:
-        self._centre, self._across, self._resolution = centre, across, resolution
-        self._arc = arc_lengths(centre)
+    def __init__(self, strip: Strip, resolution: float, leads: tuple[float, float]) -> None:
+        self.strip, self._resolution = strip, resolution
+        self._arc = arc_lengths(strip.centre)
         self.length = float(self._arc[-1])
         self.regions = ((0.0, leads[0]), (leads[0], self.length - leads[1]), (self.length - leads[1], self.length))
 
@@ -217,34 +241,11 @@ class _Line:
     def points(self, arcs: _Points, offsets: _Points) -> NDArray[np.int32]:
         """Points at arc lengths and distances to the right, (n, 2)."""
         points = [
-            np.interp(arcs, self._arc, self._centre[:, i]) + offsets * np.interp(arcs, self._arc, self._across[:, i])
+            np.interp(arcs, self._arc, self.strip.centre[:, i])
+            + offsets * np.interp(arcs, self._arc, self.strip.across[:, i])
             for i in (0, 1)
         ]
         return np.round((np.stack(points, axis=1) / self._resolution - 0.5) * (1 << _SHIFT)).astype(np.int32)
-
-
-def _drawn(
-    raster: NDArray[np.uint8], mask: NDArray[np.uint8], boxes: list[Box]
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], Box]]:
-    """Parts of a raster under a mask as linear light (rows, columns, 3), to be changed in place, and the mask, 0 to 1.
-
-    The mask is zero afterwards.
-    """
-    for box in boxes:
-        covered = box.of(mask)
-        columns = np.flatnonzero(covered.max(axis=0))
-        if not len(columns):
-            continue
-        box = Box(box.top, box.left + int(columns[0]), box.bottom, box.left + int(columns[-1]) + 1)
-        covered = box.of(mask)
-        alpha = covered.astype(np.float32)[:, :, None]
-        alpha /= np.float32(255.0)
-        pixels = box.of(raster)
-        light = decode(pixels[:, :, :3])
-        yield light, alpha, box
-        touched = covered > 0
-        pixels[touched, :3] = encode(light)[touched]
-        covered[:] = 0
 
 
 def _grain(rng: np.random.Generator) -> NDArray[np.float32]:

@@ -16,14 +16,8 @@ def pieces(
 ) -> list[tuple[float, float]]:
     """Choose pieces that cover a share of every region, exactly, and more of the same for a larger share.
 
-    Args:
-        rng: decides the order in which pieces of a region are covered.
-        regions: (start, end) along a line, m, in order and without gaps.
-        length: of one piece, m.
-        share: 0 to 1.
-
-    Returns:
-        Covered (start, end), in order; neighbours are joined.
+    The regions, (start, end) along a line, m, are in order and without gaps; `length` is that of a piece, m. What is
+    covered is returned in order, neighbours joined.
     """
     spans: list[tuple[float, float]] = []
     for start, end in regions:

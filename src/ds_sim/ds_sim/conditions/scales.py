@@ -30,14 +30,7 @@ def scale_of(name: str) -> Scale:
 
 
 def between(name: str, start: float, end: float, share: float) -> float:
-    """Return the value of a condition at a share of the way from one value to another.
-
-    Args:
-        name: of the condition.
-        start: value at share 0, exactly.
-        end: value at share 1, exactly.
-        share: in [0, 1].
-    """
+    """Value of a condition at a share, 0 to 1, of the way from one value to another; both ends are exact."""
     if share in (0.0, 1.0):
         return end if share else start
     there, back = _TRANSFORMS[scale_of(name)]

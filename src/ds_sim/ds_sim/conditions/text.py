@@ -66,11 +66,7 @@ def format_conditions(conditions: Conditions) -> str:
 
 
 def from_json(document: object) -> Conditions:
-    """Read a mapping from names to numbers, as JSON and YAML give it; it holds what differs from the default.
-
-    Raises:
-        ConditionsError: not such a mapping, or conditions that cannot be.
-    """
+    """Read a mapping from names to numbers, as JSON and YAML give it; it holds what differs from the default."""
     if not isinstance(document, Mapping):
         raise ConditionsError(f"conditions are a {type(document).__name__}, expected names and numbers")
     for name in document:

@@ -50,16 +50,7 @@ class ServedTests:
 
 
 class Conversation:
-    """State of one client: its simulator, its road and the format of its images.
-
-    Args:
-        simulator: used by this client alone.
-        tests: to drive.
-        client: its number, for lines about what happened.
-
-    Attributes:
-        ended: the client asked for the end.
-    """
+    """State of one client, numbered for the log: its own simulator, its road and the format of its images."""
 
     def __init__(self, simulator: Simulator, tests: ServedTests, client: int = 0) -> None:
         self.ended = False
@@ -77,10 +68,7 @@ class Conversation:
         return [{"msg_type": "scene_selection_ready", "loaded": "1"}]
 
     def answer(self, message: dict[str, Any]) -> list[dict[str, Any]]:
-        """Answer a message.
-
-        Returns:
-            Messages to send, in their order.
+        """Answer a message with others, in their order.
 
         Raises:
             ProtocolError: the message cannot be answered; the session must end.

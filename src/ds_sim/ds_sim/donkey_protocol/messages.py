@@ -38,10 +38,7 @@ class MessageSplitter:
         self._escaped = False
 
     def feed(self, data: bytes) -> list[dict[str, Any]]:
-        """Take bytes.
-
-        Returns:
-            Messages that are now complete, each with a text `msg_type`.
+        """Take bytes, and return the messages that are now complete, each with a text `msg_type`.
 
         Raises:
             ProtocolError: the bytes are no JSON objects, or one is longer than `LARGEST_MESSAGE`.
@@ -101,14 +98,7 @@ FIXED_CAMERA_FIELDS = (
 
 @dataclass(frozen=True)
 class ImageFormat:
-    """How images are sent.
-
-    Attributes:
-        width: px.
-        height: px.
-        encoding: `JPG`; or `PNG`, which is lossless and also sent for `TGA`.
-        grey: three equal channels.
-    """
+    """How images are sent: as `JPG`, or as lossless `PNG`, also for `TGA`; grey as three equal channels."""
 
     width: int = DEFAULT_WIDTH
     height: int = DEFAULT_HEIGHT
@@ -117,14 +107,9 @@ class ImageFormat:
 
 
 def command_of(message: dict[str, Any]) -> tuple[Command, float]:
-    """Read a `control`.
+    """Read a `control`: the command, clipped to its range, and the brake, 0 to 1.
 
-    Returns:
-        Command, clipped to its range, with no throttle while the brake is on: the vehicles drive forward only and have
-        no other brake; and the brake, 0 to 1.
-
-    Raises:
-        ProtocolError: a value is missing or not a number.
+    There is no throttle while the brake is on: the vehicles drive forward only and have no other brake.
     """
     steering = min(max(number_in(message, "steering"), -1.0), 1.0)
     throttle = min(max(number_in(message, "throttle"), 0.0), 1.0)
@@ -133,11 +118,7 @@ def command_of(message: dict[str, Any]) -> tuple[Command, float]:
 
 
 def image_format_of(message: dict[str, Any], current: ImageFormat) -> ImageFormat:
-    """Read a `cam_config`; a value of 0 keeps the current one.
-
-    Raises:
-        ProtocolError: an image like this cannot be sent.
-    """
+    """Read a `cam_config`; a value of 0 keeps the current one."""
     width, height = (number_in(message, side, 0.0) for side in ("img_w", "img_h"))
     depth = number_in(message, "img_d", 0.0)
     for name, value in (("img_w", width), ("img_h", height)):
@@ -157,11 +138,7 @@ def image_format_of(message: dict[str, Any], current: ImageFormat) -> ImageForma
 
 
 def number_in(message: dict[str, Any], name: str, default: float | None = None) -> float:
-    """A number, given as such or as text.
-
-    Raises:
-        ProtocolError: it is missing without a default, or not a finite number.
-    """
+    """Read a number, given as such or as text; ProtocolError if it is missing without a default, or not finite."""
     value = message.get(name, default)
     try:
         if isinstance(value, bool) or not isinstance(value, str | int | float):
@@ -181,16 +158,10 @@ _LUMA = np.array([[0.2126, 0.7152, 0.0722]] * 3)
 
 
 def telemetry(frame: Observation, command: Command, form: ImageFormat) -> dict[str, Any]:
-    """Message that answers a `control`.
+    """Message with the frame after a `control`, and its command.
 
-    Args:
-        frame: frame after the control.
-        command: that led to it.
-        form: of the image.
-
-    Returns:
-        `hit` is `none`, or how the run ended in lower case, `completed` included; `cte` is the lateral position, m,
-        positive to the right, as in sdsandbox.
+    `hit` is `none`, or how the run ended in lower case, `completed` included; `cte` is the lateral position, m,
+    positive to the right, as in sdsandbox.
     """
     vehicle = frame.vehicle
     return {
@@ -215,12 +186,7 @@ def telemetry(frame: Observation, command: Command, form: ImageFormat) -> dict[s
 
 
 def encoded(image: NDArray[np.uint8], form: ImageFormat) -> bytes:
-    """Scale and encode an image; one of the camera's own size as PNG keeps every bit.
-
-    Args:
-        image: (rows, columns, 3) uint8 RGB.
-        form: asked for by the client.
-    """
+    """Scale and encode an image, (rows, columns, 3) uint8 RGB; one of the camera's own size as PNG keeps every bit."""
     if image.shape[:2] != (form.height, form.width):
         image = np.asarray(cv2.resize(image, (form.width, form.height), interpolation=cv2.INTER_AREA), np.uint8)
     if form.grey:

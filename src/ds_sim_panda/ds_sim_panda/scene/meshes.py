@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_road.geometry import arc_lengths
+from ds_sim.camera.ground import with_leads
 from ds_sim_panda.scene.graphics import panda
 from ds_sim_panda.scene.parameters import GROUND_RADIUS, LEAD_IN, LEAD_OUT
 
@@ -79,16 +80,13 @@ class Course:
 
 def course_of(road: Road) -> Course:
     """Centre line of a road with its leads; the road's own samples are kept exactly."""
-    right = (road.right_edge - road.points) / road.half_width
-    ahead = np.stack((-right[:, 1], right[:, 0]), axis=1)
+    points, right = with_leads(road, LEAD_IN, LEAD_OUT)
     origin = np.floor(road.points.min(axis=0))
-    points = np.vstack((road.points[0] - LEAD_IN * ahead[0], road.points, road.points[-1] + LEAD_OUT * ahead[-1]))
-    along = arc_lengths(points) - LEAD_IN
     return Course(
         origin=origin,
         points=points - origin,
-        right=np.vstack((right[:1], right, right[-1:])),
-        along=along,
+        right=right,
+        along=arc_lengths(points) - LEAD_IN,
         half_width=road.half_width,
         two_lanes=road.has_centre_line,
     )
