@@ -54,7 +54,6 @@ class Calibration:
 
     Attributes:
         camera: height and pitch are unknown.
-        boards: photographs in which the board was found.
         rms_px: root mean square of the corners' errors.
         held_out_px: the same of boards that the camera was not fitted to.
         bias_px: root mean square of what corners in one place of the image are off on average, beyond chance.
@@ -68,11 +67,7 @@ class Calibration:
 
 
 def parse_board(squares: str) -> tuple[int, int]:
-    """Inner corners along and across a board from its squares, such as `8x6`.
-
-    Raises:
-        RecordingError: it is something else.
-    """
+    """Inner corners along and across a board from its squares, such as `8x6`."""
     columns, _, rows = squares.lower().partition("x")
     if not (columns.isdecimal() and rows.isdecimal() and 4 <= int(columns) <= 50 and 4 <= int(rows) <= 50):
         raise RecordingError(f"--squares is {squares!r}, expected the board's squares, 4 to 50 each way, such as 8x6")

@@ -108,11 +108,7 @@ def with_odometry(
 
 
 def check_motion(evidence: Evidence) -> None:
-    """Refuse images between which nothing moves together, or at all.
-
-    Raises:
-        RecordingError: with the reason and the share of images that failed.
-    """
+    """Refuse images between which nothing moves together, or at all."""
     motions = [motion for motion in evidence.motions[1:] if motion is not None]
     has_motion = [
         m is not None or h.std[0] < np.inf for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)
@@ -129,11 +125,7 @@ def check_motion(evidence: Evidence) -> None:
 
 
 def check_evidence(evidence: Evidence) -> None:
-    """Refuse what cannot carry a location.
-
-    Raises:
-        RecordingError: with the reason and the share of images that failed.
-    """
+    """Refuse what cannot carry a location."""
     check_motion(evidence)
     lined = float(np.mean([len(points) >= ENOUGH_POINTS for points in evidence.lines]))
     if lined < LEAST_LINES:
@@ -149,11 +141,7 @@ def check_evidence(evidence: Evidence) -> None:
 
 
 def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: Unfinished = FORGETFUL) -> Fit:
-    """Guess the road, smooth the run, and join the ends of a lap where there is one.
-
-    Raises:
-        RecordingError: no road fits.
-    """
+    """Guess the road, smooth the run, and join the ends of a lap where there is one."""
     steps, last = [], np.zeros(3)
     for index, seconds in enumerate(np.diff(evidence.times), start=1):
         motion = evidence.motions[index]

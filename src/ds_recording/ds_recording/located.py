@@ -43,7 +43,6 @@ class Located:
         table: a row for each located image, columns as `COLUMNS`, (n, 14); NaN where a command is unknown.
         track: centre line of the road, m.
         lane_width: from the middle of the centre line to the middle of an edge line, m.
-        camera: with which it was located.
         about: contents of `recording.json`.
     """
 

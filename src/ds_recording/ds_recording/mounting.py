@@ -38,11 +38,7 @@ IMAGES = 24
 
 
 def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
-    """Find height and pitch of a camera, for images of the recorded size, whose lens is known.
-
-    Raises:
-        RecordingError: the lines fit none.
-    """
+    """Find height and pitch of a camera, for images of the recorded size, whose lens is known."""
     rows, columns = views.images[0].shape[:2]
     chosen = np.linspace(0, len(views.images) - 1, IMAGES + 2)[1:-1].round().astype(int).tolist()
     lines = [line_pixels(views.images[index], rows // 3, views.centre) for index in chosen]
@@ -51,11 +47,7 @@ def mount(views: Views, camera: FloorCamera, lane_width: float) -> FloorCamera:
 
 
 def mounted(camera: FloorCamera, lines: Sequence[Found]) -> FloorCamera:
-    """Estimate height and pitch from the lines of some images, in lane widths; what is known already stays.
-
-    Raises:
-        RecordingError: the lines fit no mounting.
-    """
+    """Estimate height and pitch from the lines of some images, in lane widths; what is known already stays."""
     lines = [of_image for of_image in lines if (~of_image[2]).sum() >= 4 and of_image[2].sum() >= 4]
     if len(lines) < LEAST_IMAGES:
         raise RecordingError(

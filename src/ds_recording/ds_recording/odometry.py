@@ -108,7 +108,6 @@ class Checked:
     """A source beside the images.
 
     Attributes:
-        source: that was checked.
         scale: motion in images over that of the source, NaN if unknown.
         bias: of a turn, rad/s; 0 for a way.
         delay: by which images are later, s.

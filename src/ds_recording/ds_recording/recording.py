@@ -42,7 +42,6 @@ class Views:
     """One stretch.
 
     Attributes:
-        recording: where it is from.
         total: images of the whole recording.
         frames: index of each image in the recording, (n,).
         seconds: time since the first image of the recording, (n,), increasing.
@@ -50,7 +49,6 @@ class Views:
         size: columns and rows of the images as recorded.
         steering: -1 full left to +1 full right; NaN where unknown, (n,).
         throttle: NaN where unknown, (n,).
-        odometry: other sources of motion.
         centre: colour of the centre line, a key of `ds_recording.lines.CENTRES`.
     """
 
@@ -126,11 +124,7 @@ def read_views(
 
 
 def longest_stretch(path: Path, seconds: Array, total: int) -> tuple[int, int]:
-    """First image and end of the longest stretch without gaps, at most `MOST_FRAMES` long, of those that can be read.
-
-    Raises:
-        RecordingError: there is none, or the times make no sense.
-    """
+    """First image and end of the longest stretch without gaps, at most `MOST_FRAMES` long, of those to be read."""
     if len(seconds) < SHORTEST:
         raise RecordingError(
             f"{path}: {len(seconds)} of {total} images can be read, expected at least {SHORTEST}: record a longer drive"

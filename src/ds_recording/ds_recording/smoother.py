@@ -64,7 +64,6 @@ class Evidence:
 
     Attributes:
         times: s, (n,), increasing.
-        lines: of each frame.
         motions: of each frame, from the one before, hints included; None where it was not seen.
         hints: about each frame's motion.
         steering: of each frame, -1 left to +1 right; NaN where unknown, (n,).

@@ -39,7 +39,6 @@ class Grid:
     Attributes:
         across: title of the axis to the right.
         up: title of the axis upwards.
-        columns: labels of the columns.
         rows: label and cells of each row, the largest value first.
     """
 

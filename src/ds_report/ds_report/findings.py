@@ -168,7 +168,6 @@ class Findings:
     Attributes:
         headline: where the driver fails and how sure that is.
         limits: what was tested and what was not; "" if nothing was driven.
-        details: further sentences.
     """
 
     headline: str

@@ -34,7 +34,6 @@ class RoadSheet:
     """A road at the car's size; the origin is the lower left corner of a rectangle around it, x right and y up, m.
 
     Attributes:
-        width: extent of the rectangle along x, m.
         height: extent of the rectangle along y, m.
         stations: (n,) distances along the centre line, m.
         centre: (n, 2) points of the yellow centre line.

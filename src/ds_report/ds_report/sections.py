@@ -43,8 +43,6 @@ class AnswerSection:
         sentence: the answer in one line; why there is none, if there is no picture.
         reading: how to read the map.
         notes: whether the siblings have helped to predict the car, and what its drives certify.
-        picture: the map, as a `data:` address.
-        cells: the same as a table.
     """
 
     sentence: str
@@ -98,9 +96,7 @@ class SiblingSection:
 
     Attributes:
         roads: number of roads with a verdict on every simulator.
-        sentences: one line for each sibling.
         tables: baseline, residual correlations, information.
-        pictures: title and `data:` address of each picture.
     """
 
     roads: int
@@ -175,8 +171,6 @@ class ShownGroup(NamedTuple):
     """A group of failures, for a page.
 
     Attributes:
-        failures: number of them.
-        where: on which simulators.
         worst: the failure whose test fails on most simulators and worst, which a large campaign's page keeps.
         address: of its replay; "" if that test is in no map.
     """

@@ -75,12 +75,8 @@ class Recording:
     """What is located.
 
     Attributes:
-        source: bag or tub.
-        camera: YAML file of the camera.
         lane_width: m on the floor.
-        reading: topics of images and steering.
         odometry: see `ds_recording.odometry.read_sources`.
-        centre: colour of the centre line.
     """
 
     source: Path
@@ -96,8 +92,6 @@ class TrackTest:
     """What is tested.
 
     Attributes:
-        recording: of the track.
-        roads: number of roads at most.
         crop_top: image rows at the top that the driver does not see; None for those of the shipped networks, else 0.
     """
 

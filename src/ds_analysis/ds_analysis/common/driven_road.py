@@ -23,7 +23,6 @@ class DrivenRoad:
     """What became of one road on one simulator.
 
     Attributes:
-        outcome: how the run ended.
         max_lateral_position: largest absolute lateral position of the run, m.
         path: (frames, 2) positions, m.
         profile: lateral positions along the lane; see `lateral_profile`.

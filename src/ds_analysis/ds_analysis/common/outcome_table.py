@@ -72,10 +72,7 @@ class OutcomeTable:
     """Tests of one driver, one row each; a column per simulator, the siblings in order, then the twin if there is one.
 
     Attributes:
-        test_ids: (tests,) ids.
-        siblings: names of the siblings.
         twin: name of the simulator whose failures are predicted; None if no such simulator was driven.
-        axes: the feature map's axes.
         cells: (tests,) cell of that map; None for a test without one.
         states: (tests, simulators) values of `State`.
         lateral: (tests, simulators) largest absolute lateral position, m, at most half a lane: how far a car goes after
@@ -198,8 +195,6 @@ class RoadTable(OutcomeTable):
     share of its range on its scale; a family is all that descend from one root of mutation.
 
     Attributes:
-        roads: (tests,) roads.
-        conditions: (tests,) operating conditions.
         drives: (tests, simulators) recorded drives, or None; see `profiles`.
     """
 

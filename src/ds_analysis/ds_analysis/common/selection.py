@@ -47,7 +47,6 @@ class Share:
     """Failures of a group of tests.
 
     Attributes:
-        failures: number of failing tests.
         tests: number of tests, at least 1.
         interval: 95% interval of the failure probability.
     """

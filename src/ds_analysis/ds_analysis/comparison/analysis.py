@@ -70,7 +70,6 @@ class Comparison:
         candidate: the network that may replace it.
         origin: how the tests were chosen.
         source: where they come from, in words.
-        features: axes of the cells.
         twin: simulator that acts as the twin, or None.
         drives: every pair with a verdict of both, the worst change first.
         simulators: one comparison for each simulator.

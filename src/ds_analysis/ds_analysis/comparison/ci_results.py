@@ -66,7 +66,6 @@ class Criteria:
     Attributes:
         fail_on: `failure`, any test fails; `regression`, any test newly fails; `worse`, the candidate is significantly
             worse on some simulator. None: nothing of these.
-        max_failures: limit for each simulator, or None.
     """
 
     fail_on: FailOn | None = None
@@ -124,7 +123,6 @@ class Case:
     Attributes:
         state: `known failure` where the reference fails, too; it is reported as skipped.
         seconds: simulated time driven, s.
-        message: what happened, in one line.
     """
 
     test: str

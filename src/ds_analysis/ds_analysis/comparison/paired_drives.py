@@ -108,12 +108,7 @@ class DriveOutcome:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PairedDrive:
-    """One test on one simulator, driven by both networks.
-
-    Attributes:
-        reference: how the reference drove.
-        candidate: how the candidate drove.
-    """
+    """One test on one simulator, driven by both networks."""
 
     test: ComparedTest
     simulator: SimulatorName

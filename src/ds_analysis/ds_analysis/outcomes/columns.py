@@ -167,11 +167,7 @@ def read_columns(path: Path) -> Columns:
 
 
 def column_of(frame: pd.DataFrame, name: str, source: str) -> list[Any]:
-    """Return a column.
-
-    Raises:
-        OutcomeTableError: there is none; the line names those that there are.
-    """
+    """Return a column."""
     if name not in frame.columns:
         names = [str(one) for one in frame.columns]
         more = ", ..." if len(names) > 3 * _SHOWN else ""
@@ -209,11 +205,7 @@ def numbers_of(frame: pd.DataFrame, name: str, source: str) -> np.ndarray:
 
 
 def verdicts_of(frame: pd.DataFrame, failed: Failed, source: str) -> tuple[Bools, dict[int, str]]:
-    """(rows,) whether each test failed, and row -> why it does not say so.
-
-    Raises:
-        OutcomeTableError: the others all say the same, so that leaving these rows out would decide the outcome.
-    """
+    """(rows,) whether each test failed, and row -> why it does not say so."""
     strange: set[int] = set()
     if isinstance(failed, str):
         words = [word_of(one) for one in column_of(frame, failed, source)]

@@ -77,9 +77,6 @@ def features_of(
         source: name of the table, for errors.
         owners: simulators of a wide table, whose names end their columns; None if all columns are known to be features.
         failed: verdict of each test, where one simulator drove each once.
-
-    Raises:
-        OutcomeTableError: a named column is no feature; or a number is missing and `notes.rows` is strict.
     """
     columns: dict[str, pd.Series[Any]] = {}
     for name in names if names is not None else [one for one in frame.columns if one not in used]:

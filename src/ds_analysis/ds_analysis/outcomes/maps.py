@@ -20,9 +20,6 @@ def maps_of_study(study: Study, features: list[str] | None = None) -> dict[MapId
 
     A test that was repeated counts once, as in `Study.table`. A cell's quality loss is the mean of the margins as
     shares of their limits, at most 1, or of the failures where only verdicts are known.
-
-    Raises:
-        OutcomeTableError: a feature is unknown.
     """
     if features is not None:
         unknown = [name for name in features if name not in study.features]

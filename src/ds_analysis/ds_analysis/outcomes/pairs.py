@@ -19,11 +19,7 @@ _OUTCOMES: Mapping[int, Outcome] = {State.COMPLETED: Outcome.COMPLETED, State.FA
 
 
 def compare_studies(reference: Path, candidate: Path) -> Comparison:
-    """Compare two studies' drivers on the tests and simulators that both have; a test that was repeated counts once.
-
-    Raises:
-        OutcomeTableError: they share no test on a simulator.
-    """
+    """Compare two studies' drivers on the tests and simulators that both have; a test that was repeated counts once."""
     first, second = (read_study(folder).table() for folder in (reference, candidate))
     names = [name for name in first.simulators if name in second.simulators]
     there = {test: row for row, test in enumerate(second.test_ids)}

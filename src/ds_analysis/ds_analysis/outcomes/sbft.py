@@ -29,9 +29,6 @@ def read_competition(folders: Sequence[Path], left_out: LeftOut | None = None) -
     """Read folders, one for each simulator, as one table: test_id, simulator, repeat, failed, and the road's features.
 
     `left_out` takes files that cannot be read; None refuses them.
-
-    Raises:
-        OutcomeTableError: a folder has no test file, or a file is not one and none may be left out.
     """
     rows: list[dict[str, Any]] = []
     left_out = left_out or LeftOut("rows", strict=True)

@@ -102,9 +102,6 @@ class Study:
 
         A test that was repeated counts as the middle of its repeats: by its median margin, or failed where half of them
         failed.
-
-        Raises:
-            OutcomeTableError: there are too many tests.
         """
         first = self.rows.drop_duplicates("test_id")
         if len(first) > MOST_TESTS:
@@ -244,11 +241,7 @@ def _spanning(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
 
 
 def read_frame(path: Path) -> pd.DataFrame:
-    """Read a table, CSV or Parquet; the index of CSV is the line.
-
-    Raises:
-        OutcomeTableError: it cannot be read, or is too large.
-    """
+    """Read a table, CSV or Parquet; the index of CSV is the line."""
     if path.suffix.lower() in (".parquet", ".pq"):
         return cast(pd.DataFrame, _read(read_parquet, path).to_pandas(ignore_metadata=True))
     return cast(pd.DataFrame, _read(read_csv, path))
@@ -364,11 +357,7 @@ def _limit(limit: float | dict[str, float], simulator: str) -> float:
 
 
 def write_rows(path: Path, study: Study) -> None:
-    """Write the rows of a study as CSV or Parquet, by the suffix.
-
-    Raises:
-        OutcomeTableError: another suffix.
-    """
+    """Write the rows of a study as CSV or Parquet, by the suffix."""
     if path.suffix not in (".csv", ".parquet"):
         raise OutcomeTableError(f"{path}: expected a name that ends in .csv or .parquet")
     if path.suffix == ".csv":

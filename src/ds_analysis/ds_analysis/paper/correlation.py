@@ -197,9 +197,6 @@ class RobustnessCheck:
     """Comparison of two maps computed in another way.
 
     Attributes:
-        what: difference from the main number.
-        map: first map.
-        against: map with which it is compared.
         value: compared value of the first map.
         auc: area under a curve, as `what` says, or None.
     """

@@ -29,10 +29,6 @@ class PairComparison:
 
     Attributes:
         roads: number of roads on which both runs ended with a verdict.
-        both_fail: number of roads on which both runs failed.
-        only_first_fails: number of roads on which only the first run failed.
-        only_second_fails: number of roads on which only the second run failed.
-        both_complete: number of roads on which neither run failed.
         kappa: Cohen's kappa of the verdicts; None if undefined.
         kappa_interval: asymptotic 95% interval of kappa (statsmodels), clipped to [-1, 1].
         reason: why there is no kappa, or "".

@@ -36,8 +36,6 @@ class ErrorSummary:
     """Summary of the steering errors of a group of recordings.
 
     Attributes:
-        images: number of images shown.
-        answered: number of images answered.
         compared: number of answered images with recorded steering.
         mean: mean error, positive to the right; None without errors, as are the following.
         outputs_apart: Wasserstein distance between answered and recorded steering as distributions.
@@ -140,7 +138,6 @@ class ErrorRobustnessCheck:
     """Comparison of errors computed in another way.
 
     Attributes:
-        what: difference from the main numbers.
         name: name of the sibling, or `MERGED`.
         distance: Wasserstein distance, or None.
         p: p-value of the test that `what` names, or None.

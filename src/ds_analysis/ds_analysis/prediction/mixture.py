@@ -37,7 +37,6 @@ class Drive(NamedTuple):
 
     Attributes:
         row: row of the test in its table.
-        failed: whether the car failed.
         drawn: whether the test was drawn at random from all that were left; otherwise somebody chose it.
     """
 

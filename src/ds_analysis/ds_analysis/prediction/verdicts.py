@@ -79,7 +79,6 @@ class Verdicts:
     Attributes:
         tests: every test with a verdict on a sibling or on the car.
         cells: every cell within the bounds of the map.
-        features: the map's axes.
         tolerated: failure rate up to which a cell counts as safe.
     """
 

@@ -78,11 +78,7 @@ class Proposed(BaseModel):
 
 
 def read_proposed(folder: Path) -> Proposed:
-    """Read what was proposed for a folder; nothing if there is no file.
-
-    Raises:
-        RecordError: the file is damaged.
-    """
+    """Read what was proposed for a folder; nothing if there is no file."""
     try:
         proposed = Proposed.model_validate_json(read_file(folder, PurePath(FOLDER, PROPOSAL)), strict=True)
     except FileNotFoundError:
@@ -108,7 +104,6 @@ class ProposedDrive:
 
     Attributes:
         road: road to tape out; None if the test is known by its features alone.
-        conditions: conditions to set.
         features: imported feature -> value, of a test without a road.
         scale: metres of the road per metre of the car's.
         probability: predicted probability that the car fails.

@@ -45,14 +45,9 @@ class RealDrive:
     """Outcome of one test on a real car.
 
     Attributes:
-        failed: whether the car failed.
-        outcome: as recorded.
         max_lateral_position: largest absolute lateral position of a completed drive, m of the road frame (the car's
             metres times the scale); None if it was not measured.
-        who: who drove.
         when: date, or date and time, ISO 8601.
-        source: file from which it was read.
-        note: anything else.
         drawn: whether the person says that its test was drawn at random from all, where it was not proposed.
     """
 
@@ -121,9 +116,6 @@ def drive_of(values: Mapping[str, str], limits: Mapping[str, float], scale: floa
         limits: test -> lateral position at which it fails, half the width of its lane, m of the road frame.
         scale: metres of the road frame per metre of the car's.
         source: file from which it was read.
-
-    Raises:
-        RecordError: a value is wrong.
     """
     test_id, outcome = values["test_id"], values["outcome"].lower()
     if test_id not in limits:
@@ -178,11 +170,7 @@ def _some(names: Collection[str]) -> str:
 
 
 def added(drives: Sequence[RealDrive], new: Sequence[RealDrive]) -> list[RealDrive]:
-    """Add drives to those that are kept; one that is kept already stays as it is.
-
-    Raises:
-        RecordError: a test has two different outcomes.
-    """
+    """Add drives to those that are kept; one that is kept already stays as it is."""
     drive_of_test = {drive.test_id: drive for drive in drives}
     for drive in new:
         before = drive_of_test.setdefault(drive.test_id, drive)
@@ -228,11 +216,7 @@ def read_drives(folder: Path) -> list[RealDrive]:
 
 
 def read_recorded(folder: Path) -> list[RealDrive]:
-    """Read the drives that `write_drives` kept; empty if there are none.
-
-    Raises:
-        RecordError: the file is damaged.
-    """
+    """Read the drives that `write_drives` kept; empty if there are none."""
     path = folder / FOLDER / DRIVES
     try:
         drives = _KEPT.validate_json(read_file(folder, PurePath(FOLDER, DRIVES)), strict=True)

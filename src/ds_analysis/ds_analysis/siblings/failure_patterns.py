@@ -25,10 +25,6 @@ class Nesting:
     """Failures of two simulators on the same roads.
 
     Attributes:
-        both: number of roads on which both fail.
-        only_first: number of roads on which only the first fails.
-        only_second: number of roads on which only the second fails.
-        neither: number of roads on which none fails.
         second_given_first: share of the first's failures on which the second fails too; None if the first never fails.
         second_given_first_interval: its 95% interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
             families where roads descend from each other.
@@ -116,7 +112,6 @@ class Departures:
     Two simulators that fail equally often may fail in different ways, and only such are worth asking both.
 
     Attributes:
-        failures: number of its failures.
         counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it; of one that was
             restored from a table, the way out is not recorded.
     """

@@ -41,7 +41,6 @@ class RecordedDrive:
     Attributes:
         poses: x, y (m) and yaw (rad) of the car's centre at each photograph, (n, 3).
         photographs: as JPEG or PNG files, in the same order.
-        camera: camera and its mounting.
         lane: centre line of the lane that was driven.
         lane_width: m.
         sha256: of the poses, the track and the camera.
@@ -55,11 +54,7 @@ class RecordedDrive:
     sha256: str
 
     def photograph(self, index: int) -> NDArray[np.uint8]:
-        """Photograph, (rows, columns, 3) uint8 RGB.
-
-        Raises:
-            RecordingError: it is damaged, or of another size than the camera's.
-        """
+        """Photograph, (rows, columns, 3) uint8 RGB."""
         try:
             image = rgb_of_file(self.photographs[index])
         except ImageError as error:

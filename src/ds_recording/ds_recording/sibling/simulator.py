@@ -37,7 +37,6 @@ class RecordingSettings(BaseModel):
     Attributes:
         car: parameter file of the car, written by `ds twin fit`, relative to the folder; None for the nominal car.
         crop_top: image rows at the top, of 160, that a network does not see.
-        crop_bottom: image rows at the bottom.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)

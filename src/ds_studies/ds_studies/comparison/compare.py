@@ -40,7 +40,6 @@ class GivenTests:
     Attributes:
         name: name of the set, safe within a file name.
         settings: how they are driven; the driver is replaced.
-        features: axes of the cells.
         work: simulator -> tests to compare there.
         reference: known drives of the reference.
         candidate: known drives of the candidate.

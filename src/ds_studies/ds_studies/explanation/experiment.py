@@ -28,8 +28,6 @@ class Experiment:
     """One failed test, and the simulator that completes it.
 
     Attributes:
-        fails: simulator on which it fails.
-        against: simulator on which it completes.
         parts: word for what is exchanged -> the parts of simulators in it; none for the test's conditions.
     """
 
@@ -48,11 +46,7 @@ class Experiment:
         return name, self.test
 
     def explained(self, results: DriveResults) -> Explanation:
-        """Share out the difference.
-
-        Raises:
-            ExplanationError: a drive ended in an error.
-        """
+        """Share out the difference."""
         losses = {}
         for subset in subsets(tuple(self.parts)):
             name, test = self.drive(subset)

@@ -64,7 +64,6 @@ class Explanation:
     """Why a test fails on one simulator and not on another.
 
     Attributes:
-        fails: simulator on which it fails.
         against: simulator on which it completes, which gives the parts for the exchange.
         losses: loss of the drive in which a subset of the parts is that of `fails`, and all others of `against`; for
             each subset of the parts in which the two differ. A drive with the loss 1 fails.

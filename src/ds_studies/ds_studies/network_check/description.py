@@ -160,9 +160,6 @@ def describe(
         ask: asks about what they do not decide; None takes the convention of the file's maker, or the commonest.
         search: whether other descriptions are tried than that.
         loaded: the network, if `load` has returned it already.
-
-    Raises:
-        DriverError: the network takes none of the inputs.
     """
     pilot = loaded or load(file, forms)
     remembers, comments = pilot.has_memory, {}
@@ -262,11 +259,7 @@ def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[Record
 
 
 def load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:
-    """Load a network file by the first of the descriptions that it takes.
-
-    Raises:
-        DriverError: it takes none.
-    """
+    """Load a network file by the first of the descriptions that it takes."""
     problem = None
     for form in forms:
         try:

@@ -85,7 +85,6 @@ class Finding:
     """One thing that is wrong.
 
     Attributes:
-        kind: what.
         text: one sentence, with the numbers that show it.
         line: line of YAML that fixes it, with its place; "" where none does.
     """
@@ -118,7 +117,6 @@ class NetworkCheck:
     Attributes:
         images: number of images that it was shown.
         correlation: of its steering with the autopilot's.
-        answers: on each simulator.
         findings: what is wrong; empty where nothing was found.
         steering: simulator -> its answers to all images.
         fixed: the description with every line applied; None without a description, or without a line.

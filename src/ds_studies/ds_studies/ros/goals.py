@@ -36,14 +36,7 @@ Work = Callable[["Job", Collection[str]], None]
 
 @dataclass(kw_only=True)
 class Job:
-    """Goal that drives.
-
-    Attributes:
-        server: takes its result.
-        work: what it asks.
-        listener: hears of its drives.
-        stop: ends them.
-    """
+    """Goal that drives."""
 
     goal: ServerGoalHandle
     server: GoalServer

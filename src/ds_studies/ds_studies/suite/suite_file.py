@@ -71,7 +71,6 @@ class SuiteTest(_Strict):
 
     Attributes:
         name: of the test in its campaign.
-        why: why it was chosen.
         control_points: of the road, m.
         road_sha256: digest of the control points; see `road_sha256`.
     """
@@ -91,13 +90,10 @@ class Suite(_Strict):
 
     Attributes:
         campaign: name of the campaign's folder.
-        driver: driver of the campaign.
         driver_sha256: digest of its files, or "".
-        siblings: simulators that act as siblings.
         twin: simulator that acts as the twin, or None.
         lane: lane in which roads are driven.
         maxitwo_compatible: as in the campaign's configuration.
-        features: axes of the cells.
         code_sha256: digest of the simulators' code by which the outcomes came about.
     """
 
