@@ -18,8 +18,7 @@ SHORTEST_LAP, OVERLAP = 10.0, 3.0
 LARGEST_TURN, LARGEST_GAP = 0.6, 0.12
 """Largest error of the turn of a lap (rad), and of its ends' distance (laps), before they are joined."""
 ALIKE = 0.55
-"""Largest standard deviation of the difference of direction between two laps, rad; chosen: half a lap of an oval, or a
-road that only looks like one, has more, or another turn."""
+"""Largest standard deviation of the difference of direction between two laps, rad; chosen: half a lap has more."""
 LONGER = 1.25
 """Laps up to so many times the shortest are compared; chosen: two rounds are not a lap."""
 

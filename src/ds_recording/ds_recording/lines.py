@@ -13,11 +13,9 @@ from ds_recording.floor_camera import FloorCamera
 
 Array = NDArray[np.float64]
 WIDEST = 0.2
-"""Longest crossing of a line, lane widths, beyond the blur of two pixels; chosen: tape a tenth of a lane wide, crossed
-at 30 degrees. What is left of a lane between its lines is wider."""
+"""Longest crossing of a line beyond two pixels, lane widths; chosen: tape of a tenth, crossed at 30 degrees."""
 BRIGHTER = 25.0
-"""Least surplus of a white line's darkest colour over the brighter quarter of the floor, grey levels; chosen: worn tape
-has 40, the grain of asphalt and reflections 15."""
+"""Least surplus of a white line over the floor's brighter quarter, grey levels; chosen: worn tape 40, grain 15."""
 FARTHEST = 7.0
 """Distance of the farthest points that are used, lane widths; chosen: beyond, a pixel is longer than a dash."""
 MOST = 45

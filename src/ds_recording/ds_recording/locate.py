@@ -31,8 +31,7 @@ from ds_recording.unfinished import Unfinished, arrays_of, digest_of, evidence_o
 
 Array = NDArray[np.float64]
 LEAST_MOTION = 0.6
-"""Share of neighbouring images between which a motion of the floor must be seen; chosen: of images in their order it is
-0.95 and more, of shuffled ones 0.3 and less."""
+"""Share of neighbouring images that must show a motion of the floor; chosen: 0.95 in order, 0.3 if shuffled."""
 LEAST_LINES, ENOUGH_POINTS = 0.5, 8
 """Share of images that must show lines, and points of lines that are enough."""
 STANDING = 0.004
@@ -44,8 +43,7 @@ LARGEST_STD = (0.1, 0.09)
 MODEL_STD = (0.015, 0.012)
 """What is added to them, in squares: a body that rolls, a floor that is not flat; chosen on simulated recordings."""
 CLOSED_TURNS, WORSE_CLOSED = 10, 0.03
-"""Steps of the smoother on a closed line, and share of line points that may disagree more with it than with an open
-one; chosen: a wrong lap loses a third of them."""
+"""Smoother's steps on a closed line, and share of points it may lose; chosen: a wrong lap loses a third of them."""
 LEAST_LOCATED = 0.5
 """Share of the stretch's images that must be located."""
 FORGETFUL = Unfinished()

@@ -33,8 +33,7 @@ LEAST_POINTS, LEAST_SHARE = 8, 0.35
 SPEEDS, DOUBT = (0.0, 0.7, 1.4, 2.8), 25
 """Speeds that are tried where none is known (lane widths/s), and images after which one is doubted."""
 CONTRADICTS = 3.0
-"""Standard deviations from what else is known beyond which a motion is a wrong one: lines along which a car drives look
-as if it stood still."""
+"""Standard deviations from what else is known beyond which a motion is wrong: lines along the way seem to rest."""
 GATE = 2.5
 """Residual beyond which a corner counts as an outlier, standard deviations."""
 

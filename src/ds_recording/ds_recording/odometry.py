@@ -57,8 +57,7 @@ CONTRADICTS = 4.0
 LEAST_AGREEING = 0.7
 """Share of the time that a source must agree."""
 MOST_LEFT = 0.5
-"""Largest share of the motion's deviation that a source may leave unexplained; chosen: what hangs, or belongs to
-something else, leaves all of it."""
+"""Largest share of the motion's deviation that a source may leave unexplained; chosen: one that hangs leaves all."""
 EVEN = 0.03
 """Deviation, as a share of the way, that is little enough even where the speed hardly varies."""
 TURN_SCALE = (0.8, 1.25)
@@ -67,8 +66,7 @@ CLOSE, LEAST_CLOSE = 0.1, 0.25
 """Ways within this share of the source's, at the scale that most have, and how many there must be where images lose the
 floor too often to follow it; chosen: of ways that have nothing to do with each other it is an eighth."""
 SCALE_STD, IMAGE_STD = 0.02, 0.05
-"""Deviations of an encoder's metre, and of one in images; chosen: a tyre under load, and half of the 9% by which
-corners were held back on a soft texture."""
+"""Deviations of an encoder's metre (a tyre under load) and of one in images (half of 9% on soft texture); chosen."""
 SURPRISE = 2.0 * math.hypot(SCALE_STD, IMAGE_STD)
 """Difference of an encoder's metre from that of images from which on it is a surprise: two deviations of both."""
 

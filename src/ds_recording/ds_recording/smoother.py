@@ -40,13 +40,11 @@ TOGETHER = 2.0
 MOTION_FACTOR, MOTION_FLOOR = 1.5, (0.002, 0.002, 0.0015)
 """Factor on the standard deviations of motions, and what is added to them: lane widths, lane widths, rad."""
 ACCELERATION = (2.0, 0.5, 4.0)
-"""Standard deviation of changes of speed ahead, to the left (lane widths/s^2) and of yaw rate (rad/s^2); chosen: a car
-that gains its speed in a second, a steering that turns in a fifth of one."""
+"""Deviation of changes of speed ahead, left (lane widths/s^2), of yaw rate (rad/s^2); chosen: a second to speed."""
 CLOCK = 0.08
 """Error of the time between two frames, as a share; chosen: 3 ms of 50 ms on either side."""
 BEND = 0.05
-"""Standard deviation of the change of the road's curvature along one piece, 1/lane width; chosen: from straight to a
-radius of 2.5 lane widths within two lane widths."""
+"""Deviation of the curvature's change along one piece, 1/lane width; chosen: radius 2.5 within two lane widths."""
 LONGER = 1.5
 """Factor by which a line may grow before the search counts as lost."""
 _TRIES = 5

@@ -34,21 +34,17 @@ from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_RATE, Observation, Outcome, Simulator, VehicleState
 
 DRIVEN_TESTS = 24
-"""Largest number of tests of which every drive has a strip of pictures; chosen: 1.5 MB, rendered in 8 s of processor
-time."""
+"""Largest number of tests whose drives all have a strip of pictures; chosen: 1.5 MB, rendered in 8 s."""
 MOMENTS = 5
 """Pictures of a strip; chosen: a row of them fits on a screen."""
 BEFORE_FAILURE = 1.0
-"""Time between pictures of a failed drive's strip, the last of which shows the failure, s; chosen: shows the car
-leaving the lane, and the bend in which it does."""
+"""Time between pictures of a failed drive's strip, which ends with it, s; chosen: shows the bend in which it fails."""
 REPLAY_PICTURES = 3000
-"""Largest number of pictures of all replays; chosen: 14 MB in the file at 4.8 kB each in base64, so that a report with
-5,000 tests has about 31 MB."""
+"""Largest number of pictures of all replays; chosen: 14 MB, so that a report with 5,000 tests has about 31 MB."""
 REPLAYS_OF_LARGE = 600
 """The same where a campaign has more tests than a page; chosen: some fifty drives, more than anyone watches."""
 SPACINGS = (10, 20, 40)
-"""Frames between two pictures of a replay, the first with which all failed drives fit; chosen: 0.5 s, in which the car
-moves by its own length, to 2 s, which still shows every bend."""
+"""Frames between two pictures of a replay, the first with which all fit; chosen: 0.5 s to 2 s show every bend."""
 
 DriveKey = tuple[str, SimulatorName]
 """A test's id and a simulator."""

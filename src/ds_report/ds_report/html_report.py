@@ -175,8 +175,9 @@ def _tiles(data: CampaignData) -> list[tuple[str, str]]:
     """Collect the key numbers of the first screen: value and caption."""
     repeats, data = len(data.tests) - len(data.distinct.tests), data.distinct
     config, again = data.config, f"; {repeats} more repeat them" if repeats else ""
+    a_test = "a road" if all(test.conditions.is_default for test in data.tests) else "a road and its conditions"
     tiles = [
-        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each {_a_test(data)}{again}"),
+        (f"{len(data.tests):,}", f"test{'' if len(data.tests) == 1 else 's'}, each {a_test}{again}"),
         (f"{len(data.verdicts):,}", f"drive{'' if len(data.verdicts) == 1 else 's'} with a verdict"),
     ]
     families = families_of([test.road for test in data.tests])
@@ -192,11 +193,6 @@ def _tiles(data: CampaignData) -> list[tuple[str, str]]:
         ends = f"95%: {100 * low:.0f} to {100 * high:.0f}%"
         tiles.append((f"{100 * failed.mean():.0f}%", f"{failed.sum()} of {len(failed)} fail on {where}, {ends}"))
     return tiles
-
-
-def _a_test(data: CampaignData) -> str:
-    plain = all(test.conditions.is_default for test in data.tests)
-    return "a road" if plain else "a road and its conditions"
 
 
 def _outcome_table(data: CampaignData) -> list[dict[str, Any]]:

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SPACING = 0.1
-"""Distance between the points to tape out, m at the car's size; chosen: on bends with a radius of 0.25 m, the
-narrowest, the chord between two points leaves the arc by 5 mm, less than the width of tape."""
+"""Distance of points to tape out, m at the car's size; chosen: on the narrowest bend tape covers the error, 5 mm."""
 _PER_METRE = round(1 / SPACING)
 _MARGIN = 0.25
 """m at the car's size around the road, so that the grid's origin lies beside it."""

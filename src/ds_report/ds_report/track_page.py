@@ -52,7 +52,10 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
         columns=[f"{who} on {_short(where)}" for who, where in columns],
         rows=rows,
         photographs=[
-            (f"{_start(drive, place):.0f} road metres along the track", data_address(_photograph(drive, place)))
+            (
+                f"{_start(drive, place):.0f} road metres along the track",
+                data_address(drive.photograph(_nearest(drive.poses, place))),
+            )
             for place in places[:PHOTOGRAPHS]
         ],
     )
@@ -75,11 +78,11 @@ def _failures(answer: TrackAnswer, simulator: SimulatorName) -> list[NDArray[np.
 
 def _start(drive: RecordedDrive, place: NDArray[np.float64]) -> float:
     """Station of the lane nearest to a place, road metres."""
-    return float(drive.lane.stations[int(np.argmin(np.hypot(*(drive.lane.points - place[:2]).T)))])
+    return float(drive.lane.stations[_nearest(drive.lane.points, place)])
 
 
-def _photograph(drive: RecordedDrive, place: NDArray[np.float64]) -> NDArray[np.uint8]:
-    return drive.photograph(int(np.argmin(np.hypot(*(drive.poses[:, :2] - place).T))))
+def _nearest(places: NDArray[np.float64], place: NDArray[np.float64]) -> int:
+    return int(np.argmin(np.hypot(*(places[:, :2] - place[:2]).T)))
 
 
 def _draw(figure: Figure, answer: TrackAnswer, drive: RecordedDrive) -> None:

@@ -24,7 +24,6 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.words import in_words
@@ -71,7 +70,8 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
         result_before: dict[str, Any] = read_json(result)
         return result_before
     simulator = make_simulator(TWIN)
-    driver, road = make_driver(DRIVER, simulator.spec), _road()
+    driver = make_driver(DRIVER, simulator.spec)
+    road = generate(np.random.default_rng(ROAD_SEED), max_angle=MAX_ANGLE)
 
     def drive(conditions: Conditions) -> RunRecord:
         return drive_road(simulator, driver, road, ROAD_SEED, conditions)
@@ -155,7 +155,3 @@ def campaign_config(ranges: Ranges, siblings: Sequence[SimulatorName]) -> Campai
     conditions = {name: {"low": low, "high": high} for name, (low, high) in ranges.items()}
     search = {**SEARCH, "conditions": conditions}
     return parse_config({"siblings": list(siblings), "twin": TWIN, "driver": DRIVER, "search": search}, "the demo")
-
-
-def _road() -> Road:
-    return generate(np.random.default_rng(ROAD_SEED), max_angle=MAX_ANGLE)

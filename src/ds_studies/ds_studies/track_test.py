@@ -58,8 +58,7 @@ CAR = "car.yaml"
 NEEDED = ("max_steering_angle", "full_duty")
 """Parameters without which a fitted twin is not used: how far it turns, and how fast it is."""
 LENGTH, SHARE = 80.0, 0.6
-"""Length of a road, road metres, and the most of the track that one may take; chosen: a lap has to leave its loop
-open."""
+"""Length of a road, road metres, and its largest share of the track; chosen: a lap has to leave its loop open."""
 SHIPPED_CROP = 40
 """Image rows at the top that the networks shipped here do not see of the twin's camera."""
 LARGEST = 2**31

@@ -25,8 +25,7 @@ Columns = Literal["best", "all"]
 FOLDS = 5
 """Parts of the roads, each predicted from the others; usual (Hastie, Tibshirani, Friedman, section 7.10)."""
 REPEATS = 3
-"""Divisions into parts over which losses are averaged; chosen: a division alone moves a loss by a few hundredths of a
-bit, and each takes a second."""
+"""Divisions over which losses are averaged; chosen: one alone moves a loss by a few hundredths of a bit."""
 STRENGTHS = (0.1, 1.0, 10.0, 100.0)
 """Inverse strengths of the ridge penalty on standardised features; chosen: from hardly a slope to nearly a step."""
 ADDED_STRENGTH = 1.0

@@ -37,8 +37,7 @@ STUDY = "outcomes.parquet"
 MOST_TESTS = 20_000
 """Tests of a comparison; chosen: far more than a fit of the population can take in minutes."""
 MOST_ANALYSED = 2_000
-"""Tests of a campaign from which statistics are computed; chosen: the paper's campaigns have 1,700, and further tests
-hardly narrow an interval over simulators."""
+"""Tests of a campaign from which statistics are computed; chosen: more hardly narrow an interval over simulators."""
 _SAMPLE_SEED = 22
 """Seed of the sample of families; any number does."""
 ROAD_FEATURES: Mapping[str, Callable[[Road], float]] = {

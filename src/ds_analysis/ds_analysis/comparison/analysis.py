@@ -21,8 +21,7 @@ from ds_sim.registry import SimulatorName
 
 Verdict = Literal["worse", "better", "not significant"]
 Origin = Literal["random", "both", "reference", "suite"]
-"""How tests were chosen: at random; by a search against each network; by a search against the reference alone; or for
-a suite, which was selected by the reference's outcomes."""
+"""How tests were chosen: at random; by a search against both, or the reference alone; for a suite, by its outcomes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -189,6 +188,7 @@ def _simulators(
             verdict = "worse"
         elif fair_p < ALPHA and fair.fixed > fair.newly_fail:
             verdict = "better"
+        changes = [one.margin_change for one in drives if None not in (one.reference.fitness, one.candidate.fitness)]
         rows.append(
             SimulatorComparison(
                 simulator=name,
@@ -197,15 +197,10 @@ def _simulators(
                 unsearched=unsearched[name],
                 unsearched_p_adjusted=of_unsearched,
                 verdict=verdict,
-                margin_change=_median_change(drives),
+                margin_change=float(np.median(changes)) if changes else None,
             )
         )
     return rows
-
-
-def _median_change(drives: Sequence[PairedDrive]) -> float | None:
-    changes = [one.margin_change for one in drives if None not in (one.reference.fitness, one.candidate.fitness)]
-    return float(np.median(changes)) if changes else None
 
 
 def _cells(of: Mapping[SimulatorName, Sequence[PairedDrive]]) -> list[CellComparison]:
@@ -366,7 +361,7 @@ def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:
         random = "" if comparison.origin in ("random", "both") else f"{_changes(row.unsearched, 'random road')}; "
         return f"{said} Other such roads: better, too ({random}{p_in_words(row.unsearched_p_adjusted)} after Holm)."
     assert row.counts.interval is not None
-    low, high = (_signed(end) for end in row.counts.interval)
+    low, high = (f"{abs(100 * end):.0f} {'more' if end > 0 else 'fewer'}" for end in row.counts.interval)
     sentence = f"Whether that holds for other such roads: {p_in_words(row.p_adjusted)} after Holm, so it is open"
     if row.counts.newly_fail == row.counts.fixed:
         sentence = "Other such roads: no difference is shown"
@@ -383,7 +378,3 @@ def _changes(counts: PairedCounts, what: str) -> str:
         change = f"{fixed} of {tests} failed and now {'passes' if fixed == 1 else 'pass'}, {newly or 'none'}"
     verdict = "worse" if newly > fixed else "better" if newly < fixed else "neither better nor worse"
     return f"{change} the other way: on these it is {verdict}"
-
-
-def _signed(difference: float) -> str:
-    return f"{abs(100 * difference):.0f} {'more' if difference > 0 else 'fewer'}"

@@ -132,8 +132,7 @@ class PairedDrive:
 
 
 _PRIOR = 0.5
-"""Added to each of the four counts: the Jeffreys prior of a multinomial; half an observation for each outcome is also
-what Agresti and Min add (Statistics in Medicine 24, 2005)."""
+"""Added to each of the four counts: Jeffreys' prior; Agresti and Min add as much (Statistics in Medicine 24, 2005)."""
 Correction = Literal["holm", "fdr_bh"]
 """Names as in statsmodels: Holm's step-down procedure, Benjamini and Hochberg's false discovery rate."""
 

@@ -25,13 +25,11 @@ from ds_sim.simulator import FRAME_TIME, Outcome
 MOST_FAILURES = 2_000
 """Failures of a campaign whose records are read; chosen as for the report's other statistics: 2 ms each."""
 LATE = 0.25
-"""Share of a lane's width by which a car that goes straight on has left the middle when the driver begins to steer,
-from which it steers late; chosen: half of the room to the lane's edge is gone then."""
+"""Share of a lane's width by which a car that goes straight on is off when steering late; chosen: half of its room."""
 BEGINS = 0.5
 """Share of its mean steering into a bend from which a driver has begun to steer; chosen: halfway there."""
 LET_GO = 0.25
-"""Time for which a driver steers less than half of its peak at last, from which it has let go, s; chosen: 1.7 m at
-25 km/h."""
+"""Time at the end with less than half of the peak's steering, from which a driver has let go, s; chosen: 1.7 m."""
 _STEP = 0.5
 _HABITS = {
     "constant": "always steers the same",

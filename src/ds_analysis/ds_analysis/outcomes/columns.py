@@ -26,8 +26,7 @@ WORDS = {
 NO_VERDICT = {"error", "invalid", "skipped", "cancelled", "not_run"}
 """Words of tests that did not end."""
 MOST_EMPTY = 0.1
-"""Share of rows without a verdict up to which the others may all say the same; chosen: a column that is filled in only
-where something happened is emptier."""
+"""Share of rows without a verdict up to which the others may all say the same; chosen: a column of events has more."""
 _SHOWN = 6
 
 

@@ -226,12 +226,6 @@ def _joined(frame: pd.DataFrame, path: Path, tests: list[str], source: str) -> p
     return pd.concat([frame, of_row.rename(columns={n: f"{n} of {path.stem}" for n in of_row if n in frame})], axis=1)
 
 
-def _leave_out(frame: pd.DataFrame, row: int, reason: str, notes: ImportNotes, source: str, of: str = "") -> None:
-    if notes.rows.strict:
-        raise OutcomeTableError(f"{row_of(frame, row, source)}: {reason}")
-    notes.rows.add(f"{place_of(frame, row)}{of}", reason)
-
-
 def _spanning(rows: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """First two features, of numbers rather than of 0 and 1, and of two columns, where there are such."""
     ordered = sorted(names, key=lambda name: bool(rows[name].isin((0.0, 1.0)).all()))
@@ -293,8 +287,10 @@ def _outcomes(
             unread |= {row: f"{', '.join(as_list(named))} is empty" for row, text in enumerate(texts) if not text}
         notes.rows.total += len(frame)
         for row in sorted(unread):
+            if notes.rows.strict:
+                raise OutcomeTableError(f"{row_of(frame, row, source)}: {unread[row]}")
             of = f" on {simulators[row]}" if columns.simulators is not None else ""
-            _leave_out(frame, row, unread[row], notes, source, of)
+            notes.rows.add(f"{place_of(frame, row)}{of}", unread[row])
         if len(frame) and len(unread) == len(frame):
             raise OutcomeTableError(f"{row_of(frame, 0, source)}: {unread[0]}, and no other row can be read")
         rows = pd.DataFrame(

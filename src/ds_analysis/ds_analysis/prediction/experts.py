@@ -17,16 +17,13 @@ from scipy.special import betaln, expit, log_expit, logit
 from ds_analysis.common.statistics import Array, Bools, Indices
 
 LEVEL_SPREADS = (1.0, 3.0)
-"""Standard deviations of a car's level around the siblings', in logits, an expert each; chosen: a car like its
-siblings, and any failure rate."""
+"""Spreads of a car's level around the siblings', logits, an expert each; chosen: like its siblings, and any rate."""
 SLOPE_SPREAD = 0.5
-"""Standard deviation of its slopes around the siblings', per standard deviation of a feature; chosen: half of a
-slope."""
+"""Spread of its slopes around the siblings', per standard deviation of a feature; chosen: half of a slope."""
 OWN_LEVEL_SPREAD, OWN_SLOPE_SPREAD = 3.0, 1.0
 """The same around zero, for a car that follows no sibling."""
 RIDGE, LEVEL_RIDGE = 1.0, 0.1
-"""Precisions of the slopes' and levels' priors when siblings are fitted; chosen: weak, so that a feature that separates
-every sibling's failures keeps a finite slope."""
+"""Precisions of slopes' and levels' priors in fits of siblings; chosen: weak, but every slope stays finite."""
 FARTHEST_INSIDE = -2.0
 """Least margin that counts; chosen: a seventh of the limit, below which how far inside a run stays says nothing."""
 UNKNOWN_MARGIN = -1.0

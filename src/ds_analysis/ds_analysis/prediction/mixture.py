@@ -162,7 +162,8 @@ def predict(table: OutcomeTable) -> Prediction:
 
 def _prior_of(outcomes: SiblingOutcomes) -> Array:
     """(experts,) weights: as good as each expert predicts a few tests of a sibling from the others, and a rest."""
-    flat = _flat(experts_of(outcomes))
+    using = np.array([expert.uses_siblings for expert in experts_of(outcomes)])
+    flat = np.where(using, (1.0 - WITHOUT_SIBLINGS) / using.sum(), WITHOUT_SIBLINGS / (~using).sum())
     count = outcomes.failed.shape[1]
     total = flat.copy()
     rng = np.random.default_rng(_SAMPLE_SEED)
@@ -174,12 +175,6 @@ def _prior_of(outcomes: SiblingOutcomes) -> Array:
             evidence = [expert.after(rows, outcomes.failed[rows, one].astype(np.float64)) for expert in experts]
             total += softmax(np.log(flat) + [learnt.log_evidence for learnt in evidence]) / SAMPLES
     return np.asarray(EXCHANGEABLE * total / total.sum() + (1.0 - EXCHANGEABLE) * flat)
-
-
-def _flat(experts: Sequence[Expert]) -> Array:
-    """(experts,) weights before any outcome: equal ones on either side."""
-    using = np.array([expert.uses_siblings for expert in experts])
-    return np.where(using, (1.0 - WITHOUT_SIBLINGS) / using.sum(), WITHOUT_SIBLINGS / (~using).sum())
 
 
 def outcomes_of(table: OutcomeTable, name: SimulatorName) -> list[Drive]:

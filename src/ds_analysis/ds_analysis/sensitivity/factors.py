@@ -13,16 +13,14 @@ from ds_sim.conditions.scales import between
 from ds_sim.conditions.text import check_known
 
 LEVELS = 16
-"""Levels of strength between a simulator's own world (0) and the hardest value; chosen: a threshold to 6% of the
-range."""
+"""Levels from a simulator's own world (0) to the hardest value; chosen: a threshold to 6% of the range."""
 RESOLUTIONS = (2, 4, 8, 16)
 """Numbers of levels that may be driven: every eighth, every fourth, every second, or each of `LEVELS`."""
 VEHICLE_CONDITIONS = COMMAND_CONDITIONS | {"friction", "payload"}
 """Conditions that change how a vehicle moves; the others change what its camera sees, and nothing else."""
 
 _START = {"pavement_reflectance": 0.12, "shadow_depth": 0.0}
-"""Value at which a condition changes nothing, where that is not its default: worn asphalt, as most looks have it, and
-shadows that take no light."""
+"""Value at which a condition changes nothing, where that is not its default: worn asphalt, shadows without depth."""
 COMPANIONS = {
     "shadow_depth": {"shadow_density": 0.5},
     "low_sun": {"sun_azimuth": math.pi / 2, "sun_elevation": math.radians(10.0)},

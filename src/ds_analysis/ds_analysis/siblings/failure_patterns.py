@@ -99,8 +99,7 @@ Departure = Literal[
 KINDS: tuple[Departure, ...] = get_args(Departure)
 
 LOOK_BACK = 5.0
-"""Arc length before the end of a drive at which the bend is taken, m; chosen: 0.7 s at 25 km/h, about what it takes to
-cross half a lane."""
+"""Arc length before the end at which the bend is taken, m; chosen: 0.7 s at 25 km/h, time to cross half a lane."""
 STRAIGHT_BELOW = 0.02
 """Curvature below which a lane counts as straight there, 1/m; chosen: a radius of 50 m, ten times a tight bend's."""
 

@@ -31,8 +31,7 @@ Array = NDArray[Any]
 FURTHEST = 3.0
 """Largest distance of a photograph ahead or behind, road metres; chosen: some frames of a recording at walking pace."""
 SIDE, TURN = 2.25, math.radians(25.0)
-"""Largest offset (road metres) and turn of the car against the nearest photograph; chosen before any drive: a car that
-was recorded in the middle of its lane leaves it 2 m from there."""
+"""Largest offset (road metres) and turn against the nearest photograph; chosen: a lane is left 2 m from its middle."""
 WEIGHTS = (2.0, 1.0, math.radians(10.0))
 """Distance ahead, offset (road metres) and turn that count alike in *nearest*; chosen: a metre aside costs a network
 about as much as ten degrees, what lies ahead least, as it is seen smaller or larger but from the same side."""

@@ -14,8 +14,7 @@ TOLERANCE = 0.3
 """Distance, road metres, by which a lane may differ from the one that was driven; chosen: a thirteenth of its width."""
 
 EVERY, ENOUGH = 20.0, 20
-"""Distance between two starts, road metres, that is shortened where it gives fewer than so many roads; chosen: what
-`ds siblings compare` needs to judge a sibling."""
+"""Distance between two starts, road metres, shortened for at least so many roads; chosen: enough to judge a sibling."""
 
 
 LENGTH = 80.0

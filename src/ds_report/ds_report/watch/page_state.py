@@ -77,7 +77,7 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
     for test in data.tests:
         by_road.setdefault((test.road.road_id, test.seed), []).append(test)
     return {
-        "state": _state(snapshot),
+        "state": "running" if live is not None else "done" if snapshot.complete else "stopped",
         "stage": live.stage if live else "",
         "driver": str(config.driver),
         "done": len(verdicts) + len(data.excluded),
@@ -106,12 +106,6 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "maps": _maps(snapshot),
         "now": [_under_way(drive, by_road, snapshot.at) for drive in (live.drives if live else [])],
     }
-
-
-def _state(snapshot: Snapshot) -> str:
-    if snapshot.live is not None:
-        return "running"
-    return "done" if snapshot.complete else "stopped"
 
 
 def _last_error(errors: tuple[tuple[str, str, int, str, str], ...]) -> str:

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from ds_analysis.common.statistics import Indices
 
 ROADS = 2
-"""Short roads, each driven in both directions, which balances left and right; chosen: four drives take each simulator
-some seconds, and their bends differ."""
+"""Short roads, each driven in both directions, which balances left and right; chosen: some seconds a simulator."""
 LONGEST = 240
 """Frames of a drive, 12 s; chosen: the first two bends."""
 EVERY = 8

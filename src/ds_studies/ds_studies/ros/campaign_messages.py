@@ -47,7 +47,8 @@ def test_response(data: CampaignData, folder: str, test_id: str, response: GetTe
     """Fill in a test of a campaign, by the folder of its goal, and its outcomes."""
     test = next((one for one in data.tests if one.test_id == test_id), None)
     if test is None:
-        response.message = f"no test {test_id!r:.60}: expected one of {len(data.tests)}, such as {_first(data)}"
+        example = data.tests[0].test_id if data.tests else "none yet"
+        response.message = f"no test {test_id!r:.60}: expected one of {len(data.tests)}, such as {example}"
         return response
     response.found, response.road, response.seed = True, road_to_message(test.road), test.seed
     response.conditions = conditions_to_messages(test.conditions)
@@ -57,10 +58,6 @@ def test_response(data: CampaignData, folder: str, test_id: str, response: GetTe
     outcomes |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}
     response.outcomes = [outcome_message(folder, test_id, name, one) for name, one in outcomes.items()]
     return response
-
-
-def _first(data: CampaignData) -> str:
-    return data.tests[0].test_id if data.tests else "none yet"
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,7 @@ from ds_studies.ros.campaign_messages import Grids, grids_of, stamped, test_resp
 from ds_studies.ros.goals import Job
 
 MAPS_EVERY, MAPS_SHARE = 2.0, 20.0
-"""Seconds between two drawings of the maps, at least this many times what one takes; chosen: the maps of a hundred
-thousand drives take 5 s, and must not slow the drives."""
+"""Seconds between two drawings of the maps, at least so many times what one takes; chosen: drives are not slowed."""
 REMEMBERED = 1000
 """Outcomes that a late subscriber gets; chosen."""
 MEETING = 5.0

@@ -72,8 +72,7 @@ MOST_SEGMENTS = 6
 MAX_ANGLE = 270
 """Largest angle of the roads before they are cut, degrees: that of the training roads (paper 4.2.2)."""
 CANDIDATES = 3
-"""Roads tried for each one needed; chosen: a driver that completes less than a third of them needs no conditions to
-fail."""
+"""Roads tried for each one needed; chosen: a driver that completes fewer needs no conditions to fail."""
 
 TESTED, GATE = "tested", "gate"
 Fails = Callable[[str, int, Conditions], bool]
