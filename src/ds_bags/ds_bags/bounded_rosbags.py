@@ -25,7 +25,7 @@ from rosbags.rosbag2 import metadata
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ds_bags.layout import TooLargeError, count_opened, left_to_open, parse_metadata, too_much
+from ds_bags.layout import TooLargeError, current_opening, parse_metadata
 from ds_base.bounded_yaml import load_yaml
 
 if sys.version_info >= (3, 14):
@@ -60,15 +60,15 @@ def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
         TooLargeError: more bytes come out than may be opened.
         ValueError: an unknown codec, another size than declared, or half of it.
     """
+    opening = current_opening()
     if codec == "":
-        count_opened(len(data))
+        opening.count(len(data))
         return data
     if codec not in _DECOMPRESSORS:
         raise ValueError(f"a part is compressed with {codec[:20]!r}, expected zstd, lz4 or bz2")
-    limit = left_to_open()
-    if size is not None and size > limit:
-        raise too_much()
-    limit = limit if size is None else size
+    if size is not None and size > opening.left:
+        raise opening.too_much()
+    limit = opening.left if size is None else size
     parts: list[bytes] = []
     total = 0
     while data:
@@ -79,11 +79,11 @@ def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
             total += len(part)
             parts.append(part)
             if total > limit:
-                raise too_much() if size is None else ValueError(f"a part opens to more than its {size} bytes")
+                raise opening.too_much() if size is None else ValueError(f"a part opens to more than its {size} bytes")
             if not part and decompressor.needs_input:
                 raise ValueError("a compressed part ends too early")
         data = decompressor.unused_data or b""
-    count_opened(total)
+    opening.count(total)
     return b"".join(parts)
 
 
@@ -92,7 +92,7 @@ class _CountingFile(zstd.ZstdFile):
 
     def read(self, size: int | None = -1) -> bytes:
         part = bytes(super().read(size))
-        count_opened(len(part))
+        current_opening().count(len(part))
         return part
 
 
@@ -111,10 +111,6 @@ class _SharedTypestore(Typestore):
             self._first[key] = self
         first = self._first[key]
         self.fielddefs, self.types, self.cache = first.fielddefs, first.types, first.cache
-
-
-def _typestore(kind: Stores) -> Typestore:
-    return _SharedTypestore() if kind is Stores.EMPTY else get_typestore(kind)
 
 
 _parse_qos: Callable[[Any], list[Any]] = metadata.parse_qos
@@ -239,6 +235,6 @@ AnyReader: type[highlevel.AnyReader] = _loaded(
     ReaderErrors=(_ros1.ReaderError, rosbag2.ReaderError),
     get_types_from_msg=partial(_types, get_types_from_msg),
     get_types_from_idl=partial(_types, get_types_from_idl),
-    get_typestore=_typestore,
+    get_typestore=lambda kind: _SharedTypestore() if kind is Stores.EMPTY else get_typestore(kind),
 ).AnyReader
 """`rosbags.highlevel.AnyReader` within the limits."""

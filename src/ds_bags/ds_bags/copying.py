@@ -243,35 +243,30 @@ def _copy(source: Path, folder: Path, out: Path) -> Recovered:
     writer: Rosbag2Writer | None = None
     ended: dict[str, str] = {}
     count, first, last, readable, frames, states = 0, 0, 0, 0, 0, set[int]()
-    for record, position in _whole_records(source):
-        # After the footer comes only the closing magic.
-        readable = source.stat().st_size if isinstance(record, Footer) else position
-        if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
-            facts = dict(record.metadata)
-        elif isinstance(record, Metadata) and record.name == "rosbag2":
-            # The file was finished but its folder was not: use the outcome that the file states.
-            ended = _ending(record)
-        elif isinstance(record, tuple):
-            writer = writer or Rosbag2Writer(folder, facts)
-            channels[record[0]] = writer.channel(record[1])
-            states |= {record[0]} if record[1].message_type == STATE else set()
-        elif isinstance(record, Message) and writer is not None:
-            writer.write(channels[record.channel_id], record.log_time, record.data)
-            first = record.log_time if not count else min(first, record.log_time)
-            last, count = max(last, record.log_time), count + 1
-            frames += record.channel_id in states
+    with contextlib.suppress(DamagedFileError):
+        for record, position in records(source):
+            # After the footer comes only the closing magic.
+            readable = source.stat().st_size if isinstance(record, Footer) else position
+            if isinstance(record, Metadata) and record.name == ABOUT_RECORD:
+                facts = dict(record.metadata)
+            elif isinstance(record, Metadata) and record.name == "rosbag2":
+                # The file was finished but its folder was not: use the outcome that the file states.
+                ended = _ending(record)
+            elif isinstance(record, tuple):
+                writer = writer or Rosbag2Writer(folder, facts)
+                channels[record[0]] = writer.channel(record[1])
+                states |= {record[0]} if record[1].message_type == STATE else set()
+            elif isinstance(record, Message) and writer is not None:
+                writer.write(channels[record.channel_id], record.log_time, record.data)
+                first = record.log_time if not count else min(first, record.log_time)
+                last, count = max(last, record.log_time), count + 1
+                frames += record.channel_id in states
     if writer is None or not count:
         raise BagError(f"{source} holds no whole chunk: the writer was killed before its first flush")
     lost = source.stat().st_size - readable
     cut = {"outcome": UNFINISHED, "message": f"recovered: {frames} frames, the last {lost} bytes could not be read"}
     writer.close(facts | (ended or cut))
     return Recovered(source=source, folder=out, messages=count, seconds=(last - first) / 1e9, lost_bytes=lost)
-
-
-def _whole_records(source: Path) -> Iterator[Any]:
-    """Yield records up to the first damaged one, as `records` does."""
-    with contextlib.suppress(DamagedFileError):
-        yield from records(source)
 
 
 def _ending(record: Metadata) -> dict[str, str]:

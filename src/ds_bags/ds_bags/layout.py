@@ -93,14 +93,10 @@ class TooLargeError(BagError):
 
 
 class Opening:
-    """What one pass over a bag may still decompress.
-
-    Args:
-        size: bytes of the bag's files.
-    """
+    """What one pass over a bag, whose files have so many bytes, may still decompress."""
 
     def __init__(self, size: int) -> None:
-        self.limit = self.left = OPENED_AT_LEAST + OPENED_PER_BYTE * size
+        self._limit = self.left = OPENED_AT_LEAST + OPENED_PER_BYTE * size
 
     @contextmanager
     def counting(self) -> Iterator[None]:
@@ -111,36 +107,29 @@ class Opening:
         finally:
             _current.reset(token)
 
+    def count(self, size: int) -> None:
+        """Count decompressed bytes.
+
+        Raises:
+            TooLargeError: more than the limit.
+        """
+        self.left -= size
+        if self.left < 0:
+            raise self.too_much()
+
+    def too_much(self) -> TooLargeError:
+        """The error of a bag whose compressed parts open to more than the limit."""
+        return TooLargeError(
+            f"its compressed parts open to more than {self._limit / 2**20:.0f} MiB, the limit for a bag of this size"
+        )
+
 
 _current: ContextVar[Opening | None] = ContextVar("opening", default=None)
 
 
-def left_to_open() -> int:
-    """Bytes that may still be decompressed in this pass."""
-    opening = _current.get()
-    return OPENED_AT_LEAST if opening is None else opening.left
-
-
-def count_opened(size: int) -> None:
-    """Count decompressed bytes.
-
-    Raises:
-        TooLargeError: more than the limit.
-    """
-    opening = _current.get()
-    if opening is not None:
-        opening.left -= size
-    if left_to_open() < 0 or (opening is None and size > OPENED_AT_LEAST):
-        raise too_much()
-
-
-def too_much() -> TooLargeError:
-    """The error of a bag whose compressed parts open to more than the limit."""
-    opening = _current.get()
-    limit = OPENED_AT_LEAST if opening is None else opening.limit
-    return TooLargeError(
-        f"its compressed parts open to more than {limit / 2**20:.0f} MiB, the limit for a bag of this size"
-    )
+def current_opening() -> Opening:
+    """The pass that counts here; outside of any, one of a small bag."""
+    return _current.get() or Opening(0)
 
 
 def regular_file(path: Path) -> Path:

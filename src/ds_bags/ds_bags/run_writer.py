@@ -60,17 +60,6 @@ def facts_of(simulator: SimulatorName, run: RunRecord, level: Level) -> dict[str
     }
 
 
-def results_of(run: RunRecord) -> dict[str, str]:
-    """Custom data of a bag that is known once the run has ended."""
-    return {
-        "outcome": run.outcome.name,
-        "message": run.message,
-        "steps": str(run.steps),
-        "fitness": repr(run.fitness),
-        "max_lateral_position": repr(run.max_lateral_position),
-    }
-
-
 def write_bag(
     folder: Path,
     namespace: str,
@@ -128,8 +117,15 @@ def write_bag(
             messages.begin()
             messages.frames(None if level == "telemetry" else observations)
             messages.end()
-            images = {"images": str(messages.images)} if level != "telemetry" else {}
-            writer.close(facts | results_of(run) | images)
+            results = {
+                "outcome": run.outcome.name,
+                "message": run.message,
+                "steps": str(run.steps),
+                "fitness": repr(run.fitness),
+                "max_lateral_position": repr(run.max_lateral_position),
+                **({"images": str(messages.images)} if level != "telemetry" else {}),
+            }
+            writer.close(facts | results)
         shutil.rmtree(folder, ignore_errors=True)
         place_folder(hidden / folder.name, folder)
     except OSError as error:
@@ -140,16 +136,7 @@ def write_bag(
 
 
 class RunWriter:
-    """Writes the messages of one run in order, frame by frame.
-
-    Args:
-        writer: open writer of the bag.
-        namespace: namespace of the simulator.
-        spec: specification of the simulator.
-        run: supplies the road, the frames and, at the end, the outcome.
-        level: whether the bag holds images, and how they are encoded.
-        translate: how the driver saw the images; None if as they are.
-    """
+    """Writes the messages of one run in order, frame by frame; see `write_bag`."""
 
     def __init__(
         self,
@@ -160,33 +147,18 @@ class RunWriter:
         level: Level,
         translate: Translation | None = None,
     ) -> None:
-        self._writer = writer
-        self._spec = spec
-        self._run = run
+        self._writer, self._spec, self._run, self._translate = writer, spec, run, translate
+        self._make, self._store = message_builder(namespace), typestore()
         self._image = _IMAGE_TOPIC.get(level, "")
-        self._translate = translate
+        self._translated = self._image.replace("camera", TRANSLATED, 1) if translate is not None else ""
         self.images = 0
-        self._make = message_builder(namespace)
-        self._store = typestore()
-        skipped = {topic for topic in _TOPICS if topic.startswith("camera/") and topic != self._image}
-        skipped |= {topic for topic in _TOPICS if topic.startswith(TRANSLATED)}
-        if self._image:
-            skipped.discard("camera/camera_info")
-        if self._image and translate is not None:
-            skipped.discard(self._image.replace("camera", TRANSLATED, 1))
-        self._channels = {
-            topic: writer.channel(
-                topic_of(
-                    self._store,
-                    topic if topic[0] == "/" else f"{namespace}/{topic}",
-                    kind,
-                    depth=depth,
-                    latched=latched,
-                )
-            )
-            for topic, (kind, depth, latched) in _TOPICS.items()
-            if topic not in skipped
-        }
+        pictured = {self._image, self._translated, "camera/camera_info"} if self._image else set()
+        self._channels: dict[str, int] = {}
+        for topic, (kind, depth, latched) in _TOPICS.items():
+            if topic in pictured or not topic.startswith(("camera/", TRANSLATED)):
+                name = topic if topic[0] == "/" else f"{namespace}/{topic}"
+                described = topic_of(self._store, name, kind, depth=depth, latched=latched)
+                self._channels[topic] = writer.channel(described)
 
     def begin(self) -> None:
         """Write what is constant over the run: the road and the camera's mount."""
@@ -196,11 +168,7 @@ class RunWriter:
         self._put("/tf_static", START, self._make.camera_transform(self._spec.camera, start))
 
     def frames(self, observations: Iterable[Observation] | None = None) -> None:
-        """Write all frames and the commands that answer them.
-
-        Args:
-            observations: the run's observations with images; None to write no images.
-        """
+        """Write all frames and the commands that answer them, and the images of the observations if there are any."""
         run, make = self._run, self._make
         images = run.observations if observations is None else observations
         for index, (frame, pictured, time) in enumerate(
@@ -224,7 +192,7 @@ class RunWriter:
         self._put(self._image, time, image(frame.image, header))
         if self._translate is not None:
             translated = self._translate(frame.image)
-            self._put(self._image.replace("camera", TRANSLATED, 1), time, image(translated, header))
+            self._put(self._translated, time, image(translated, header))
         self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, header))
 
     def end(self) -> None:

@@ -81,14 +81,7 @@ def make_app() -> TyperGroup:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run a verb.
-
-    Args:
-        arguments: of `ds`.
-
-    Returns:
-        Exit status.
-    """
+    """Run a verb, and return the exit status."""
     show_lines()
     try:
         status = make_app().main(

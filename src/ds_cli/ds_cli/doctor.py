@@ -32,9 +32,7 @@ _SET_UP = "make setup"
 _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
 _RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
-EXTRAS = {
-    "distributed": ("dask", "--engine dask"),
-}
+EXTRAS = {"distributed": ("dask", "--engine dask")}
 """Optional library -> its file in requirements/, and what it is for."""
 _MODULES = {
     "commonroad-vehicle-models": "vehiclemodels",
@@ -81,14 +79,7 @@ print(json.dumps(listed))
 
 
 class Check(NamedTuple):
-    """Result of one check.
-
-    Attributes:
-        name: of what was checked.
-        ok: true if it is as it should be.
-        detail: what was found, one line.
-        fix: command that fixes the problem; "" if there is none.
-    """
+    """Result of one check: what was found, in one line, and the command that fixes it, "" if there is none."""
 
     name: str
     ok: bool
@@ -97,12 +88,7 @@ class Check(NamedTuple):
 
 
 def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
-    """Check everything, in the order in which problems would be fixed.
-
-    Args:
-        root: the repository; found from this file's place if left out.
-        imports: import every library instead of looking it up.
-    """
+    """Check everything in a repository, in the order in which problems would be fixed; import libraries if asked."""
     root = root or repository()
     if not (root / "requirements/project.txt").is_file() and (of_wheel := diagnose_wheel(imports=imports)) is not None:
         return of_wheel
@@ -130,14 +116,7 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
 
 
 def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
-    """Check the libraries that the wheel asks for; extras and ROS are optional.
-
-    Args:
-        imports: import every library instead of looking it up.
-
-    Returns:
-        The checks; None if no wheel is installed.
-    """
+    """Check the libraries that the wheel asks for, extras and ROS being optional; None if no wheel is installed."""
     try:
         wanted = requires(WHEEL) or []
     except PackageNotFoundError:
@@ -194,15 +173,9 @@ def uses_sourced_ros(root: Path) -> bool:
 
 
 def check_system(
-    version: tuple[int, int] = sys.version_info[:2],
-    which: Callable[[str], str | None] = shutil.which,
+    version: tuple[int, int] = sys.version_info[:2], which: Callable[[str], str | None] = shutil.which
 ) -> list[Check]:
-    """Check what must come from the operating system.
-
-    Args:
-        version: of the interpreter, major and minor.
-        which: finds a program by its name.
-    """
+    """Check what must come from the operating system."""
     series = "python3" if Path("/usr/bin/python3").exists() else f"python{version[0]}.{version[1]}"
     compiler = next((path for name in ("c++", "g++", "clang++") if (path := which(name))), None)
     header = Path(sysconfig.get_paths()["include"]) / "Python.h"
@@ -217,12 +190,7 @@ def check_system(
 
 
 def check_ros(root: Path, modules: Mapping[str, tuple[str, str]]) -> list[Check]:
-    """Check ROS and the workspace.
-
-    Args:
-        root: the repository.
-        modules: what `look_up` found, with `rclpy` and `ds-interfaces` in it.
-    """
+    """Check ROS and the workspace, given what `look_up` found, with `rclpy` and `ds-interfaces` in it."""
     version, problem = modules["rclpy"]
     own_interfaces, reason = modules["ds-interfaces"]
     built = (root / "ros_ws/install/setup.bash").is_file()
@@ -234,12 +202,7 @@ def check_ros(root: Path, modules: Mapping[str, tuple[str, str]]) -> list[Check]
 
 
 def check_libraries(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]) -> list[Check]:
-    """Check that each library is there and has the pinned version.
-
-    Args:
-        pins: distribution and version, as pinned.
-        modules: distribution, and its version or why it cannot be used.
-    """
+    """Check that each library is there and has the pinned version, given what `look_up` found."""
     checks = []
     for name, pinned in pins.items():
         version, problem = modules[name]
@@ -250,12 +213,7 @@ def check_libraries(pins: Mapping[str, str], modules: Mapping[str, tuple[str, st
 
 
 def check_extras(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]) -> list[Check]:
-    """Check the optional libraries: they may be absent, but not of another version.
-
-    Args:
-        pins: distribution and version, as pinned.
-        modules: distribution, and its version or why it cannot be used.
-    """
+    """Check the optional libraries: they may be absent, but not of another version."""
     checks = []
     for name, pinned in pins.items():
         version, problem = modules[name]
@@ -281,11 +239,7 @@ def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:
 
 
 def check_parts(python: Path) -> list[Check]:
-    """List the parts that installed packages add, and check that each can be imported and has what it needs.
-
-    Args:
-        python: the interpreter, in a process of its own.
-    """
+    """List the parts that installed packages add, and check that each can be imported and has what it needs."""
     try:
         listed = _answer(python, _PARTS)
     except LookUpError as error:
@@ -301,13 +255,8 @@ def check_weights(file: Path) -> Check:
     size = file.stat().st_size if file.is_file() else 0
     file_and_size = f"{file.name}, {size / 2**20:.1f} MB"
     problem = f"{file_and_size}: truncated, or not fetched" if size else f"{file.name} is missing"
-    return _check(
-        "network weights",
-        size >= SMALLEST_WEIGHTS,
-        file_and_size,
-        problem,
-        "git checkout -- src/ds_driver, or ./ds train",
-    )
+    fix = "git checkout -- src/ds_driver, or ./ds train"
+    return _check("network weights", size >= SMALLEST_WEIGHTS, file_and_size, problem, fix)
 
 
 def read_pins(requirements: Path) -> dict[str, str]:
@@ -325,13 +274,7 @@ def read_pins(requirements: Path) -> dict[str, str]:
 def look_up(python: Path, modules: Mapping[str, str], *, imports: bool = False) -> dict[str, tuple[str, str]]:
     """Look up libraries in a process of its own: its interpreter may be another one, and some libraries print.
 
-    Args:
-        python: the interpreter.
-        modules: distribution and the name of its module.
-        imports: import the modules too.
-
-    Returns:
-        For each distribution its version and "", or "" and why it cannot be used.
+    Of each distribution, given with the name of its module, returns its version and "", or "" and why it is unusable.
     """
     try:
         answer = _answer(python, _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else []))
@@ -345,11 +288,7 @@ class LookUpError(Exception):
 
 
 def _answer(python: Path, script: str, *arguments: str) -> Any:
-    """Run a script in an interpreter and parse the last line that it prints as JSON.
-
-    Raises:
-        LookUpError: there is none; one line with the reason.
-    """
+    """Run a script in an interpreter and parse the last line that it prints as JSON, or raise `LookUpError`."""
     try:
         done = subprocess.run(
             [str(python), "-c", script, *arguments], capture_output=True, text=True, check=False, timeout=IMPORT_TIME
@@ -397,11 +336,7 @@ Exit status: 0 all is well, 1 something is missing."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Check and print a table, with `--json` one JSON document.
-
-    Returns:
-        Exit status: 0 all is well, 1 something is missing, 2 an unknown argument.
-    """
+    """Check, print a table or one JSON document, and return the exit status; see `_HELP`, or 2: unknown argument."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     if any(argument in ("-h", "--help") for argument in words):
         print(_HELP)

@@ -115,11 +115,7 @@ def seed_of(road: Path | None) -> int:
 
 
 def conditions_in(road: Path | None) -> Conditions:
-    """The conditions that a road file of `ds campaign roads` names, else the default.
-
-    Raises:
-        ds_sim.ConditionsError: they cannot be.
-    """
+    """The conditions that a road file of `ds campaign roads` names, else the default."""
     from ds_sim.conditions.text import parse_conditions
 
     text = _test_in(road).get("conditions", "")

@@ -32,11 +32,7 @@ def evaluation(
     everything: bool,
     trusted: Collection[str] = (),
 ) -> Result:
-    """The tables of a campaign: RQ2 and RQ3, which operator suits it, and RQ1 if there is a data set.
-
-    Raises:
-        ds_analysis.paper.open_loop.OpenLoopError: the campaign has neither twin nor car, or the data set lacks images.
-    """
+    """The tables of a campaign: RQ2 and RQ3, which operator suits it, and RQ1 if there is a data set."""
     from ds_analysis.paper.campaign_contents import maps_of
     from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
     from ds_analysis.paper.open_loop import OpenLoopError

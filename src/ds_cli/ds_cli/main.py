@@ -22,14 +22,7 @@ from ds_cli.verbs import COMPLETION_VARIABLE, VERBS, completion, overview, uses_
 
 
 def answer_without_libraries(arguments: Sequence[str]) -> int | None:
-    """Answer what needs no library.
-
-    Args:
-        arguments: of `ds`.
-
-    Returns:
-        Exit status, or None if the arguments ask for something else.
-    """
+    """Answer what needs no library; returns the exit status, or None if the arguments ask for something else."""
     first, rest = (arguments[0], arguments[1:]) if arguments else ("--help", ())
     if COMPLETION_VARIABLE in os.environ:
         return None

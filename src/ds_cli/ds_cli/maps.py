@@ -42,12 +42,7 @@ def axes_named(text: str) -> list[str]:
 
 
 def grids(feature_map: FeatureMap, width: int) -> list[Table]:
-    """A map of two features as one grid, or as several side by side in columns where it is wider than the terminal.
-
-    Args:
-        feature_map: its first feature runs to the right, the second one upwards.
-        width: characters of a line.
-    """
+    """A map of two features as one grid, or as several side by side where it is wider than so many characters."""
     across, up = feature_map.features
     shown_cells = (*feature_map.cells, *feature_map.excluded)
     columns = _axis(cell[0] for cell in shown_cells)

@@ -145,11 +145,7 @@ Trust = Annotated[
 
 
 def rows_of(text: str | None) -> tuple[int, int] | None:
-    """Parse `FIRST:LAST`.
-
-    Raises:
-        typer.BadParameter: the text is not two numbers with a colon between them.
-    """
+    """Parse `FIRST:LAST`."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -161,9 +157,7 @@ def rows_of(text: str | None) -> tuple[int, int] | None:
 def simulators_of(text: str, *, default: bool = False) -> list[SimulatorName]:
     """Parse simulator names separated by commas, and check that each can be made.
 
-    Args:
-        text: the names.
-        default: whether nobody asked for these: those whose libraries are not installed are left out, with a line.
+    Where nobody asked for these (`default`), those whose libraries are not installed are left out, with a line.
 
     Raises:
         ds_sim.registry.UnknownSimulatorError: a name stands for no simulator, or is given twice.
@@ -199,12 +193,7 @@ def label_of_driver(driver: str) -> str:
 
 
 def driver_named(text: str, backend: str = "auto", device: str = "cpu") -> DriverName:
-    """The driver that a word of the command line names, on a backend, as in `dave2@onnx`.
-
-    Raises:
-        ds_driver.networks.backends.BackendError: backend or device are unknown, do not go together, or are given for
-            the autopilot, which runs no network.
-    """
+    """The driver that a word of the command line names, on a backend, as in `dave2@onnx`; refuses what cannot be."""
     from ds_driver.networks.backends import BackendError
     from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 

@@ -115,13 +115,7 @@ class DriveProgress:
         self._progress.stop()
 
     def update(self, step: int, driven: float, lateral_position: float) -> None:
-        """Show a feedback of the simulator.
-
-        Args:
-            step: frames so far.
-            driven: part of the road, in [0, 1].
-            lateral_position: m from the lane's centre, positive to the right.
-        """
+        """Show a feedback of the simulator; see `ds_orchestrator.campaign.engine.Watch`."""
         state = f"frame {step}, {lateral_position:+.2f} m off the lane's centre"
         self._progress.update(self._task, completed=driven, state=state)
         if not self._live and time.monotonic() - self._said >= EVERY:

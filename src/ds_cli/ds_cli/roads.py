@@ -50,14 +50,7 @@ def roads_of(
 def one_road(
     file: Path | None, seed: int, max_angle: int, lane: Side | None = None, *, own: Road | None = None
 ) -> Road:
-    """The road of a file that holds one, or a random one.
-
-    Args:
-        file: JSON with one road.
-        seed: of the random road.
-        max_angle: of the random road, degrees.
-        lane: lane to drive; None for the road's own.
-        own: road in the place of a random one.
+    """The road of a file that holds one, or a random one; `own` takes the place of a random one.
 
     Raises:
         ds_road.RoadError: the file holds none, or several.

@@ -19,14 +19,7 @@ PACKAGE = "ds_cli"
 
 
 class Verb(NamedTuple):
-    """A verb of `ds`.
-
-    Attributes:
-        name: as typed.
-        module: module of this package that defines it, imported on first use.
-        summary: one line, the first of its help text.
-        verbs: names of the verbs within a verb such as `bag`; empty for a plain one.
-    """
+    """A verb: its module in this package, the first line of its help text, and the verbs within one such as `bag`."""
 
     name: str
     module: str
@@ -156,11 +149,7 @@ VERBS = {verb.name: verb for _, verbs in GROUPS for verb in verbs}
 
 
 def overview(*, colour: bool = False) -> str:
-    """The text of `ds --help`.
-
-    Args:
-        colour: set headings and names in bold with ANSI escapes.
-    """
+    """The text of `ds --help`, with headings and names in bold by ANSI escapes if coloured."""
 
     def bold(text: str) -> str:
         return f"\033[1m{text}\033[0m" if colour else text
@@ -243,15 +232,7 @@ path of this checkout's `ds`."""
 
 
 def completion(arguments: Sequence[str], program: Path | None) -> int:
-    """Print the script of a shell.
-
-    Args:
-        arguments: of `ds completion`.
-        program: the checkout's `ds`; None calls the one on the PATH.
-
-    Returns:
-        Exit status: 0, or 2 for another shell.
-    """
+    """Print the script of a shell, which calls a checkout's `ds`, or the one on the PATH; returns the exit status."""
     if list(arguments) in (["-h"], ["--help"]):
         print(_COMPLETION_HELP)
         return 0

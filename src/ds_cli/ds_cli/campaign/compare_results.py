@@ -45,11 +45,7 @@ Videos = Annotated[
 
 
 def criteria_of(fail_on: str | None, max_failures: str | None, *, has_reference: bool) -> Criteria:
-    """The pass criteria that the options describe.
-
-    Raises:
-        ds_orchestrator.campaign.config.ConfigError: a threshold makes no sense.
-    """
+    """The pass criteria that the options describe, if they make sense."""
     from ds_analysis.comparison.ci_results import Criteria
     from ds_analysis.comparison.ci_results import MaxFailures as Limit
 
@@ -76,11 +72,7 @@ def lost_by(criteria: Criteria, comparison: Comparison, suite: Suite) -> bool:
 
 
 def check_writable(*paths: Path | None) -> None:
-    """Refuse files that could not be written at the end, before anything is driven.
-
-    Raises:
-        OSError: a folder is missing, or the file is a folder.
-    """
+    """Refuse files that could not be written at the end, before anything is driven."""
     for path in paths:
         if path is not None and path.is_dir():
             raise IsADirectoryError(21, "is a folder, expected a file to write", str(path))

@@ -16,8 +16,6 @@ from ds_sim.registry import SimulatorName
 REMEMBERED = 30
 """Executions on each simulator whose durations count; chosen: enough to average roads, few enough to follow a machine
 that becomes busy."""
-
-
 WELL_UNDER_WAY = 0.1
 """Part of a road from which a drive says how long it takes; chosen: beyond the start, in which the car accelerates."""
 
@@ -60,9 +58,7 @@ class Eta:
     def seconds(self, now: float, drives: Sequence[tuple[SimulatorName, float, float | None]] = ()) -> float | None:
         """Estimate the seconds left; None until an execution has finished in this session, or is well under way.
 
-        Args:
-            now: present time.
-            drives: those under way: simulator, seconds so far, and driven part of the road, in [0, 1], or None.
+        Of drives under way: simulator, seconds so far, and driven part of the road, in [0, 1], or None.
         """
         took = {name: list(seconds) for name, seconds in self._took.items()}
         at_once = Counter(name for name, _, _ in drives)

@@ -97,12 +97,7 @@ class NoOutcomeError(RunError):
 class Executor:
     """Executes tests, as many in parallel as the engine has capacity for; results do not depend on their number.
 
-    Args:
-        settings: how tests are driven.
-        folder: for bags.
-        store: finished executions are read from it, new ones added.
-        engine: drives the roads.
-        listener: receives every finished execution.
+    Finished executions are read from the store, new ones added, and their bags written to the folder.
 
     Attributes:
         given_up: tests whose search continued without their outcome, in an earlier session.
@@ -110,11 +105,8 @@ class Executor:
     """
 
     def __init__(self, settings: DriveSettings, folder: Path, store: Store, engine: Engine, listener: Listener) -> None:
-        self._settings = settings
-        self._folder = folder
-        self._store = store
-        self._engine = engine
-        self._listener = listener
+        self._settings, self._folder, self._store = settings, folder, store
+        self._engine, self._listener = engine, listener
         self._stop = threading.Event()
         self._lock = threading.Lock()
         self._changed = threading.Condition()
@@ -129,10 +121,7 @@ class Executor:
         self._stop.set()
 
     def execute_all(self, work: Mapping[SimulatorName, Sequence[Test]]) -> None:
-        """Execute tests.
-
-        Args:
-            work: simulator -> tests to drive there.
+        """Execute tests, given the simulator on which to drive each.
 
         Raises:
             Stopped: `stop` was called; finished executions are in the store.
@@ -144,9 +133,6 @@ class Executor:
         """Run work on one thread per drive at a time; the first error stops all threads, even during a run.
 
         Calls that `follow` while it runs are taken when no other is left.
-
-        Args:
-            work: simulator -> calls that execute tests there.
         """
         capacity = self._engine.capacity
         if capacity is None:

@@ -130,11 +130,6 @@ BACKEND = "back end of the network"
 def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> DriveSettings:
     """Record versions and digests; a campaign does not continue with another network or another car.
 
-    Args:
-        store: store of the campaign.
-        settings: how its tests are driven.
-        folder: its folder, for messages.
-
     Returns:
         The settings with the back end on which the campaign began, so that it goes on with the same bits.
 

@@ -26,14 +26,7 @@ from ds_sim.session import RunRecord
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredDrive:
-    """A drive of the forecast.
-
-    Attributes:
-        simulator: name of the simulator.
-        outcome: how it ended.
-        seconds: wall-clock time, beside the other measured drives.
-        disk: bytes that it would leave in the campaign folder.
-    """
+    """A drive of the forecast: wall-clock time beside the others, and bytes that it would leave in the folder."""
 
     simulator: SimulatorName
     outcome: str
@@ -86,11 +79,7 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
 
     With several workers, so many roads on each as the machine has processors for.
 
-    Args:
-        config: configuration of the campaign.
-        engine: started engine.
-        folder: campaign folder, or where it is to be; nothing is written there.
-        start_seconds: time in which the engine started, s.
+    Nothing is written to the campaign folder, which need not exist. The started engine took `start_seconds` to start.
 
     Raises:
         RuntimeError: a drive ends in an error, so that it measures nothing.

@@ -42,13 +42,10 @@ class LiveDrive(BaseModel):
     """A drive under way.
 
     Attributes:
-        simulator: name of the simulator.
-        road_id: id of the road.
-        seed: seed of the run.
         began: time at which the engine took it, s since 1970.
-        step: frames so far; None from engines that give no feedback.
-        progress: driven part of the road, in [0, 1], or None.
-        lateral_position: m from the lane's centre, positive to the right, or None.
+        step: frames so far; this and what follows are None from engines that give no feedback.
+        progress: driven part of the road, in [0, 1].
+        lateral_position: m from the lane's centre, positive to the right.
     """
 
     simulator: SimulatorName = Field(max_length=_LONGEST)
@@ -81,12 +78,7 @@ class Live(BaseModel):
 
 
 def read_live(folder: Path, now: float) -> Live | None:
-    """Read what the campaign in a folder does; None if none runs, or an earlier version that writes no such file.
-
-    Args:
-        folder: campaign folder.
-        now: s since 1970.
-    """
+    """Read what the campaign in a folder does at a time, s since 1970; None if none runs, or one of an old version."""
     try:
         live = Live.model_validate_json(read_file(folder, LIVE, _LARGEST))
     except (OSError, StoreError, ValidationError):
@@ -98,10 +90,6 @@ class LiveFile(TimedListener):
     """Listener that keeps the file up to date and forwards every call; a context manager that removes the file.
 
     A file that cannot be written, as on a full disk, does not disturb the campaign.
-
-    Args:
-        folder: campaign folder.
-        listener: receives every call.
     """
 
     def __init__(self, folder: Path, listener: Listener) -> None:
@@ -179,12 +167,7 @@ class LiveFile(TimedListener):
 
 
 class ObservedEngine:
-    """Engine that enters its drives into a live file, those of the gates excepted.
-
-    Args:
-        engine: drives the roads.
-        live: file.
-    """
+    """Engine that enters its drives into a live file, those of the gates excepted."""
 
     def __init__(self, engine: Engine, live: LiveFile) -> None:
         self._engine, self._live = engine, live

@@ -33,20 +33,12 @@ from ds_sim.registry import SimulatorName, label_of
 class Campaign:
     """Runs a campaign's stages; safe to stop at any moment.
 
-    Search runs on one sibling are independent of each other, and so are the executions of the later stages.
-
-    Args:
-        config: configuration of the campaign.
-        folder: campaign folder, for bags.
-        store: store of the campaign; finished executions are read from it, new ones added.
-        engine: drives the roads.
-        listener: receives progress.
+    Search runs on one sibling are independent of each other, and so are the executions of the later stages. Finished
+    executions are read from the store, new ones added, and their bags written to the folder.
     """
 
     def __init__(self, config: CampaignConfig, folder: Path, store: Store, engine: Engine, listener: Listener) -> None:
-        self._config = config
-        self._store = store
-        self._listener = listener
+        self._config, self._store, self._listener = config, store, listener
         self._executor = Executor(config.drive_settings(), folder, store, engine, listener)
         self._lock, self._stages = threading.Lock(), ExitStack()
         self._followed = set[str]()

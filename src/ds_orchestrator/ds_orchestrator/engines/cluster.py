@@ -27,13 +27,7 @@ class ClusterError(InputError):
 
 
 class TlsFiles(BaseModel):
-    """PEM files of one side of an encrypted connection.
-
-    Attributes:
-        ca: certificate of the cluster's authority.
-        cert: own certificate.
-        key: key of the own certificate.
-    """
+    """PEM files of one side of an encrypted connection: the authority's certificate, the own one, and its key."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -113,11 +107,9 @@ def read_cluster(path: Path) -> ClusterOptions:
     """
     raw = read_keys(path, ClusterError)
     if isinstance(raw, dict) and isinstance(raw.get("tls"), dict):
-        tls = {
-            key: path_moved(file, path.parent, Path()) if isinstance(file, str) else file
-            for key, file in raw["tls"].items()
-        }
-        raw = {**raw, "tls": tls}
+        files = {key: file for key, file in raw["tls"].items() if isinstance(file, str)}
+        moved = {key: path_moved(file, path.parent, Path()) for key, file in files.items()}
+        raw = {**raw, "tls": raw["tls"] | moved}
     try:
         return ClusterOptions.model_validate(raw)
     except ValidationError as error:
@@ -148,13 +140,7 @@ def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIM
 
 @contextmanager
 def own_cluster(workers: int, options: ClusterOptions, folder: Path) -> Iterator[str]:
-    """Start a scheduler and workers on this machine, yield the scheduler's address, and end them.
-
-    Args:
-        workers: number of workers, each with one thread.
-        options: where the scheduler listens, and TLS.
-        folder: folder for the workers' files.
-    """
+    """Start a scheduler and workers of one thread on this machine, yield the scheduler's address, and end them."""
     dask: Any = import_module("dask")
     distributed: Any = import_module("distributed")
     # The dashboard has no authentication.

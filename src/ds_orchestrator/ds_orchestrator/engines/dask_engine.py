@@ -34,12 +34,7 @@ LOSSES = 5
 
 
 class DaskEngine:
-    """Drives on the workers of a cluster.
-
-    Args:
-        key: of what the workers are prepared for.
-        membership: knows the workers.
-    """
+    """Drives on the workers of a cluster that are prepared under a key."""
 
     def __init__(self, key: dask_worker.Key, membership: Membership) -> None:
         self._key, self._membership = key, membership
@@ -82,11 +77,7 @@ class DaskEngine:
 
 @contextmanager
 def running_dask(settings: DriveSettings, *, folder: Path) -> Iterator[DaskEngine]:
-    """Connect to the cluster, or start one on this machine; yield an engine, and leave the cluster.
-
-    Args:
-        settings: driver, simulators, the cluster, and the number of workers of an own one.
-        folder: folder for an own cluster's files, created if missing.
+    """Connect to the cluster, or start one, with files in a folder; yield an engine, and leave the cluster.
 
     Raises:
         ds_orchestrator.engines.cluster.ClusterError: there is no scheduler, or no usable worker.

@@ -43,8 +43,7 @@ def describe(key: Key, backend: str, simulators: tuple[SimulatorName, ...]) -> t
 def prepare(key: Key, parcel: Parcel) -> int:
     """Unpack a parcel, and start one process per thread of this worker; idle ones of other campaigns end.
 
-    Returns:
-        Drives at a time.
+    Returns the number of drives at a time.
 
     Raises:
         ValueError: the driver here is not the driver there, or a simulator or the driver cannot be made.
@@ -69,14 +68,9 @@ def prepare(key: Key, parcel: Parcel) -> int:
 
 
 def drive(key: Key, request: dict[str, Any]) -> bytes | None:
-    """Drive a road.
+    """Drive a road, asked for as JSON value with names as where the campaign runs.
 
-    Args:
-        key: of what this worker was prepared for.
-        request: request as JSON value, with names as where the campaign runs.
-
-    Returns:
-        The run, encoded by `ds_sim.run_codec`; None if this worker is not prepared for it any more.
+    Returns the run, encoded by `ds_sim.run_codec`; None if this worker is not prepared for it any more.
     """
     from distributed import secede
 
@@ -94,11 +88,7 @@ def drive(key: Key, request: dict[str, Any]) -> bytes | None:
 
 
 def _check(parcel: Parcel, folder: Path) -> None:
-    """Check that the driver here is the driver there, and that every simulator can be made.
-
-    Raises:
-        ValueError: it is not, or one cannot.
-    """
+    """Raise ValueError unless the driver here is the driver there, and every simulator can be made."""
     from ds_driver.networks.network_driver import driver_sha256
     from ds_sim.registry import make_simulator
 

@@ -118,10 +118,7 @@ def open_drives(
 ) -> Iterator[tuple[Store, DriveSettings]]:
     """Open and lock the store of a folder of given tests, created if missing; its driver names its back end.
 
-    Args:
-        settings: how they are driven; see `drive_tests` for what may not have changed since the folder began.
-        folder: folder of the drives.
-        tests: those that the store may hold.
+    Errors are those of `drive_tests`.
     """
     make_folder(folder)
     with locked(folder), closing(Store(folder / DRIVES_FILE, config=settings.identity())) as store:

@@ -35,9 +35,7 @@ also use those for other formats, such as avx512_bf16."""
 def fingerprint(backend: str, simulators: Collection[SimulatorName]) -> dict[str, str]:
     """What two machines must have in common to compute the same bits: name -> value.
 
-    Args:
-        backend: `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
-        simulators: names of the simulators.
+    The back end is `onnx`, `openvino`, `openvino-bf16`, `torch`, or "" for a driver without a network.
     """
     installed_versions = versions()
     libraries = [*LIBRARIES, *(name for name, of in BACKENDS.items() if backend.startswith(of))]
@@ -89,10 +87,7 @@ def code_sha256(packages: Collection[str] = CODE) -> str:
             digest.update(f"{package} is missing".encode())
             continue
         path = Path(spec.origin)
-        files = [path]
-        if spec.submodule_search_locations:
-            files = sorted(path.parent.rglob("*.py"))
-        for file in files:
+        for file in sorted(path.parent.rglob("*.py")) if spec.submodule_search_locations else [path]:
             digest.update(f"{package}/{file.relative_to(path.parent)}\n".encode())
             digest.update(read_regular(file))
     return digest.hexdigest()

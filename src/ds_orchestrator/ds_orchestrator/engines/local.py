@@ -21,12 +21,7 @@ DRIVES_PER_WORKER = 4
 
 
 class LocalEngine:
-    """Gives each drive to the process that drives least.
-
-    Args:
-        workers: started processes.
-        drives_each: drives of one process at a time.
-    """
+    """Gives each drive to the started process that drives least, at most `drives_each` at a time."""
 
     def __init__(self, workers: list[WorkerProcess], drives_each: int) -> None:
         self._busy = dict.fromkeys(workers, 0)
@@ -76,11 +71,7 @@ class LocalEngine:
 def running_local(driver: DriverName, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalEngine]:
     """Start the processes, yield an engine, and end them.
 
-    Args:
-        driver: as in `ds_driver.closed_loop.drive_request.DriveRequest`.
-        workers: number of processes.
-        command_timeout: wall-clock time for one answer of the driver, s.
-        logs: folder for one log per process, created if missing.
+    Answers of the driver may take `command_timeout` s of wall-clock time. Each process has a log in the folder.
 
     Raises:
         ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.

@@ -47,7 +47,6 @@ class RemoteWorker:
     """Worker of the cluster.
 
     Attributes:
-        address: its address.
         room: drives that it takes at a time; 0 until it is prepared.
         drives: results that it owes.
         refusal: why it may not drive, one line, or "".
@@ -66,12 +65,6 @@ class RemoteWorker:
 
 class Membership:
     """Connects to a scheduler and watches it, prepares workers that join, and gives up those that are lost.
-
-    Args:
-        address: address of the scheduler.
-        options: how to connect to it.
-        parcel: what every worker needs.
-        key: of the parcel on a worker.
 
     Raises:
         ClusterError: there is no scheduler.
@@ -95,11 +88,11 @@ class Membership:
         with self._changed:
             return [worker.address for worker in self._workers.values() if worker.room]
 
-    def wait_for_worker(self, limit: float = FIRST_WORKER_TIME) -> None:
+    def wait_for_worker(self) -> None:
         """Wait until a worker is ready.
 
         Raises:
-            ClusterError: none is ready within `limit` seconds; gives the reason of the first one that was refused.
+            ClusterError: none is ready in `FIRST_WORKER_TIME`; gives the reason of the first one that was refused.
         """
         began, announced = time.monotonic(), False
         with self._changed:
@@ -108,12 +101,12 @@ class Membership:
                 if self._failure:
                     raise ClusterError(self._failure)
                 refusals = [worker.refusal for worker in self._workers.values()]
-                if waited > limit or (refusals and all(refusals)):
+                if waited > FIRST_WORKER_TIME or (refusals and all(refusals)):
                     why = next(filter(None, refusals), "there is none: start one with `dask worker ADDRESS`")
                     raise ClusterError(f"no usable worker at {self._address}: {why}")
                 if not announced and not self._workers and waited > 3.0:
                     announced = True
-                    LOG.info("waiting for a worker at %s, %.0f s at most", self._address, limit)
+                    LOG.info("waiting for a worker at %s, %.0f s at most", self._address, FIRST_WORKER_TIME)
                 self._changed.wait(_LOOK)
 
     @contextmanager

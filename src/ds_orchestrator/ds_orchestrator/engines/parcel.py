@@ -25,10 +25,9 @@ class Parcel:
     """Files of one campaign, for workers without its folders.
 
     Attributes:
-        driver: the driver's name where the campaign runs.
+        driver: the driver's name where the campaign runs, as those of the simulators.
         driver_sha256: digest of its files; "" for the autopilot.
         backend: back end that runs its network; "" for the autopilot.
-        simulators: names of the simulators where the campaign runs.
         files: path relative to the worker's folder -> content.
         renamed: name here -> name there, in which `{folder}` stands for the worker's folder.
     """

@@ -50,12 +50,7 @@ def preflight(settings: DriveSettings) -> None:
 
 
 def check_driver(driver: DriverName, simulators: Sequence[SimulatorName], *, attach: bool = False) -> None:
-    """Check a driver's name.
-
-    Args:
-        driver: what is to drive.
-        simulators: names of the simulators that it will drive.
-        attach: whether running nodes drive, of which one may be this driver.
+    """Check a driver and the simulators that it will drive; where running nodes drive, one may be this driver.
 
     Raises:
         ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.

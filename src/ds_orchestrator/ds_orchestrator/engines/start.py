@@ -36,10 +36,5 @@ ENGINES: dict[EngineName, Start] = {"graph": _graph, "local": _local, "dask": _d
 
 
 def running_engine(settings: DriveSettings, *, logs: Path) -> AbstractContextManager[Engine]:
-    """Context manager that starts an engine, yields it, and stops it.
-
-    Args:
-        settings: what is driven, by which engine.
-        logs: folder for the logs of the engine's processes.
-    """
+    """Context manager that starts an engine, yields it, and stops it; its processes log into a folder."""
     return ENGINES[settings.engine](settings, logs)

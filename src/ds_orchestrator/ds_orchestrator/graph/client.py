@@ -66,8 +66,7 @@ class GraphClient:
         namespaces: simulator name -> namespace.
         domain: ROS domain; None for the environment's.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
-        supervisor: supervisor of the graph's processes if this process started them; dead ones are restarted before
-            the next run. None to use running nodes.
+        supervisor: restarts dead processes of the graph before the next run; None to use running nodes.
     """
 
     def __init__(

@@ -27,10 +27,7 @@ LOCKS = Path("/tmp")
 
 
 class RosDomain:
-    """Reserves a free domain until it is closed or its process ends, by whatever signal.
-
-    Attributes:
-        number: reserved domain, 1 to 101.
+    """Reserves a free domain, `number`, until it is closed or its process ends, by whatever signal.
 
     Raises:
         RunError: all domains are in use.
@@ -49,8 +46,7 @@ class RosDomain:
             except OSError:
                 os.close(file)
                 continue
-            self.number = number
-            self._file = file
+            self.number, self._file = number, file
             return
         raise RunError("all ROS domains from 1 to 101 are in use: stop another campaign first")
 
@@ -64,18 +60,14 @@ class RosDomain:
 class GraphEngine:
     """Gives each drive to a graph with a free simulator of that name.
 
-    A run depends on road, seed, conditions and commands alone, so any graph may drive it.
-
-    Args:
-        graphs: each with every simulator.
-        simulators: names of the simulators.
-        start_probing: starts an engine for requests that are probed, which no node does; called at the first one.
+    A run depends on road, seed, conditions and commands alone, so any graph may drive it: each has every simulator.
+    Probed requests, which no node drives, go to an engine that is started at the first of them.
     """
 
     def __init__(
         self, graphs: Sequence[Engine], simulators: Sequence[SimulatorName], start_probing: Callable[[], Engine]
     ) -> None:
-        self._graphs = list(graphs)
+        self._graphs = graphs
         self._free: dict[SimulatorName, SimpleQueue[Engine]] = {name: SimpleQueue() for name in simulators}
         for name, free in self._free.items():
             # A simulator that is another program has one vehicle, so one graph drives it.
@@ -122,7 +114,7 @@ def running_graph(
 
     Args:
         namespaces: simulator name -> namespace.
-        driver: `autopilot`, a shipped network, or a weights file.
+        driver: of all simulators.
         command_timeout: wall-clock time that a simulator waits for its driver, s.
         logs: folder for the processes' logs.
         attach: start nothing; use running nodes in the environment's ROS domain.
@@ -155,17 +147,10 @@ def running_graph(
 
 @contextmanager
 def running_graphs(settings: DriveSettings, *, logs: Path) -> Iterator[GraphEngine]:
-    """Start the engine `graph`, yield it when its graphs are ready to drive, and stop it.
+    """Start the engine `graph`, yield it when its graphs are ready to drive, and stop it; errors: see `running_graph`.
 
-    Worker processes without ROS drive what is to be probed; their drives are the same.
-
-    Args:
-        settings: simulators, driver, and number of graphs.
-        logs: folder for logs; each of several graphs writes into a subfolder `worker_<number>`, from 1.
-
-    Raises:
-        ds_orchestrator.graph.client.GraphError: a graph does not start.
-        ds_orchestrator.graph.supervisor.ProcessError: a process of a graph ended.
+    Worker processes without ROS drive what is to be probed; their drives are the same. Each of several graphs writes
+    its logs into a subfolder `worker_<number>`, from 1.
     """
     count, timeout = settings.workers, settings.command_timeout
     with ExitStack() as stack:

@@ -126,11 +126,7 @@ def pool(
 ) -> FeatureMap:
     """Pool executions by cell; pooling several search runs gives their combined map (paper 3.3).
 
-    Args:
-        map_id: identity of the map.
-        runs: cell and execution of each test.
-        normalise: scales maximum lateral positions to [0, 1].
-        features: the axes.
+    `normalise` scales maximum lateral positions to [0, 1].
     """
     groups: dict[Cell, list[Execution]] = {}
     for cell, execution in runs:

@@ -58,15 +58,7 @@ def cells_of(
     maxitwo_compatible: bool = False,
     gates: Mapping[tuple[str, SimulatorName], Gate] = MappingProxyType({}),
 ) -> dict[str, Cell]:
-    """Map test -> cell, for every test that has one; see `ds_orchestrator.search.features`.
-
-    Args:
-        tests: tests of the campaign.
-        executions: their executions.
-        features: names of the axes.
-        maxitwo_compatible: count turns as the authors' package does.
-        gates: test and simulator -> what the gates say, for the measured contrast of lines.
-    """
+    """Map test -> cell, for every test that has one; see `cell_of`. Gates have the measured contrast of lines."""
     verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     cells = {}
     for test in tests:
@@ -91,14 +83,7 @@ def elites_of(
     *,
     ignored: Collection[str] = (),
 ) -> set[str]:
-    """Find the tests that are elites at the end of each search run.
-
-    Args:
-        tests: tests of the campaign.
-        executions: their executions.
-        cells: test -> cell.
-        ignored: tests whose search continued without their outcome.
-    """
+    """Find the tests that are elites at the end of each search run; searches went on without the `ignored` ones."""
     verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     archives: dict[tuple[str, int], Archive] = {}
     elites: dict[tuple[str, int], dict[Cell, str]] = {}
@@ -124,15 +109,7 @@ def build_maps(
 ) -> dict[MapId, FeatureMap]:
     """Build every map of a campaign; see `MapId` for the kinds.
 
-    Executions without a verdict and tests without a cell enter no map.
-
-    Args:
-        siblings: names of the siblings.
-        twin: name of the twin, or None.
-        tests: tests of the campaign.
-        executions: their executions.
-        plan: parameters of the maps.
-        gates: test and simulator -> what the gates say. Tests that they exclude are counted apart.
+    Executions without a verdict and tests without a cell enter no map. Tests that gates exclude are counted apart.
     """
     verdicts = [e for e in executions if e.outcome.is_verdict]
     cells = cells_of(tests, verdicts, features=plan.features, maxitwo_compatible=plan.maxitwo_compatible, gates=gates)

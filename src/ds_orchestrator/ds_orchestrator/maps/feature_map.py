@@ -82,13 +82,7 @@ class MapId:
 def map_ids(
     siblings: Sequence[SimulatorName], twin: SimulatorName | None, operators: Sequence[str] = ()
 ) -> list[MapId]:
-    """Identities of every map of a campaign, in the order in which they are written.
-
-    Args:
-        siblings: names of the siblings, in order.
-        twin: name of the twin, or None.
-        operators: further operators, each of which adds a merged map.
-    """
+    """Identities of every map of a campaign, in the order of writing; each further operator adds a merged map."""
     targets = [*siblings, *([twin] if twin else [])]
     return [
         *(MapId.search(sibling) for sibling in siblings),

@@ -184,12 +184,7 @@ def pack_numbers(values: NDArray[np.float64]) -> bytes:
 
 
 def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float64]:
-    """Decompress what `pack_numbers` wrote, with memory bounded by the expected count.
-
-    Args:
-        packed: value of the column.
-        name: name of the column, for messages.
-        count: expected number of values.
+    """Decompress what `pack_numbers` wrote to a column, with memory bounded by the expected count.
 
     Raises:
         RowError: the value is damaged, holds another number of values, or one that is not finite.

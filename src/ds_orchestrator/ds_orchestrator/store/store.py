@@ -206,11 +206,7 @@ class Store:
             raise self._file.damaged(f"{source.split()[0].strip('(')}, {error}") from None
 
     def tests(self, *, after: int = 0) -> list[Test]:
-        """Tests, ordered by sibling, run and number.
-
-        Args:
-            after: number of a row; only tests that were stored later; see `last_rows`.
-        """
+        """Tests, ordered by sibling, run and number; only those stored after a row, see `last_rows`."""
         rows = self._rows(TestRow, "tests WHERE rowid > ? ORDER BY sibling, run, number", (after,))
         try:
             return [test_of(row) for row in rows]
@@ -220,15 +216,9 @@ class Store:
     def check(
         self, siblings: Collection[SimulatorName], simulators: Collection[SimulatorName], *, runs: int, budget: int
     ) -> None:
-        """Refuse rows that a campaign over these simulators cannot have, before they are used.
+        """Refuse rows that a campaign over these simulators, with so many runs of so many tests, cannot have.
 
         The other columns of tests and executions are checked when they are read.
-
-        Args:
-            siblings: simulators with a search.
-            simulators: all simulators.
-            runs: search runs on each sibling.
-            budget: tests of a run.
 
         Raises:
             StoreError: a row has another simulator, a run or number out of range, an execution without its test, or
@@ -265,11 +255,7 @@ class Store:
         return executions[0] if executions else None
 
     def executions(self, *, after: int = 0) -> list[Execution]:
-        """Executions, ordered by simulator and test.
-
-        Args:
-            after: number of a row; only executions that were stored later; see `last_rows`.
-        """
+        """Executions, ordered by simulator and test; only those stored after a row, see `last_rows`."""
         return self._executions("WHERE rowid > ?", (after,)) if after else self._executions("", ())
 
     def sampled_executions(self, most: int) -> list[Execution]:
