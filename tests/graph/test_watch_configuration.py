@@ -22,7 +22,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from ds_orchestrator.campaign.engine import namespaces_of
 from ds_orchestrator.graph.session import RosDomain
-from ds_sim.frames import ROAD_FRAME, base_frame, camera_frame
+from ds_sim.frames import ROAD_FRAME, frame_of
 from ds_sim.registry import BULLET, DONKEY, SOFTBODY, spec_of
 from ds_sim.ros.frame_publisher import FramePublisher
 
@@ -62,7 +62,7 @@ def published() -> Iterator[dict[str, tuple[str, Any]]]:
 
 def test_foxglove_shows_topics_that_are_published(published: dict[str, tuple[str, Any]]) -> None:
     fields = set(VehicleState.get_fields_and_field_types())
-    frames = {frame(name) for name in NAMESPACES for frame in (base_frame, camera_frame)}
+    frames = {frame_of(name, frame) for name in NAMESPACES for frame in ("base_link", "camera_optical")}
     seen: set[str] = set()
     for name, panel in LAYOUT["configById"].items():
         kind = name.partition("!")[0]

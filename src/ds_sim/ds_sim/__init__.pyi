@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-from .camera.ground import Ground, paint_ground
+from .camera.atlas import Ground
+from .camera.ground import paint_ground
 from .camera.lens import project
 from .camera.look import Look
 from .camera.painted_scene import PaintedScene

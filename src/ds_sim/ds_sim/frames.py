@@ -28,14 +28,9 @@ Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
 """Translation x, y, z in m, and rotation as a quaternion x, y, z, w."""
 
 
-def camera_frame(namespace: str) -> str:
-    """Name of the optical frame of the camera in a namespace; the suffix is that of REP-103."""
-    return f"{namespace.strip('/')}/camera_optical".strip("/")
-
-
-def base_frame(namespace: str) -> str:
-    """Name of the vehicle's frame in a namespace."""
-    return f"{namespace.strip('/')}/base_link".strip("/")
+def frame_of(namespace: str, name: str) -> str:
+    """Name of a frame in a namespace: `base_link` of the vehicle, or `camera_optical`, whose suffix is REP-103's."""
+    return f"{namespace.strip('/')}/{name}".strip("/")
 
 
 def body_pose(vehicle: VehicleState) -> Pose:

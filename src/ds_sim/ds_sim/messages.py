@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.spec import CameraSpec
-from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose, base_frame, body_pose, camera_frame, camera_pose
+from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose, body_pose, camera_pose, frame_of
 from ds_sim.simulator import Command, Observation, VehicleState
 
 _LINE_STRIP = 4
@@ -40,7 +40,7 @@ class MessageBuilder:
     ) -> None:
         self._type_named = type_named
         self._sequence = sequence
-        self.camera_frame, self.base_frame = camera_frame(namespace), base_frame(namespace)
+        self.camera_frame, self.base_frame = frame_of(namespace, "camera_optical"), frame_of(namespace, "base_link")
 
     def _make(self, name: str, **fields: Any) -> Any:
         return self._type_named(name)(**fields)

@@ -3,15 +3,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from ds_sim.camera.ground import Ground
+from ds_sim.camera.atlas import Ground
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
+
+
+def ground_of(levels: Sequence[NDArray[np.uint8]], outside: tuple[int, int, int]) -> Ground:
+    """Ground of given rasters, (rows, columns, 3), finest first, with pixels of 0.05 m."""
+    opaque = [np.asarray(cv2.cvtColor(level, cv2.COLOR_RGB2RGBA), np.uint8) for level in levels]
+    shape = (levels[0].shape[0], levels[0].shape[1])
+    return Ground(shape, origin=(0.0, 0.0), resolution=0.05, outside=outside, texture=opaque, lazy_levels=0)
 
 
 def directions(

@@ -9,11 +9,13 @@ from typing import Literal
 import cv2
 import numpy as np
 import pytest
+from camera_reference import ground_of
 from scipy.spatial.transform import Rotation
 
-from ds_sim.camera.ground import Ground
+from ds_sim.camera.atlas import Ground
 from ds_sim.camera.look import Look
-from ds_sim.camera.renderer import Camera, Sensor
+from ds_sim.camera.renderer import Camera
+from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
 
@@ -50,7 +52,7 @@ def spotted_ground(point: tuple[float, float]) -> Ground:
     levels = [raster]
     for _ in range(5):
         levels.append(cv2.resize(levels[-1], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
-    return Ground.from_levels(levels, origin=(0.0, 0.0), resolution=resolution, outside=(60, 60, 60))
+    return ground_of(levels, (60, 60, 60))
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "equidistant"])

@@ -9,10 +9,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from camera_reference import below_horizon, brute_force, directions, psnr
+from camera_reference import below_horizon, brute_force, directions, ground_of, psnr
 
 from ds_road import Road, generate
-from ds_sim.camera.ground import Ground, paint_ground
+from ds_sim.camera.atlas import Ground
+from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.look import Look
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.spec import CameraSpec
@@ -100,7 +101,7 @@ def test_the_horizon_moves_smoothly_with_roll_and_pitch(name: str) -> None:
     # Sky and ground have one colour each: the sum over a column counts its sky pixels, including fractions.
     look = Look(asphalt=(0, 0, 0), grass=(0, 0, 0), horizon=(200,) * 3, sky_top=(200,) * 3, grass_grain=0.0)
     black = np.zeros((64, 64, 3), np.uint8)
-    ground = Ground.from_levels((black, black[::2, ::2]), origin=(0.0, 0.0), resolution=0.05, outside=(0, 0, 0))
+    ground = ground_of((black, black[::2, ::2]), (0, 0, 0))
     camera = Camera(spec, look)
     for roll, pitch in ((0.0, 0.0), (0.003, 0.001), (0.08, 0.002), (-0.05, -0.0035)):
         sky = camera.render(ground, pose(1.0, 1.0, 0.3, roll=roll, pitch=pitch))[..., 0].sum(axis=0) / 200.0

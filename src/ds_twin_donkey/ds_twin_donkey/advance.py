@@ -24,10 +24,10 @@ for _function in (dynamics.move, dynamics.pulse, dynamics.wheel_angles, dynamics
     error_model="numpy",
 )
 def compiled(car_record: Any, shares: Any, substeps: int, states: Any, commands: Any, frames: int) -> None:
-    """Advance the car by some steps.
+    """Advance the car, a record `CAR`, by some steps.
 
     Args:
-        car_record: address of a record `CAR`.
+        car_record: its address.
         shares: (substeps, 5) share of the newer pulse, gain and largest move of the servo under the older pulse, and
             under the newer one.
         substeps: number of substeps.

@@ -50,12 +50,7 @@ ARITHMETIC = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.m
 
 @dataclass(frozen=True)
 class Start:
-    """Start of a fit.
-
-    Attributes:
-        parameters: of the car.
-        taken: what the file says, as `name value`; empty for a parameter file.
-    """
+    """Start of a fit, and what a file says of the car, as `name value`; nothing of a parameter file."""
 
     parameters: DonkeyParameters
     taken: list[str] = field(default_factory=list)

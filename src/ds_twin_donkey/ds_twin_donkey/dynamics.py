@@ -76,18 +76,12 @@ class CarState(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constants:
-    """What follows from the parameters of a car.
+    """What follows from the parameters of a car and a substep, s.
+
+    Distances are those from the centre of mass to an axle, m, loads the static ones of a wheel, N, damping and
+    stiffness those of the leaning body, N m s/rad and N m/rad.
 
     Attributes:
-        step: substep, s.
-        to_front: distance from the centre of mass to the front axle, m.
-        to_rear: the same to the rear axle, m.
-        front_load: static load of a front wheel, N.
-        rear_load: static load of a rear wheel, N.
-        roll_damping: N m s/rad.
-        pitch_damping: N m s/rad.
-        roll_stiffness: N m/rad.
-        pitch_stiffness: N m/rad.
         breakaway: force below which friction holds a standing car, N.
         motor_gain: share of the way to a new duty that the motor covers in a substep.
     """
@@ -199,15 +193,7 @@ def pulse(p: DonkeyParameters, steering: float, throttle: float) -> tuple[float,
 
 
 def move(car: Any, s: NDArray[np.float64], steering: float, duty: float, brake: float) -> None:
-    """Take one Runge-Kutta step of the motion, with the actuators held at their mid-step values.
-
-    Args:
-        car: record `CAR`.
-        s: states of motion, changed in place.
-        steering: mean angle of the front wheels, rad, left positive.
-        duty: duty of the motor, 0 to 1.
-        brake: share of the shorted motor's braking, 0 to 1.
-    """
+    """Take one Runge-Kutta step of the motion in place, with mean angle (rad, left positive), duty and brake held."""
     p, c, k, trial = car.parameters, car.constants, car.slopes, car.trial
     held = (
         p.stall_force * duty <= c.breakaway

@@ -37,12 +37,7 @@ def random_commands(rng: np.random.Generator, seconds: float) -> NDArray[np.floa
 
 
 def coast(full: float, rolling: float) -> NDArray[np.float64]:
-    """Straight at full throttle, then coasting to a stop, (n, 2); separates drag brake from rolling resistance.
-
-    Args:
-        full: time at full throttle, s.
-        rolling: time without throttle, s.
-    """
+    """Straight at full throttle, then coasting, (n, 2), each for s; separates drag brake from rolling resistance."""
     commands = np.zeros((round((full + rolling) / FRAME_TIME), 2))
     commands[: round(full / FRAME_TIME), 1] = 1.0
     return commands
@@ -71,13 +66,9 @@ def simulated_recording(
     commands: NDArray[np.float64],
     noise: Sequence[float] = TRACKER_NOISE,
 ) -> Drive:
-    """Simulate a drive of the twin from rest as a tracker would record it; the front axle must carry half the load.
+    """Simulate a drive of the twin from rest as a tracker records it, with noise by `logs.CHANNELS`.
 
-    Args:
-        car: parameters of the car.
-        rng: source of the noise.
-        commands: (n, 2) steering and throttle.
-        noise: standard deviation per channel of `logs.CHANNELS`.
+    The front axle must carry half the load; the commands are steering and throttle, (n, 2).
     """
     states = rollout(car, commands)[:-1, _COLUMNS]
     measured = states + rng.normal(size=states.shape) * np.asarray(noise)

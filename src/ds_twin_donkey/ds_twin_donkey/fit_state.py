@@ -24,12 +24,9 @@ MAX_STATE = 2**24
 
 @dataclass(frozen=True, kw_only=True)
 class FitState:
-    """What a fit knows after a round.
+    """What a fit knows after a round, from 1 on, of a phase from 1 to 3, which may be settled.
 
     Attributes:
-        phase: 1 to 3.
-        round: of this phase, from 1.
-        settled: whether the phase is finished.
         theta: scaled parameters, (parameters,).
         eta: initial states, (windows, 7).
         sigma: noise of each channel, (5,).
@@ -44,11 +41,7 @@ class FitState:
 
 
 class Kept:
-    """Keeps the state of one fit in a file, if there is one; a state of other inputs is ignored, and replaced.
-
-    Args:
-        path: the file; None keeps nothing.
-    """
+    """Keeps the state of one fit in a file, if there is one; a state of other inputs is ignored, and replaced."""
 
     def __init__(self, path: Path | None) -> None:
         self._path, self._digest = path, ""

@@ -73,14 +73,7 @@ def find_mounting(drives: Sequence[Drive], car: DonkeyParameters) -> Mounting:
     In a bend the centre moves sideways by turn * (distance from the rear axle - speed^2 / (g * rear stiffness)), as in
     the single-track model with little slip; a point ahead moves by turn * distance more, and a heading that is turned
     to the left shows way * angle less. Robust least squares over half a second, as errors of single rows would hide the
-    turn: rows that do not fit are left out.
-
-    Args:
-        drives: recorded drives with positions and headings, (n, 5) measurements each.
-        car: parameters of the car.
-
-    Returns:
-        The mounting; that of the centre itself if no drive has five rows.
+    turn: rows that do not fit are left out. The mounting is that of the centre itself if no drive has five rows.
     """
     sums = [np.zeros((0, 3))]
     for drive in drives:
@@ -107,14 +100,7 @@ def rough_start(drives: Sequence[Drive], start: DonkeyParameters) -> DonkeyParam
     """Move a start to where a car of unknown gearing, lock and delay can be found from, as a fit stays near its start.
 
     Both duties are scaled to what the drives' speeds need in the median; of `LOCKS` and `DELAYS` those are taken whose
-    headings follow the drives best over one second.
-
-    Args:
-        drives: recorded drives with headings and speeds.
-        start: values to begin with.
-
-    Raises:
-        FitError: no drive is long enough.
+    headings follow the drives best over one second. FitError if no drive is long enough.
     """
     windows = Windows(drives, start, 1.0, ROUGH_TOTAL, max(DELAYS))
     rows = np.concatenate([np.column_stack((drive.commands[:, 1], drive.measured[:, 3])) for drive in drives])
@@ -140,20 +126,10 @@ def fit_located(
     progress: Progress = SILENT,
     kept: Kept = FORGETFUL,
 ) -> tuple[Fit, Mounting]:
-    """Fit parameters to a located recording; deterministic.
-
-    Args:
-        drives: its drives.
-        start: values of all parameters that are not fitted; nominal if omitted.
-        settings: see `FitSettings`.
-        progress: see `ds_twin_donkey.fit.fit`.
-        kept: see there.
+    """Fit parameters to a located recording; see `ds_twin_donkey.fit.fit`.
 
     Returns:
         The fit, of the car's centre, and where the recording's poses are on the car.
-
-    Raises:
-        FitError: no drive is long enough, or the model does not follow the drives at all.
     """
     start = start or DonkeyParameters()
     mounting = find_mounting(drives, start)

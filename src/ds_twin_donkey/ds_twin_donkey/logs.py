@@ -40,7 +40,6 @@ of positions; more than the error of a wheel sensor, less than that of wrong uni
 simulator have differed by a factor of 8)."""
 _STANDING_SPEED = 0.05
 """Speed below which a drive counts as started from rest, model m/s; chosen: above the noise of a speed sensor."""
-"""Bytes of a file that are hashed at a time."""
 
 
 class LogError(InputError):
@@ -107,10 +106,7 @@ def read_log(path: Path) -> Log:
 def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ...]:
     """Cut a log at gaps and at reverse throttle, which the twin does not model, and resample each part to 20 Hz.
 
-    Args:
-        times: (n,) times, s, increasing.
-        commands: (n, 2) steering and throttle.
-        measured: (n, 5) measurements as in `Drive`.
+    Times are in s, increasing; commands and measurements are (n, 2) and (n, 5) as in `Drive`.
     """
     usable = np.isfinite(commands).all(axis=1) & (commands[:, 1] >= 0.0)
     cuts = np.flatnonzero((np.diff(times) > MAX_GAP) | (np.diff(times) <= 0.0)) + 1

@@ -40,11 +40,6 @@ class Problem:
 
     `theta` are the parameters, scaled so that 0 is the start; `eta` are the initial states of the windows.
 
-    Args:
-        windows: windows of recorded drives.
-        start: initial values of all parameters.
-        substeps: substeps of the model per step.
-
     Attributes:
         substeps: as given; may be changed between calls.
         sigma: (5,) noise of each channel, by which residuals are divided.
@@ -122,14 +117,11 @@ class Problem:
 
         Args:
             names: parameters to fit.
-            theta: scaled parameters to start from.
-            eta: initial states to start from, (windows, 7).
+            theta: scaled parameters to start from; those found are returned.
+            eta: initial states to start from, (windows, 7); those found are returned.
             evaluations: largest number of evaluations of all residuals.
             tolerance: relative change of the cost that ends the iterations.
             iterated: called with a line per iteration.
-
-        Returns:
-            Scaled parameters and initial states.
 
         Raises:
             FitError: no parameter has any effect, or the model does not follow the drives.

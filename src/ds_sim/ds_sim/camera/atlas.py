@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -102,22 +101,6 @@ class Ground:
         # Where there are tiles to close, the levels beyond follow then.
         for level in range(lazy_levels, lazy_levels + 1 if lazy_levels else len(texture)):
             self._cover(level, 0, 0, *self._rasters[level].shape[:2])
-
-    @classmethod
-    def from_levels(
-        cls,
-        levels: Sequence[NDArray[np.uint8]],
-        *,
-        origin: tuple[float, float],
-        resolution: float,
-        outside: tuple[int, int, int],
-    ) -> Ground:
-        """Ground of given rasters, (rows, columns, 3) uint8 RGB, finest first, each half the size of the one before."""
-        rows, columns = levels[0].shape[:2]
-        opaque = [np.asarray(cv2.cvtColor(level, cv2.COLOR_RGB2RGBA), np.uint8) for level in levels]
-        return cls(
-            (rows, columns), origin=origin, resolution=resolution, outside=outside, texture=opaque, lazy_levels=0
-        )
 
     @property
     def levels(self) -> tuple[NDArray[np.uint8], ...]:

@@ -18,8 +18,6 @@ from ds_sim.camera.surface import SURFACE_CONDITIONS, Canvas, Strip, Surface
 from ds_sim.camera.textures import TEXTURE_SIZE, textures
 from ds_sim.conditions.model import DEFAULT, Conditions
 
-__all__ = ["Ground", "paint_ground"]
-
 RESOLUTION = 0.05
 """Size of a pixel of the finest raster, m; chosen: a line of 0.15 m is three pixels wide."""
 LEVELS = 6

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.atlas import AtlasMemory
-from ds_sim.camera.ground import Ground, paint_ground
+from ds_sim.camera.atlas import AtlasMemory, Ground
+from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.look import Look
 from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
 from ds_sim.camera.renderer import Camera

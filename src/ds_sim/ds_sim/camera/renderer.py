@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_sim.camera.ground import Ground
+from ds_sim.camera.atlas import Ground
 from ds_sim.camera.lens import (
     SPARE_RAYS,
     Vector,
@@ -33,11 +33,8 @@ from ds_sim.camera.lens import (
 )
 from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
-from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.simulator import VehicleState
-
-__all__ = ["Camera", "Sensor"]
 
 SAMPLES = (1, 2, 4, 8)
 """Possible numbers of vertical samples per pixel; chosen: more than eight bring no visible gain in the distance, and
