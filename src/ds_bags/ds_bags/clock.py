@@ -25,12 +25,8 @@ def time_of(message: Any, logged: int, *, headers: bool) -> int:
 def headers_are_shared(bag: BagReader, connections: Sequence[Any], needed: str = "") -> bool:
     """Decide the clock of a recording: headers, if those of all topics have stamps of one clock, else logging.
 
-    Stamps of 0, as of nodes that set none, are no stamps; simulated time and wall time have nothing in common.
-
-    Args:
-        bag: recording.
-        connections: what is to be compared in time, the images first.
-        needed: topic without which the images are worth nothing.
+    Stamps of 0, as of nodes that set none, are no stamps; simulated time and wall time have nothing in common. Of the
+    connections the images come first; without the `needed` topic they are worth nothing.
 
     Raises:
         BagError: the needed topic has nothing in common with the images on either clock.

@@ -33,27 +33,14 @@ from ds_base.installation import ds_command
 
 
 class DamagedFileError(BagError):
-    """A record that makes no sense; what came before it does.
-
-    Attributes:
-        reason: in a few words.
-    """
-
-    def __init__(self, file: Path, reason: str) -> None:
-        super().__init__(f"{file} is damaged ({reason}): `ds bag recover` keeps what is whole")
-        self.reason = reason
+    """A record that makes no sense; what came before it does."""
 
 
 def records(file: Path) -> Iterator[tuple[tuple[int, Topic] | Message | Metadata | Footer, int]]:
     """Iterate over numbered topics, messages, metadata and footer of a file in their order, those of chunks included.
 
-    A message comes only after its topic; times fit a ROS stamp.
-
-    Args:
-        file: MCAP file.
-
-    Yields:
-        Record, and how many bytes of the file have been read with it.
+    A message comes only after its topic; times fit a ROS stamp. With each record comes how many bytes of the file have
+    been read with it.
 
     Raises:
         DamagedFileError: the rest of the file makes no sense.
@@ -77,7 +64,8 @@ def records(file: Path) -> Iterator[tuple[tuple[int, Topic] | Message | Metadata
                 raise TooLargeError(f"{file}: {error}") from None
             except Exception as error:  # half a record raises whatever the reader stumbles on
                 reason = " ".join(str(error).split())[:100] or type(error).__name__
-                raise DamagedFileError(file, reason) from None
+                text = f"{file} is damaged ({reason}): `ds bag recover` keeps what is whole"
+                raise DamagedFileError(text) from None
             position = stream.tell()
             for one in checked:
                 if isinstance(one, Channel):
@@ -194,10 +182,7 @@ class Recovered:
 
 
 def unfinished_file(path: Path) -> Path:
-    """Find the MCAP file that a killed writer left behind.
-
-    Args:
-        path: intended path of the bag, its hidden folder, a folder with an MCAP file, or that file.
+    """Find the MCAP file that a killed writer left behind, given a bag's intended path, its hidden folder, or the file.
 
     Raises:
         BagError: there is no such file, or the bag is whole.

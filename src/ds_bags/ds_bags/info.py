@@ -32,11 +32,11 @@ def describe(path: Path) -> dict[str, Any]:
         'softbody'
     """
     with BagReader(path) as bag:
+        files = [*bag.files, *([bag.path / "metadata.yaml"] if bag.path.is_dir() else [])]
         return {
             "bag": str(bag.path),
-            "files": len(bag.files) + (1 if bag.path.is_dir() else 0),
-            "bytes": sum(file.stat().st_size for file in bag.files)
-            + ((bag.path / "metadata.yaml").stat().st_size if bag.path.is_dir() else 0),
+            "files": len(files),
+            "bytes": sum(file.stat().st_size for file in files),
             "seconds": bag.seconds,
             "messages": sum(connection.msgcount for connection in bag.connections),
             "topics": [{"name": c.topic, "type": c.msgtype, "messages": c.msgcount} for c in bag.connections],
@@ -45,11 +45,7 @@ def describe(path: Path) -> dict[str, Any]:
 
 
 def in_words(document: Mapping[str, Any]) -> list[str]:
-    """Describe a bag as lines of text: the outcome of its run first, then what is recorded.
-
-    Args:
-        document: result of `describe`.
-    """
+    """Turn the result of `describe` into lines of text: the outcome of the run first, then what is recorded."""
     facts = {printable(key): printable(value) for key, value in document["facts"].items()}
     size = f"{document['bytes'] / 1e6:.2f} MB in {document['files']} files"
     lines = [f"{document['bag']}: {document['messages']} messages over {document['seconds']:.2f} s, {size}."]

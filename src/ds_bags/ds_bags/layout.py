@@ -55,11 +55,7 @@ def plain_name(name: object) -> str:
 def new_folder(folder: Path) -> Iterator[Path]:
     """Make a folder that appears whole or not at all, beside others that may be in the making.
 
-    Args:
-        folder: to make; must not exist. Its parents are made.
-
-    Yields:
-        A path of the same name in a new hidden folder beside it, to make the folder at; it is moved when all is well.
+    Yields a path of the same name in a new hidden folder beside it, to make the folder at; it is moved at the end.
 
     Raises:
         BagError: the folder exists.

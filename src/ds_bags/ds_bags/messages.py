@@ -40,11 +40,7 @@ def typestore() -> Typestore:
 
 
 def message_builder(namespace: str) -> MessageBuilder:
-    """Make the builder of the messages of one simulator's bag.
-
-    Args:
-        namespace: namespace of the simulator, which prefixes its tf frames.
-    """
+    """Make the builder of the messages of one simulator's bag, whose namespace prefixes its tf frames."""
     types = typestore().types
     return MessageBuilder(lambda name: types[name.replace("/", "/msg/")], np.asarray, namespace)
 

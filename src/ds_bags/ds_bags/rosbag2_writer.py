@@ -37,8 +37,6 @@ class Topic:
     """Topic of a bag.
 
     Attributes:
-        name: topic name with its namespace.
-        message_type: type name such as `sensor_msgs/msg/Image`.
         definition: text of the type and of every type nested in it.
         digest: RIHS01 hash of the type.
         qos: QoS profile of the publisher, a YAML list of one.
@@ -140,11 +138,7 @@ class Rosbag2Writer:
         self._pending = 0
 
     def close(self, custom_data: Mapping[str, str]) -> None:
-        """Write index and metadata, and close the file.
-
-        Args:
-            custom_data: facts about the bag, for its metadata.
-        """
+        """Write index and metadata with facts about the bag, and close the file."""
         # After the last message: a file with this record is known to hold all messages.
         self.flush()
         information = self._information(custom_data)

@@ -133,11 +133,7 @@ def _bounded_integer(value: object) -> object:
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """Read a flat Parquet file, with the metadata of its schema; dictionaries are expanded.
-
-    Args:
-        path: the file.
-        columns: to read; all if None.
+    """Read columns of a flat Parquet file, all if None, with the metadata of its schema; dictionaries are expanded.
 
     Raises:
         FileError: no such table, a column twice, nested, or beyond a limit; one line without the file's name.

@@ -50,12 +50,7 @@ def read_keys(path: Path, refusal: type[ValueError]) -> Any:
 
 
 def problems(error: ValidationError, model: type[BaseModel]) -> str:
-    """Describe validation errors in one line, the first `MOST` in words.
-
-    Args:
-        error: validation error of pydantic.
-        model: model that was validated, for the names of its keys.
-    """
+    """Describe the validation errors of a model in one line, the first `MOST` in words."""
     errors = error.errors(include_url=False)
     more = [f"and {len(errors) - MOST} more"] if len(errors) > MOST else []
     return "; ".join([*(_problem(dict(one), model) for one in errors[:MOST]), *more])

@@ -15,10 +15,6 @@ def start(module: str, *arguments: str) -> None:
     """Import a node's module and call its `main`, which installs its own signal handlers.
 
     `ros2 launch` reports `process has died` for any status but 0, and being stopped during start-up is no error.
-
-    Args:
-        module: module of the node.
-        arguments: passed to `main`.
     """
     readable, writable = os.pipe()
     os.set_blocking(writable, False)

@@ -65,12 +65,7 @@ def confirm(names: Iterable[str]) -> None:
 
 
 def load_extension(name: str, kind: type[Part], what: str) -> Part:
-    """Import what a name leads to.
-
-    Args:
-        name: `module:NAME`.
-        kind: class that the part must be an instance of.
-        what: the part in the words of a message, such as `feature`.
+    """Import what `module:NAME` leads to, an instance of `kind`, called `what` in messages.
 
     Raises:
         ExtensionError: nobody confirmed the name, it cannot be imported, or it is something else.
@@ -87,12 +82,6 @@ def load_extension(name: str, kind: type[Part], what: str) -> Part:
 
 def load_installed(name: str, group: Group, kind: type[Part], what: str) -> Part:
     """Import a part that an installed package adds; installing the package was the user's consent.
-
-    Args:
-        name: key of `installed(group)`.
-        group: kind of part.
-        kind: class that the part must be an instance of.
-        what: the part in the words of a message, such as `feature`.
 
     Raises:
         ExtensionError: it cannot be imported, or it is something else.

@@ -43,12 +43,7 @@ class LockError(RunError):
 
 
 def read_file(folder: Path, name: str | PurePath, largest: int = LARGEST_FILE) -> bytes:
-    """Read a file inside a folder.
-
-    Args:
-        folder: the folder.
-        name: path of the file relative to it, of the program's own.
-        largest: limit, bytes.
+    """Read a file of at most so many bytes inside a folder, under a name of the program's own.
 
     Raises:
         FileNotFoundError: there is no such file.

@@ -14,12 +14,7 @@ PRIOR = 0.5
 
 
 class FailureCount(NamedTuple):
-    """Failed tests of some.
-
-    Attributes:
-        failures: number of tests that failed.
-        tests: number of tests with a verdict.
-    """
+    """Number of failures among tests with a verdict."""
 
     failures: int
     tests: int

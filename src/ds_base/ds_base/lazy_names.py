@@ -14,12 +14,7 @@ from ds_base.bounded_file import read_words
 
 
 def names_of_stub(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Make `__getattr__`, `__dir__` and `__all__` of a package from its stub.
-
-    Args:
-        package: its `__name__`.
-        file: its `__file__`; the stub lies beside it.
-    """
+    """Make `__getattr__`, `__dir__` and `__all__` of a package, given its `__name__` and `__file__`."""
     stub = ast.parse(read_words(Path(file).with_suffix(".pyi")))
     imports = [node for node in stub.body if isinstance(node, ast.ImportFrom) and node.level == 1]
     modules = {alias.name: f"{package}.{node.module}" for node in imports for alias in node.names}

@@ -56,12 +56,7 @@ _Item = TypeVar("_Item")
 
 
 def counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
-    """Pass items on, with a line about how many there were every `EVERY` seconds.
-
-    Args:
-        items: such as the images of a recording, each of which may take long.
-        what: whose they are, for the line.
-    """
+    """Pass images of something on, with a line about how many there were every `EVERY` seconds."""
     said = time.monotonic()
     for number, item in enumerate(items):
         if time.monotonic() - said >= EVERY:

@@ -124,7 +124,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             ),
             Verb(
                 "bag",
-                "bags.group",
+                "bags",
                 "Inspect, re-simulate and repair rosbag2 recordings.",
                 ("info", "recover", "redrive", "drive"),
             ),

@@ -78,11 +78,7 @@ class CentreLine:
         return Road.from_road_points(points, lane_width=self.lane_width, lane=self.lane)
 
     def sections(self, length: float, every: float) -> list[CentreLine]:
-        """Cut sections; those of a closed line run over its end.
-
-        Args:
-            length: of each, m.
-            every: distance between two starts, m.
+        """Cut sections of `length` m, one every so many metres; those of a closed line run over its end.
 
         Raises:
             RoadError: the line is shorter.

@@ -14,39 +14,18 @@ from rclpy.utilities import remove_ros_args
 from ds_cli import main as cli
 from ds_orchestrator.graph.signals import exit_status
 
+VERBS = {"campaign": (["campaign", "run"], ["--attach"]), "drive": (["drive"], ["--attach"]), "watch": (["watch"], [])}
+"""Executable -> verb, and the options that it adds."""
+
 
 def main(name: str) -> None:
-    """Run an executable by its name."""
-    {"orchestrator": orchestrator, "campaign": campaign, "drive": drive, "watch": watch}[name]()
+    """Run an executable: a verb, or `orchestrator`, the node that takes campaigns and tests as goals."""
+    if name == "orchestrator":
+        from ds_studies.ros import orchestrator_node
 
-
-def orchestrator() -> None:
-    """Run the node that takes campaigns and tests as goals."""
-    from ds_studies.ros import orchestrator_node
-
-    orchestrator_node.main()
-
-
-def campaign() -> None:
-    """Run `ds campaign run CONFIG.yaml --out DIR --attach`."""
-    _attached(["campaign", "run"])
-
-
-def drive() -> None:
-    """Run `ds drive --sim NAME ... --attach`."""
-    _attached(["drive"])
-
-
-def watch() -> None:
-    """Run `ds watch DIR`."""
-    _run(["watch"])
-
-
-def _attached(verb: list[str]) -> None:
-    _run(verb, "--attach")
-
-
-def _run(verb: list[str], *options: str) -> None:
+        orchestrator_node.main()
+        return
+    verb, options = VERBS[name]
     sys.argv = [f"ds {' '.join(verb)}", *verb, *remove_ros_args(sys.argv)[1:], *options]
     try:
         cli.main()
