@@ -129,6 +129,17 @@ class BabblingSimulator(QuickSimulator):
         return super().load(road, seed=seed, conditions=conditions)
 
 
+class HalfAnsweringSimulator(QuickSimulator):
+    """Stops its process in the middle of an answer, the first time only: DS_TEST_ONCE names a file."""
+
+    def load(self, road: Road, *, seed: int, conditions: Conditions = DEFAULT) -> Observation:
+        if not (once := Path(os.environ["DS_TEST_ONCE"])).exists():
+            once.touch()
+            os.write(int(sys.argv[1]), struct.pack("!i", 100_000) + bytes(1000))
+            os.kill(os.getpid(), signal.SIGSTOP)
+        return super().load(road, seed=seed, conditions=conditions)
+
+
 class RaisingSimulator(QuickSimulator):
     """Cannot be made."""
 

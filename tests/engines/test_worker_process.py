@@ -124,6 +124,19 @@ def test_what_a_stopped_process_was_given_is_driven_by_another(
     assert encode_run(process.drive(drive)) == encode_run(undisturbed) and process.pid != pid
 
 
+def test_a_process_that_stops_in_the_middle_of_an_answer_loses_nothing(
+    worker: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(worker_process, "TAKE_TIME", 2.0)
+    monkeypatch.setenv("DS_TEST_ONCE", str(tmp_path / "once"))
+    simulator = SimulatorName(f"{QUICK}:HalfAnsweringSimulator")
+    drives = [DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, simulator) for seed in range(3)]
+    process = worker()
+    disturbed, again = drive_all(process, drives), drive_all(process, drives)
+    assert all(run.outcome.is_verdict for run in disturbed)
+    assert list(map(encode_run, disturbed)) == list(map(encode_run, again))
+
+
 def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
     process = worker()
     crash = process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:CrashingSimulator")))

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import json
+import os
+import socket
 import struct
 import sys
 import threading
 import time
 from concurrent.futures import Future
-from contextlib import suppress
 from multiprocessing import Pipe
 from pathlib import Path
 
@@ -28,7 +29,7 @@ START_TIME = 90.0
 LOAD_TIME = 90.0
 """Limit for making a simulator and loading a road, s; chosen: importing a simulator on a busy machine takes 10 s."""
 TAKE_TIME = 30.0
-"""Limit for an idle process to take a drive, s, after which it is replaced; chosen: as for a frame."""
+"""Limit for an idle process to take a drive, and for a message to go on, s; then it is replaced; chosen: as a frame."""
 FRAME_TIME = 30.0
 """Limit for one frame of a simulator, s; chosen: a thousand times the slowest one that is shipped."""
 DEATHS = 3
@@ -140,6 +141,9 @@ class _Process:
     def __init__(self, children: ChildProcesses, driver: DriverName, limits: dict[Phase, float], log: Path) -> None:
         self._log, self._limits = log, limits
         self._connection, theirs = Pipe()
+        with socket.socket(fileno=os.dup(self._connection.fileno())) as ours:  # it may stop in the middle of a message
+            for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+                ours.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", int(limits[Phase.IDLE]), 0))
         self._memory = PhaseMemory()
         descriptors = (theirs.fileno(), self._memory.descriptor)
         self.child = children.start(
@@ -168,8 +172,10 @@ class _Process:
                 answer.set_exception(_Lost(self._ended))
                 return answer
             self._drives[key] = (asked, answer)
-        with suppress(OSError):  # it has ended, which the reader sees too
+        try:
             self._connection.send_bytes(encoded_request(key, asked))
+        except OSError:  # it has ended, or takes nothing any more; the reader sees the end
+            self.child.kill()
         return answer
 
     def _greeting(self) -> int:
@@ -182,7 +188,10 @@ class _Process:
                 raise WorkerError(f"a worker process did not load its driver within {START_TIME:.0f} s")
         try:
             greeting = json.loads(self._connection.recv_bytes())
-        except (EOFError, OSError):
+        except EOFError:
+            raise self._lost() from None
+        except OSError:
+            self.child.kill()
             raise self._lost() from None
         if "error" in greeting:
             raise WorkerError(str(greeting["error"]))
