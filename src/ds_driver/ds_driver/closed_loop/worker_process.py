@@ -16,6 +16,7 @@ from pathlib import Path
 
 from ds_base.errors import RunError
 from ds_base.processes import ChildProcesses, last_line_of, python_environment
+from ds_base.running_clock import RunningClock
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.drive_worker import KEY, LARGEST_ANSWER, PhaseMemory, encoded_request
 from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
@@ -206,7 +207,8 @@ class _Process:
 
     def _read(self) -> None:
         """Hand out answers until the process ends; end it when a phase takes too long."""
-        noted, since = -1, time.monotonic()
+        clock = RunningClock()
+        noted, since = -1, clock.now()
         while True:
             try:
                 if self._connection.poll(_POLL):
@@ -221,7 +223,7 @@ class _Process:
             # It may have been stopped after it answered, before it noted that it is idle.
             if key != ALL_DRIVES and key not in self._drives:
                 phase = Phase.IDLE
-            now = time.monotonic()
+            now = clock.now()
             if changes != noted or not self._drives:
                 noted, since = changes, now
             elif now - since > self._limits[phase]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from ds_base.errors import RunError
 from ds_base.progress import logger_of
+from ds_base.running_clock import RunningClock
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect
 from ds_orchestrator.engines.fingerprint import differences, fingerprint
@@ -78,6 +79,7 @@ class Membership:
         self._workers: dict[str, RemoteWorker] = {}
         self._heartbeats: dict[str, tuple[float, float]] = {}
         """Address -> time of the last heartbeat by the scheduler's clock, and when this process saw it change."""
+        self._clock = RunningClock()
         self._stopped, self._failure = False, ""
         self._thread = threading.Thread(target=self._watch, name="membership", daemon=True)
         self._thread.start()
@@ -202,7 +204,7 @@ class Membership:
 
     def _compare(self, present: dict[str, Any]) -> None:
         """Prepare new workers, and give up lost and silent ones."""
-        now = time.monotonic()
+        now = self._clock.now()
         with self._changed:
             workers = dict(self._workers)
         for address in workers.keys() - present.keys():

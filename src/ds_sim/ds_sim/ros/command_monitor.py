@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import time
-
+from ds_base.running_clock import RunningClock
 from ds_sim.simulator import Reason
 
 WARN_AFTER = 10
@@ -86,24 +85,25 @@ class CommandWatchdog:
         self.limit = limit
         self._frames_wait = frames_wait
         self._repeatable = True
-        self._asked = self._sent = time.monotonic()
+        self._clock = RunningClock()
+        self._asked = self._sent = self._clock.now()
 
     def sent(self, step: int) -> None:
         """Note that a frame was sent; a first frame that is sent again gives its driver no more time."""
-        self._sent = time.monotonic()
+        self._sent = self._clock.now()
         self._repeatable = step == 0
         if self._frames_wait and not self._repeatable:
             self._asked = self._sent
 
     def heard(self) -> None:
         """Note that a command came."""
-        self._asked = time.monotonic()
+        self._asked = self._clock.now()
         self._repeatable = False
 
     @property
     def waited(self) -> float:
         """How long the driver has been silent, s."""
-        return time.monotonic() - self._asked
+        return self._clock.now() - self._asked
 
     @property
     def is_over(self) -> bool:
@@ -113,4 +113,4 @@ class CommandWatchdog:
     @property
     def wants_repeat(self) -> bool:
         """Check whether the first frame should be sent again."""
-        return self._repeatable and time.monotonic() - self._sent > REPEAT_AFTER
+        return self._repeatable and self._clock.now() - self._sent > REPEAT_AFTER

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import atexit
 import threading
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -13,6 +12,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 
+from ds_base.running_clock import RunningClock
 from ds_sim.ros.runtime import SPIN_TIME, make_executor
 
 ANSWER_TIME = 2.0
@@ -26,6 +26,7 @@ class NodeThread:
 
     def __init__(self, node: Node) -> None:
         self._stopped, self._ending = threading.Event(), threading.Event()
+        self._clock = RunningClock()
         self._executor = make_executor(node.context)
         self._executor.add_node(node)
         self._thread = threading.Thread(target=self._spin, name=node.get_name(), daemon=True)
@@ -63,8 +64,8 @@ class NodeThread:
 
     def ask(self, client: Any, request: Any, limit: float) -> Any:
         """Call a service, repeatedly if needed; None without an answer within a limit, s."""
-        deadline = time.monotonic() + limit
-        while (left := deadline - time.monotonic()) > 0.0:
+        deadline = self._clock.now() + limit
+        while (left := deadline - self._clock.now()) > 0.0:
             answer = self.call(lambda: client.call_async(request), min(left, ANSWER_TIME))
             if answer is not None or self.stopped:
                 return answer
@@ -76,9 +77,9 @@ class NodeThread:
         The node's thread calls `begin`, which sends the request: rclpy's action client has no lock, and drops an answer
         that arrives before the request is registered.
         """
-        deadline = time.monotonic() + limit
+        deadline = self._clock.now() + limit
         sent = self.send(begin, limit)
-        return None if sent is None else self.wait(sent, max(0.0, deadline - time.monotonic()))
+        return None if sent is None else self.wait(sent, max(0.0, deadline - self._clock.now()))
 
     def send(self, begin: Callable[[], Future], limit: float) -> Future | None:
         """Send a request as `call` does, and return the future of its answer; None after the limit or when stopped."""
@@ -89,9 +90,9 @@ class NodeThread:
         """Wait for a future's result; None after the limit or when stopped."""
         ready = threading.Event()
         future.add_done_callback(lambda _future: ready.set())
-        deadline = time.monotonic() + limit
-        while not ready.wait(min(0.1, max(0.0, deadline - time.monotonic()))):
-            if self.stopped or time.monotonic() >= deadline:
+        deadline = self._clock.now() + limit
+        while not ready.wait(min(0.1, max(0.0, deadline - self._clock.now()))):
+            if self.stopped or self._clock.now() >= deadline:
                 return None
         return future.result()
 
