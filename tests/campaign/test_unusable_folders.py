@@ -202,3 +202,14 @@ def test_a_process_that_was_killed_before_it_wrote_anything_leaves_a_folder_to_b
     with pytest.raises(StoreError, match="stopped before it started"):
         Store(tmp_path / "campaign.sqlite")
     assert Store(tmp_path / "campaign.sqlite", config="{}").config == "{}"
+
+
+@pytest.mark.parametrize("command", ["campaign run {config} --engine dask --out {out}", "check dave2 --out {out}"])
+def test_without_shared_memory_a_line_says_who_needs_it(tmp_path: Path, config: Path, command: str) -> None:
+    read_only = ["unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o ro none /dev/shm && exec "$@"', "sh"]
+    if subprocess.run([*read_only, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("may not mount")
+    ds = [sys.executable, "-m", "ds_cli.main", *command.format(config=config, out=tmp_path / "out").split()]
+    done = subprocess.run([*read_only, *ds], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("error: /dev/shm takes no semaphore (Read-only file system)")

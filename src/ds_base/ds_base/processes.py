@@ -16,12 +16,33 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
+from ds_base.errors import RunError
+
 _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 USER_DOMAIN = "DS_USER_ROS_DOMAIN_ID"
 """Variable with the user's ROS domain, in the processes of a graph that has a domain of its own."""
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+
+
+class NoSemaphoreError(RunError):
+    """A machine on which Python's processes cannot share a semaphore."""
+
+
+def check_semaphores() -> None:
+    """Check that processes can share semaphores, which lie in `/dev/shm`; pools and Dask need them.
+
+    Raises:
+        NoSemaphoreError: they cannot.
+    """
+    try:
+        multiprocessing.get_context("spawn").Semaphore()
+    except OSError as error:
+        raise NoSemaphoreError(
+            f"/dev/shm takes no semaphore ({error.strerror}), and processes that share work need one: mount it, make "
+            "room, or let this user write there"
+        ) from None
 
 
 class ChildProcesses:
@@ -85,6 +106,7 @@ def map_in_processes(
     `work` is a module-level function that depends on its argument only; if `workers` is None, there are as many as
     available processors. On Ctrl-C the running jobs are finished; with `abandon` they are ended at once.
     """
+    check_semaphores()
     count = min(workers or len(os.sched_getaffinity(0)), max(len(jobs), 1))
     context = multiprocessing.get_context("spawn")
     threads = os.environ.get("OMP_NUM_THREADS")

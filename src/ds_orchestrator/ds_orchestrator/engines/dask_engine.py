@@ -14,6 +14,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from ds_base.folder_files import enter_folder
+from ds_base.processes import check_semaphores
 from ds_base.progress import logger_of
 from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
@@ -89,6 +90,7 @@ def running_dask(settings: DriveSettings, *, folder: Path) -> Iterator[DaskEngin
     with ExitStack() as stack:
         address = options.scheduler
         if address is None:
+            check_semaphores()
             enter_folder(folder)
             address = stack.enter_context(own_cluster(settings.workers, options, folder))
             if options.listen != ClusterOptions().listen:
