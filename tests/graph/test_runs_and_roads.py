@@ -192,6 +192,23 @@ def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> 
     assert outcomes.count(Outcome.SIM_ERROR) == 1 and outcomes[-1] is Outcome.COMPLETED
 
 
+@pytest.mark.long
+def test_a_node_that_stops_between_two_runs_is_replaced(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """ROS forgets it after 20 s."""
+    monkeypatch.setattr(graph, "_start_time", 5.0)
+    graph._supervisor._processes["closed_loop_ds1"].send_signal(signal.SIGSTOP)
+    deadline = time.monotonic() + 60.0
+    while not graph._simulators[DONKEY].missing() and time.monotonic() < deadline:
+        time.sleep(0.2)
+    lost = graph.execute(DONKEY, Scenario(ROAD, seed=1))
+    assert (lost.outcome, lost.message) == (
+        Outcome.SIM_ERROR,
+        "after 5 s there is no simulator in /ds1: see the folder logs",
+    )
+    monkeypatch.undo()
+    assert graph.execute(DONKEY, Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
+
+
 def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

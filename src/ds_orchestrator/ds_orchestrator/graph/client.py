@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 
 from ds_base.errors import RunError
 from ds_base.progress import logger_of
+from ds_base.running_clock import RunningClock
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.graph.supervisor import (
@@ -119,7 +120,8 @@ class GraphClient:
             if self._supervisor is not None:
                 self._supervisor.check({p for name in awaited for p in self._processes(name)})
             if time.monotonic() > deadline:
-                raise GraphError(f"after {limit:.0f} s {missing[0]}: start it, in the same ROS domain")
+                advice = "see the folder logs" if self._supervisor else "start it, in the same ROS domain"
+                raise GraphError(f"after {limit:.0f} s {missing[0]}: {advice}")
             if self._thread.pause(0.05):
                 return
 
@@ -214,11 +216,13 @@ class GraphClient:
         together = closed_loop_process_name(self._namespaces[simulator])
         return together if self._simulator_of(simulator) == together else DRIVER_PROCESS
 
-    def _restart(self, simulator: SimulatorName) -> None:
-        """Restart a simulator's process, if the supervisor runs it."""
-        if self._supervisor is not None and not self._thread.stopped:
-            with self._revival:
-                self._supervisor.restart(process := self._simulator_of(simulator))
+    def _restart(self, process: str, began: float = math.inf) -> None:
+        """Restart a process if the supervisor runs it, unless it was restarted after this time."""
+        if self._supervisor is None or self._thread.stopped or process not in self._supervisor.names:
+            return
+        with self._revival:
+            if self._renewed.get(process, -math.inf) < began:
+                self._supervisor.restart(process)
                 self._note_restart(process)
 
     def _note_restart(self, process: str) -> None:
@@ -246,26 +250,24 @@ class GraphClient:
         It may drive other simulators too, whose runs lose the old process as well: they must not restart it again.
         """
         driver = self._driver_of(simulator)
-        if self._supervisor is None or self._thread.stopped or driver not in self._supervisor.names:
-            return
-        if record.reason is Reason.COMMAND_REFUSED or self._waits_for(driver, began, record):
-            return
-        with self._revival:
-            if self._renewed.get(driver, -math.inf) < began:
-                self._supervisor.restart(driver)
-                self._note_restart(driver)
+        if record.reason is not Reason.COMMAND_REFUSED and not self._waits_for(driver, began, record):
+            self._restart(driver, began)
 
     def _execute(self, name: SimulatorName, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
         began = time.monotonic()
         try:
             self.wait_until_ready(self._start_time, only=name)
-        except (GraphError, RuntimeError) as error:
+        except GraphError as error:  # it stopped between two runs
+            ready = simulator.info.service_is_ready()
+            self._restart(self._driver_of(name) if ready else self._simulator_of(name), began)
+            return Outcome.SIM_ERROR, str(error)
+        except RuntimeError as error:
             return Outcome.SIM_ERROR, str(error)
         # A goal must not be sent twice, but a service may be called until a simulator that has just started answers.
         limit = START_TIME if self._simulator_of(name) in self._starting else SERVICE_TIME
         if self._thread.ask(simulator.info, GetSimulatorInfo.Request(), limit) is None:
-            self._restart(name)
+            self._restart(self._simulator_of(name))
             return Outcome.SIM_ERROR, f"get_info was not answered within {limit:.0f} s"
         result = self._drive(name, goal)
         if isinstance(result, str):
@@ -300,10 +302,10 @@ class GraphClient:
 
     def _drive_once(self, name: SimulatorName, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         simulator = self._simulators[name]
-        simulator.alive, simulator.frame = time.monotonic(), 0
+        simulator.alive, simulator.frame = simulator.clock.now(), 0
         handle = self._thread.call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
         if handle is None:
-            self._restart(name)
+            self._restart(self._simulator_of(name))
             return f"the goal was not answered within {SERVICE_TIME:.0f} s"
         if not handle.accepted:
             return "the goal was rejected: is this simulator of another version?"
@@ -314,9 +316,9 @@ class GraphClient:
             self._thread.call(handle.cancel_goal_async, 1.0)
         if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
             return f"{', '.join(sorted(dead))} ended during the run, {simulator.place}"
-        self._restart(name)
+        self._restart(self._simulator_of(name))
         if self._supervisor is None and not self._thread.stopped:
-            seconds = time.monotonic() - simulator.alive
+            seconds = simulator.clock.now() - simulator.alive
             return f"{name} has not answered for {seconds:.0f} s, {simulator.place}: is its node alive?"
         return f"the simulator fell silent during the run, {simulator.place}"
 
@@ -329,7 +331,7 @@ class GraphClient:
         # A slow driver may use the whole timeout for every frame between two feedback messages.
         silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
         while not future.done():
-            if self._thread.stopped or time.monotonic() - simulator.alive > silence:
+            if self._thread.stopped or simulator.clock.now() - simulator.alive > silence:
                 return None
             if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
                 return None
@@ -340,13 +342,13 @@ class GraphClient:
 
     def _answers(self, simulator: _Simulator) -> bool:
         """Check whether a simulator that this process did not start gives feedback or answers a query."""
-        if time.monotonic() - max(simulator.alive, simulator.answered) < QUIET:
+        if simulator.clock.now() - max(simulator.alive, simulator.answered) < QUIET:
             return True
         request = GetSimulatorInfo.Request()
         for _ in range(UNANSWERED):
-            asked = time.monotonic()
+            asked = simulator.clock.now()
             if self._thread.call(lambda: simulator.info.call_async(request), QUERY_TIME) is not None:
-                simulator.answered = time.monotonic()
+                simulator.answered = simulator.clock.now()
                 return True
             if self._thread.stopped or simulator.alive > asked:
                 return True
@@ -364,16 +366,17 @@ class _Simulator:
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
         self.frame = 0
         """Last frame of the run that feedback was about."""
+        self.clock = RunningClock()
         self.alive = 0.0
-        """Monotonic time of the last feedback, s."""
+        """Time of the last feedback by this clock, s."""
         self.answered = 0.0
-        """Monotonic time of the last answer to a query during a run, s."""
+        """Time of the last answer to a query during a run, s."""
         self.watch: Watch | None = None
 
     def on_feedback(self, message: Any) -> None:
         """Record a sign of life, and pass the feedback on."""
         feedback = message.feedback
-        self.alive, self.frame = time.monotonic(), feedback.step
+        self.alive, self.frame = self.clock.now(), feedback.step
         if self.watch is not None:
             self.watch(feedback.step, feedback.progress, feedback.lateral_position)
 
