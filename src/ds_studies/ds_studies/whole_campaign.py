@@ -12,7 +12,6 @@ from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_analysis.paper.correlation import Correlation
 from ds_base.folder_files import enter_folder, locked
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped, StopSwitch
 from ds_orchestrator.campaign.folder import (
     keep_engine,
@@ -28,7 +27,6 @@ from ds_orchestrator.campaign.status import is_driven
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
-from ds_orchestrator.store.store import Store
 from ds_report.build import NOT_MADE, write_all
 from ds_report.first_screen import FirstScreen, first_screen
 
@@ -116,13 +114,22 @@ def run_campaign(
         has_answer = store.results().get("report", NOT_MADE) != NOT_MADE
         is_short = has_answer or config.elites_only or tests >= config.settings.budget
 
-        def drive(campaign: Campaign) -> None:
-            if first is not None and not is_short:
-                campaign.run(tests)
-                first(outcome(campaign.failed_executions))
-            campaign.run()
-
-        return outcome(_drive(config, settings, folder, store, live, stop or StopSwitch(), drive))
+        try:
+            with running_engine(settings, logs=folder / "logs") as engine:
+                driven = config.model_copy(update={"driver": settings.driver})
+                campaign = Campaign(driven, folder, store, ObservedEngine(engine, live), live)
+                (stop or StopSwitch()).connect(campaign.stop, engine.stop)
+                try:
+                    if first is not None and not is_short:
+                        campaign.run(tests)
+                        first(outcome(campaign.failed_executions))
+                    campaign.run()
+                except BaseException:
+                    engine.stop()
+                    raise
+        except KeyboardInterrupt:
+            raise Stopped from None
+        return outcome(campaign.failed_executions)
 
 
 def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: Collection[str] = ()) -> Path:
@@ -152,28 +159,3 @@ def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
     for name in config.simulators:
         received_simulator(name, confirmed=trusted, option="--trust")
     received_driver(config.driver, confirmed=trusted)
-
-
-def _drive(
-    config: CampaignConfig,
-    settings: DriveSettings,
-    folder: Path,
-    store: Store,
-    live: LiveFile,
-    stop: StopSwitch,
-    drive: Callable[[Campaign], None],
-) -> int:
-    """Drive what is not driven yet; return the number of executions that ended in an error after all attempts."""
-    try:
-        with running_engine(settings, logs=folder / "logs") as engine:
-            driven = config.model_copy(update={"driver": settings.driver})
-            campaign = Campaign(driven, folder, store, ObservedEngine(engine, live), live)
-            stop.connect(campaign.stop, engine.stop)
-            try:
-                drive(campaign)
-            except BaseException:
-                engine.stop()
-                raise
-    except KeyboardInterrupt:
-        raise Stopped from None
-    return campaign.failed_executions

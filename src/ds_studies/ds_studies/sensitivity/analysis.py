@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import replace
@@ -22,7 +22,6 @@ from ds_orchestrator.engines.preflight import preflight
 from ds_orchestrator.engines.start import running_engine
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
-from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.scenario import Scenario
@@ -51,6 +50,10 @@ class Drives:
         self._executor.stop()
         self._gatekeeper.stop()
         self._engine.stop()
+
+    def of(self, simulator: SimulatorName, roads: Sequence[Scenario]) -> Fails:
+        """Say of drives of these roads on a simulator whether they fail."""
+        return lambda who, number, conditions: self.fails(simulator, replace(roads[number], conditions=conditions), who)
 
     def fails(self, simulator: SimulatorName, scenario: Scenario, who: str) -> bool:
         """Whether the driver fails, or for `GATE` whether no driver can be judged.
@@ -127,36 +130,23 @@ def analyse_sensitivity(
         stack.callback(pool.shutdown, wait=False, cancel_futures=True)
         drives = Drives(driven, engine, tested, gate_store)
         stack.callback(drives.stop)  # first of all, so that no thread waits for a drive
-        candidates = candidate_roads(roads, seed, segments=segments)
-        chosen = _choose(drives, settings, candidates, roads, pool)
         result = Sensitivity(
             driver=settings.driver,
             simulators=settings.simulators,
             factors=factors,
             needed=roads,
-            roads=chosen,
+            roads=_choose(drives, settings, candidate_roads(roads, seed, segments=segments), roads, pool),
             thresholds={},
         )
-
-        def so_far(thresholds: Mapping[tuple[int, str], Threshold]) -> None:
-            watch(replace(result, thresholds=dict(thresholds)))
-
-        thresholds = _measure(
-            drives, chosen, factors, pool, needed=roads, levels=levels, progress=progress, so_far=so_far
-        )
-    return replace(result, thresholds=thresholds)
+        return _measure(drives, result, pool, levels, progress, watch)
 
 
 def _choose(
-    drives: Drives,
-    settings: DriveSettings,
-    candidates: Sequence[Scenario],
-    needed: int,
-    pool: ThreadPoolExecutor,
+    drives: Drives, settings: DriveSettings, candidates: Sequence[Scenario], needed: int, pool: ThreadPoolExecutor
 ) -> dict[SimulatorName, list[Scenario]]:
     """Roads of each simulator that the driver completes under default conditions, and that the gates let pass."""
     chosen = {
-        name: pool.submit(choose_roads, len(candidates), needed, _fails(drives, name, candidates))
+        name: pool.submit(choose_roads, len(candidates), needed, drives.of(name, candidates))
         for name in settings.simulators
     }
     for name, numbers in chosen.items():
@@ -169,47 +159,32 @@ def _choose(
 
 
 def _measure(
-    drives: Drives,
-    roads: Mapping[SimulatorName, Sequence[Scenario]],
-    factors: Sequence[Factor],
-    pool: ThreadPoolExecutor,
-    *,
-    needed: int,
-    levels: int,
-    progress: Progress,
-    so_far: Callable[[Mapping[tuple[int, str], Threshold]], None],
-) -> dict[tuple[int, str], Threshold]:
-    """Thresholds of all factors on all simulators, in the order of the factors."""
+    drives: Drives, result: Sensitivity, pool: ThreadPoolExecutor, levels: int, progress: Progress, watch: Watch
+) -> Sensitivity:
+    """The result with the thresholds of all factors on all simulators, in the order of the factors."""
     thresholds: dict[tuple[int, str], Threshold] = {}
     running: dict[Future[Threshold], tuple[int, str]] = {}
 
     def threshold(position: int, name: SimulatorName) -> Threshold:
-        factor = factors[position]
+        factor = result.factors[position]
         try:
-            results = measure(factor, needed, _fails(drives, name, roads[name]), levels=levels)
+            results = measure(factor, result.needed, drives.of(name, result.roads[name]), levels=levels)
         except DriverError as error:
             return threshold_of(name, factor, (), str(error))
         return threshold_of(name, factor, results)
 
-    for position, factor in enumerate(factors):
-        for name, of in roads.items():
+    for position, factor in enumerate(result.factors):
+        for name, of in result.roads.items():
             applicable = is_applicable(factor, spec_of(name).conditions)
-            measured = applicable and len(of) == needed
+            measured = applicable and len(of) == result.needed
             verdict: Verdict = "pending" if measured else "fails by default" if applicable else "not applicable"
             thresholds[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)
             if measured:
                 running[pool.submit(threshold, position, name)] = position, name
-    so_far(thresholds)
+    watch(replace(result, thresholds=dict(thresholds)))
     progress.start(len(running))
     for future in as_completed(running):
         one = thresholds[running[future]] = future.result()
-        so_far(thresholds)
+        watch(replace(result, thresholds=dict(thresholds)))
         progress.advance(line=f"{one.factor.title} on {one.simulator}: {one.text}")
-    return thresholds
-
-
-def _fails(drives: Drives, simulator: SimulatorName, roads: Sequence[Scenario]) -> Fails:
-    def fails(who: str, number: int, conditions: Conditions) -> bool:
-        return drives.fails(simulator, replace(roads[number], conditions=conditions), who)
-
-    return fails
+    return replace(result, thresholds=thresholds)

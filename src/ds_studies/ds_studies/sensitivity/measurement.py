@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -17,14 +17,8 @@ from ds_sim.oracle import OracleLimits
 from ds_sim.scenario import Scenario
 
 
-@dataclass(frozen=True)
-class Bracket:
-    """Where failing begins on one road.
-
-    Attributes:
-        completes: a level that is completed, below `fails`; 0 is taken to be.
-        fails: the next level, which fails; None if `completes` is the highest level that was to be driven.
-    """
+class Bracket(NamedTuple):
+    """Where failing begins on one road: a level that is completed, or 0, and the next, which fails if it is driven."""
 
     completes: int
     fails: int | None
