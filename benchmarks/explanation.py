@@ -34,8 +34,7 @@ from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
-from ds_studies.explanation.experiment import Experiment, drive_experiments
-from ds_studies.explanation.shares import Explanation, Subset
+from ds_studies.explanation import Experiment, Explanation, Subset, drive_experiments
 from ds_studies.sensitivity.measurement import candidate_roads
 
 PLANTS = {

@@ -22,8 +22,7 @@ from ds_analysis.real.certificate import Bet, certify
 from ds_analysis.real.proposal import BudgetError, Proposed, ProposedDrive, propose, read_proposed
 from ds_analysis.real.records import RealDrive, RecordError, added, read_csv, read_drives
 from ds_cli.application import run
-from ds_report.drives_on_the_car import write_drives_to_do
-from ds_report.road_sheet import draw_sheet, sheet_of
+from ds_report.drives_on_the_car import draw_sheet, sheet_of, write_drives_to_do
 from ds_sim.conditions.text import parse_conditions
 
 

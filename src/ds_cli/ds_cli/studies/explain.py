@@ -66,7 +66,7 @@ def explain_command(
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.folder import read_folder
     from ds_orchestrator.engines.drive_tests import Callbacks
-    from ds_studies.explanation.experiment import drive_experiments, experiment_on, experiments_on
+    from ds_studies.explanation import drive_experiments, experiment_on, experiments_on
     from ds_studies.whole_campaign import check_trust
 
     if test is None and (sim is not None or against is not None):

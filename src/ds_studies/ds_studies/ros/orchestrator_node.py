@@ -30,8 +30,7 @@ from ds_sim.ros.requests import GoalServer, RequestRefused
 from ds_sim.ros.runtime import Stop, init_ros
 from ds_sim.simulator import Reason
 from ds_studies.ros.campaign_view import CampaignView
-from ds_studies.ros.goals import ENGINES, Job, Work, drive_tests_goal, run_campaign_goal
-from ds_studies.ros.state_listener import StateListener
+from ds_studies.ros.goals import ENGINES, Job, StateListener, Work, drive_tests_goal, run_campaign_goal
 
 EVERY = 1.0
 """Seconds between two messages of state; chosen: what people follow."""
