@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.lens import Vector
+from ds_sim.camera.lens import optical_axes
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.optics import CAMERA_CONDITIONS
-from ds_sim.camera.rendered_scene import Axes, RenderedScene
+from ds_sim.camera.rendered_scene import RenderedScene
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import Conditions
-from ds_sim.simulator import SimulatorError
+from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_torcs.host import Kind, TorcsHost
 from ds_sim_torcs.world import NAME, WORLD_CONDITIONS, write_world
 
@@ -49,7 +49,7 @@ class TorcsScene(RenderedScene):
     conditions: ClassVar[frozenset[str]] = (
         WORLD_CONDITIONS | CAMERA_CONDITIONS | {"visibility", "sun_azimuth", "sun_elevation"}
     )
-    haze: ClassVar[Colour | None] = LOOK.horizon
+    haze: Colour | None = LOOK.horizon
 
     def __init__(self, host: TorcsHost, camera: CameraSpec, look: Look = LOOK) -> None:
         super().__init__(camera)
@@ -72,18 +72,17 @@ class TorcsScene(RenderedScene):
         self._host.ask(Kind.ROAD, NAME.encode(), size=0)
         self._origin = origin
 
-    def _sun(self, conditions: Conditions) -> Vector:
+    def _sun(self, conditions: Conditions) -> tuple[float, float]:
         look = self._look
         azimuth = look.sun_azimuth if conditions.sun_azimuth is None else conditions.sun_azimuth
         elevation = look.sun_elevation if conditions.sun_elevation is None else conditions.sun_elevation
-        level = math.cos(elevation)
-        return level * math.cos(azimuth), level * math.sin(azimuth), math.sin(elevation)
+        return azimuth, elevation
 
-    def _render(self, spec: CameraSpec, axes: Axes, position: Vector, rows: tuple[int, int]) -> NDArray[np.uint8]:
+    def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
         if self._origin is None:
             raise SimulatorError("the scene has no road: load one first")
-        right, down, forward = axes
-        x, y, z = position
+        spec = self._run_spec
+        (right, down, forward), (x, y, z) = optical_axes(spec, state)
         matrix = (
             *right, 0.0, *forward, 0.0, *(-v for v in down), 0.0, x - self._origin[0], y - self._origin[1], z, 1.0,
         )  # fmt: skip

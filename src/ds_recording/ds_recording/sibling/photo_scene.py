@@ -21,7 +21,7 @@ from ds_recording.sibling.recorded_drive import RecordedDrive
 from ds_road import Road
 from ds_sim.camera.lens import Vector, optical_axes
 from ds_sim.camera.optics import LENS_CONDITIONS, SENSOR_CONDITIONS
-from ds_sim.camera.rendered_scene import Axes, RenderedScene
+from ds_sim.camera.rendered_scene import RenderedScene
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH, CameraSpec
 from ds_sim.conditions.model import Conditions
 from ds_sim.simulator import OutOfSightError, VehicleState
@@ -99,10 +99,12 @@ class PhotoScene(RenderedScene):
     def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
         self.unseen = 0.0
 
-    def _sun(self, conditions: Conditions) -> Vector:
-        return 0.0, math.sqrt(0.5), math.sqrt(0.5)  # unknown; chosen: 45 degrees high, for `low_sun` alone
+    def _sun(self, conditions: Conditions) -> tuple[float, float]:
+        return math.pi / 2, math.asin(math.sqrt(0.5))  # unknown; chosen: 45 degrees high, for `low_sun` alone
 
-    def _render(self, spec: CameraSpec, axes: Axes, position: Vector, rows: tuple[int, int]) -> NDArray[np.uint8]:
+    def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        spec = self._run_spec
+        axes, position = optical_axes(spec, state)
         yaw = math.atan2(axes[2][1], axes[2][0])
         place = (position[0] - spec.forward * math.cos(yaw), position[1] - spec.forward * math.sin(yaw))
         first, others = self._chosen(*place, yaw - spec.yaw)

@@ -95,13 +95,15 @@ def components(rays: NDArray[np.float32], axis: Sequence[float]) -> NDArray[np.f
 
 
 Vector = tuple[float, float, float]
+Axes = tuple[Vector, Vector, Vector]
+"""Optical axes right, down, forward, unit vectors."""
 
 NEAREST = 0.5
 """Least distance along the optical axis from which points are projected, m; chosen: nearer ones are below every
 image."""
 
 
-def optical_axes(spec: CameraSpec, vehicle: VehicleState) -> tuple[tuple[Vector, Vector, Vector], Vector]:
+def optical_axes(spec: CameraSpec, vehicle: VehicleState) -> tuple[Axes, Vector]:
     """Optical axes right, down, forward in the road frame, and the optical centre, m.
 
     The body rotates about its centre at ground level, a common simplification of roll and pitch centres: yaw, then

@@ -1,116 +1,119 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of scenes drawn by another renderer: mounts the camera, and applies conditions to its images."""
+"""Base class of scenes that a renderer draws: mounts the camera, and applies optics, conditions and sensor."""
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.lens import Vector, optical_axes
+from ds_sim.camera.lens import optical_axes
 from ds_sim.camera.look import Colour
 from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
-from ds_sim.camera.sensor import Sensor, blank
+from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene
-from ds_sim.simulator import VehicleState
+from ds_sim.simulator import SimulatorError, VehicleState
 
-Axes = tuple[Vector, Vector, Vector]
-"""Optical axes right, down, forward in the road frame, unit vectors."""
-
-_UNSUPPORTED = {"lens": "pinhole", "gain": 1.0, "gamma": 1.0, "exposure": 0.0, "blur": 0.0, "noise": 0.0, "latency": 0}
+PLAIN = {"lens": "pinhole", "gain": 1.0, "gamma": 1.0, "exposure": 0.0, "blur": 0.0, "noise": 0.0, "latency": 0}
+"""Camera whose image is as another renderer draws it."""
 
 
 class RenderedScene(Scene):
     """Implements `ds_sim.parts.Scene` but for the world itself and its pictures.
 
-    The world belongs to the road: the same road always looks alike, whatever the seed of the run, which conditions
-    alone use. The camera has neither noise nor latency, unless conditions give it noise.
+    The world belongs to the road: the same road always looks alike, whatever the seed of the run, which conditions and
+    the sensor's noise alone use.
 
     Args:
-        camera: pinhole camera.
+        camera: camera and its mounting.
 
     Attributes:
         conditions: conditions that the scene realises.
         haze: colour into which distant things fade by `Optics`; None where the renderer draws haze itself.
+        only: properties that the camera must have, as the scene draws no other.
 
     Raises:
-        ValueError: the camera has a property that such a scene does not draw.
+        ValueError: the camera has another property.
     """
 
     conditions: ClassVar[frozenset[str]] = CAMERA_CONDITIONS
-    haze: ClassVar[Colour | None] = None
+    haze: Colour | None = None
+    only: ClassVar[Mapping[str, object]] = PLAIN
 
     def __init__(self, camera: CameraSpec) -> None:
-        for name, expected in _UNSUPPORTED.items():
-            if getattr(camera, name) != expected:
-                value = getattr(camera, name)
+        for name, expected in self.only.items():
+            if (value := getattr(camera, name)) != expected:
                 raise ValueError(f"camera.{name} is {value}, expected {expected}: {type(self).__name__} draws no other")
         super().__init__(camera)
-        self._run_rows = self._rows
-        self._view = _View(spec=camera)
+        self._run_spec, self._run_rows = camera, self._rows
+        self._optics: OpticsOfRows | None = None
+        self._sensor: Sensor | None = None
+        self._whole: Sensor | None = None
+        """Without noise, for all rows."""
 
     @abstractmethod
     def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
-        """Build the world of a road in place of the last one; `rng` is used by conditions alone."""
+        """Build the world of a road in place of the last one; `_run_spec` and `_run_rows` are those of the run."""
 
     @abstractmethod
-    def _render(self, spec: CameraSpec, axes: Axes, position: Vector, rows: tuple[int, int]) -> NDArray[np.uint8]:
-        """Draw some rows of the world, (rows, columns, 3) uint8 RGB of the whole image, others zero, writable.
+    def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        """Draw some rows of the world, (rows, columns, 3) uint8 RGB of the whole image; the others are zero.
 
         Raises:
             SimulatorError: no road is loaded, or the renderer fails.
         """
 
     @abstractmethod
-    def _sun(self, conditions: Conditions) -> Vector:
-        """Direction of the sun, a unit vector in the road frame."""
+    def _sun(self, conditions: Conditions) -> tuple[float, float]:
+        """Azimuth and elevation of the sun, rad."""
+
+    @staticmethod
+    def _streams(rng: np.random.Generator) -> tuple[np.random.Generator, np.random.Generator]:
+        """Sources of what is random in the world, and on the lens."""
+        lens, world = rng.spawn(2)
+        return world, lens
 
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
-        """Build the world of a road from scratch; `rng` is used by conditions alone."""
+        """Build the world of a road from scratch; see `Scene.load`."""
+        self._sensor = self._whole = None
         self._run_rows = self._rows
-        lens_rng, world_rng = (rng, rng) if conditions.is_default else rng.spawn(2)
-        x, y, z = self._sun(conditions)
-        sun = (math.atan2(y, x), math.asin(z))
-        spec, optics = camera_under(self._spec, conditions, lens_rng, sun=sun, haze=self.haze)
-        self._view = _View(spec=spec, optics=optics, sensor=Sensor(spec, rng, self._run_rows) if spec.noise else None)
+        world_rng, lens_rng = self._streams(rng)
+        sun = self._sun(conditions)
+        self._run_spec, self._optics = camera_under(self._spec, conditions, lens_rng, sun=sun, haze=self.haze)
         self._build(road, conditions, world_rng)
+        self._sensor = Sensor(self._run_spec, rng, self._run_rows)
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
-        """Deliver the next camera image, (rows, columns, 3) uint8 RGB, read-only."""
-        image = self._seen(state, self._run_rows) if self.drawing else None
-        if self._view.sensor is not None:
-            return self._view.sensor.deliver(image)
-        return blank(self._spec) if image is None else image
+        """Deliver the next camera image; see `Scene.image`."""
+        if self._sensor is None:
+            raise SimulatorError("the scene has no road: load one first")
+        return self._sensor.deliver(self._seen(state, self._run_rows) if self.drawing else None)
 
     def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
-        """Take one image from any pose; see `Scene.still`. `rng` is used by conditions alone."""
-        if rng is None:
-            return self._seen(state, (0, self._spec.height_px))
-        image = self._seen(state, self._run_rows)
-        return image if self._view.sensor is None else Sensor(self._view.spec, rng, self._run_rows).deliver(image)
+        """Take one image from any pose; see `Scene.still`."""
+        if rng is not None:
+            sensor = Sensor(replace(self._run_spec, latency=0), rng, self._run_rows)
+            return sensor.deliver(self._seen(state, self._run_rows))
+        if self._whole is None:
+            self._whole = Sensor(replace(self._run_spec, noise=0.0, latency=0), np.random.default_rng(0))
+        return self._whole.deliver(self._seen(state, (0, self._spec.height_px)))
+
+    def close(self) -> None:
+        """Release the scene's resources; `load` may follow."""
+        self._sensor = self._whole = None
 
     def _seen(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
-        """What reaches the sensor, read-only."""
-        view = self._view
-        axes, position = optical_axes(view.spec, state)
-        image = self._render(view.spec, axes, position, rows)
-        if view.optics is not None:
-            image = view.optics(rows).apply(image, np.array(axes), position[2])
-        image.setflags(write=False)
-        return image
-
-
-@dataclass(frozen=True, kw_only=True)
-class _View:
-    """Camera of one run, and what conditions put before and behind its lens."""
-
-    spec: CameraSpec
-    optics: OpticsOfRows | None = None
-    sensor: Sensor | None = None
+        """What reaches the sensor."""
+        rows = scene_rows(self._run_spec, rows)
+        image = self._render(state, rows)
+        if self._optics is None:
+            return image
+        axes, position = optical_axes(self._run_spec, state)
+        return self._optics(rows).apply(image, np.array(axes), position[2])

@@ -73,7 +73,7 @@ class Camera:
     def __init__(self, spec: CameraSpec, look: Look, rows: tuple[int, int] | None = None) -> None:
         cv2.setNumThreads(1)
         self._spec, self._look = spec, look
-        self._top, self._bottom = rows or (0, spec.height_px)
+        self.rows = self._top, self._bottom = rows or (0, spec.height_px)
         self._panorama = Panorama(spec, look)
         self._focal = float(spec.intrinsics[0, 0])
         # The rays of a lens do not depend on how it is mounted.
@@ -95,8 +95,7 @@ class Camera:
     @cached_property
     def with_all_rows(self) -> Camera:
         """Camera like this one that draws all rows; itself if it does."""
-        whole = (self._top, self._bottom) == (0, self._spec.height_px)
-        return self if whole else Camera(self._spec, self._look)
+        return self if self.rows == (0, self._spec.height_px) else Camera(self._spec, self._look)
 
     def render(self, ground: Ground, vehicle: VehicleState) -> NDArray[np.uint8]:
         """Render the scene as the lens projects it, before the sensor: (rows, columns, 3) uint8 RGB."""
@@ -135,11 +134,6 @@ class Camera:
         image[: self._top] = image[self._bottom :] = 0
         cv2.cvtColor(frame[self._top : self._bottom], cv2.COLOR_RGBA2RGB, image[self._top : self._bottom])
         return image
-
-    def view(self, vehicle: VehicleState) -> tuple[NDArray[np.float64], float]:
-        """Optical axes right, down, forward in the road frame, (3, 3), and height of the optical centre, m."""
-        axes, position = optical_axes(self._spec, vehicle)
-        return np.array(axes), position[2]
 
     def _reveal(
         self, ground: Ground, vehicle: VehicleState, axes: tuple[Vector, Vector, Vector], x: float, y: float

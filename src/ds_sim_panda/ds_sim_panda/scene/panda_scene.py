@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.lens import Vector
+from ds_sim.camera.lens import Axes, Vector, optical_axes
 from ds_sim.camera.optics import CAMERA_CONDITIONS
-from ds_sim.camera.rendered_scene import Axes, RenderedScene
+from ds_sim.camera.rendered_scene import RenderedScene
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import Conditions
-from ds_sim.simulator import SimulatorError
+from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene.graphics import graphics, panda
 from ds_sim_panda.scene.parameters import FAR, NEAR
 from ds_sim_panda.scene.setting import WORLD_CONDITIONS, Setting, sun_direction
@@ -69,14 +69,15 @@ class PandaScene(RenderedScene):
         changed = WORLD_CONDITIONS & conditions.changed.keys()
         self._world = World(road, Setting(conditions, rng) if changed else None)
 
-    def _sun(self, conditions: Conditions) -> Vector:
-        return sun_direction(conditions)
+    def _sun(self, conditions: Conditions) -> tuple[float, float]:
+        x, y, z = sun_direction(conditions)
+        return math.atan2(y, x), math.asin(z)
 
-    def _render(self, spec: CameraSpec, axes: Axes, position: Vector, rows: tuple[int, int]) -> NDArray[np.uint8]:
-        world = self._world
+    def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        world, spec = self._world, self._run_spec
         if world is None:
             raise SimulatorError("the scene has no road: load one first")
-        pose = camera_pose(axes, position)
+        pose = camera_pose(*optical_axes(spec, state))
         pose[3, :2] -= world.origin
         self._camera.reparent_to(world.root)
         self._camera.set_mat(panda().LMatrix4(*pose.ravel().tolist()))
