@@ -37,7 +37,7 @@ ROADS = {
 
 def whole_atlas(road: Road, look: Look) -> NDArray[np.uint8]:
     """All levels of the ground, painted in full, side by side."""
-    centre, across = painting._with_leads(road)
+    centre, across = painting.with_leads(road, painting.LEAD_IN, painting.LEAD_OUT)
     half_width = road.lane_width
     low, high = centre.min(axis=0) - half_width - painting.MARGIN, centre.max(axis=0) + half_width + painting.MARGIN
     columns, rows = (math.ceil((high[i] - low[i]) / painting.RESOLUTION / 32) * 32 for i in (0, 1))
