@@ -6,10 +6,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from made_executions import made_execution
 
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_road import generate
 from ds_sim import BULLET, SimulatorName
@@ -26,21 +27,7 @@ def test_a_repeated_scenario_is_left_out_with_its_drives() -> None:
         Test(f"bullet-0-{k:04d}", Scenario(road, under, seed=k), Origin(BULLET, 0, k))
         for k, (road, under) in enumerate([(one, DEFAULT), (other, DEFAULT), (one, DEFAULT), (one, FOG), (one, FOG)])
     )
-    executions = tuple(
-        Execution(
-            test_id=test.test_id,
-            simulator=BULLET,
-            outcome=Outcome.COMPLETED,
-            message="",
-            fitness=1.0,
-            max_lateral_position=1.0,
-            steps=1,
-            simulated_seconds=0.05,
-            trajectory_sha256="",
-            drive=NO_DRIVE,
-        )
-        for test in tests
-    )
+    executions = tuple(made_execution(test.test_id, BULLET, Outcome.COMPLETED) for test in tests)
     data = CampaignData(config=CampaignConfig(), tests=tests, executions=executions, given_up=frozenset({"x"}))
     assert [test.number for test in data.distinct.tests] == [0, 1, 3]
     assert [one.test_id[-1] for one in data.distinct.verdicts] == ["0", "1", "3"]

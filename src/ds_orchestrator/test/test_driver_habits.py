@@ -3,18 +3,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_executions import made_execution
 
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.status import DRIVES_SAMPLED, driver_habits
-from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
+from ds_orchestrator.store.model import DriveArrays, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import generate
-from ds_sim import BULLET, SimulatorName
+from ds_sim import BULLET
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
@@ -33,20 +35,9 @@ def store_of(folder: Path, tests: int, factor: float, speed: float) -> Store:
         test = Test(f"bullet-0-{number:04d}", Scenario(road, seed=1), Origin(BULLET, 0, number))
         store.add_test(test)
         for simulator in ("bullet", "donkey"):
-            store.add_execution(
-                Execution(
-                    test_id=test.test_id,
-                    simulator=SimulatorName(simulator),
-                    outcome=Outcome.COMPLETED,
-                    message="",
-                    fitness=2.0,
-                    max_lateral_position=0.0,
-                    steps=FRAMES,
-                    simulated_seconds=FRAMES / 20,
-                    trajectory_sha256=trajectory_sha256(trajectory),
-                    drive=DriveArrays(trajectory, steering),
-                )
-            )
+            drive = DriveArrays(trajectory, steering)
+            made = made_execution(test.test_id, simulator, Outcome.COMPLETED, steps=FRAMES, drive=drive)
+            store.add_execution(replace(made, trajectory_sha256=trajectory_sha256(trajectory)))
     return store
 
 

@@ -4,13 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import cast
 
 import pytest
+from made_executions import made_execution
 
 from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
-from ds_orchestrator.search.features import Drive
 from ds_orchestrator.store.model import Execution
 from ds_road import Road
 from ds_sim import DONKEY, SimulatorName
@@ -23,23 +22,7 @@ ROADS = [Road([(125, 0), (125, 25), (125, 50), (140 + k, 75)]) for k in range(3)
 def drives(outcomes: str) -> list[Execution | None]:
     """Letters: completed, left its lane, stuck, unknown."""
     kinds = {"c": Outcome.COMPLETED, "l": Outcome.OUT_OF_BOUNDS, "s": Outcome.STUCK}
-    return [
-        None
-        if (letter := one) == "u"
-        else Execution(
-            test_id="t",
-            simulator=SimulatorName(SEEN),
-            outcome=kinds[letter],
-            message="",
-            fitness=0.0,
-            max_lateral_position=0.0,
-            steps=1,
-            simulated_seconds=0.05,
-            trajectory_sha256="",
-            drive=cast(Drive, None),
-        )
-        for one in outcomes
-    ]
+    return [made_execution("t", SEEN, kinds[one]) if one != "u" else None for one in outcomes]
 
 
 MINE = DriverName("mine")
