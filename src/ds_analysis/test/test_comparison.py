@@ -31,14 +31,12 @@ from ds_analysis.comparison.paired_drives import (
     PairedDrive,
     adjusted,
     difference_interval,
+    fewest_changes,
 )
-from ds_analysis.comparison.tables import (
-    cell_table,
-    document_of,
-    markdown_of,
-)
+from ds_analysis.comparison.tables import cell_table, document_of, markdown_of
+from ds_base.palette import FAIL, PASS, rgb
 from ds_orchestrator.campaign.config import ConfigError
-from ds_report.comparison_page import grids_of, write_comparison_page
+from ds_report.comparison_page import grids_of, style_of_difference, write_comparison_page
 from ds_road import generate
 from ds_sim import BULLET, DONKEY
 from ds_sim.scenario import Scenario
@@ -67,6 +65,18 @@ def test_the_interval_is_close_to_that_of_agresti_and_min(counts: tuple[int, int
     assert difference_interval(*counts) == pytest.approx((middle - half, middle + half), abs=0.012)
 
 
+def test_the_interval_contains_the_observed_difference() -> None:
+    for counts in ((1, 0, 0, 0), (0, 2, 0, 0), (0, 0, 1, 0)):
+        low, high = difference_interval(*counts)
+        assert low <= (counts[0] - counts[1]) / sum(counts) <= high
+
+
+def test_the_fewest_changes_are_the_first_that_reach_significance() -> None:
+    for family in (1, 3, 6):
+        needed = fewest_changes(family)
+        assert 2 * 0.5**needed * family < 0.05 <= 2 * 0.5 ** (needed - 1) * family
+
+
 def test_p_values_are_adjusted_as_their_authors_do() -> None:
     """Holm 1979: (n - rank) p, never falling; Benjamini and Hochberg 1995, table 1: four of fifteen stay below 5%."""
     assert adjusted([0.01, 0.04, 0.03], "holm") == pytest.approx([0.03, 0.06, 0.06])
@@ -86,6 +96,14 @@ def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
     assert first.startswith("bullet: 12 of 40 tests passed and now fail, 1 the other way: on these it is worse. ")
     assert "Other such roads: worse, too (p = 0.007 after Holm)." in first
     assert second.startswith("donkey (twin): 1 of 40 tests passed and now fails, 1 the other way: on these it is nei")
+
+
+def test_one_newly_failing_test_asks_for_a_look() -> None:
+    found = compared(pairs("bullet", (1, 0, 0, 9)))
+    assert advice_of(found) == "look first" and answer_of(found).startswith(
+        "Merge? Look first: 1 drive newly fails, none is"
+    )
+    assert "Too few tests change" in cautions_of(found)[-1]
 
 
 def test_what_happened_is_said_before_what_is_significant() -> None:
@@ -246,3 +264,9 @@ def test_the_page_shows_newly_failing_roads_and_the_map(tmp_path: Path) -> None:
     again = tmp_path / "again.html"
     write_comparison_page(found, again, road_files, ["2 tests newly fail"])
     assert again.read_bytes() == page.read_bytes()
+
+
+def test_no_difference_has_the_colour_of_the_page_and_the_ends_are_those_of_failure_and_pass() -> None:
+    assert "/ 0%)" in style_of_difference(0.0) and "color" not in style_of_difference(0.5)
+    for difference, colour in ((1.0, FAIL), (-1.0, PASS)):
+        assert "background: rgb({} {} {} / 100%); color".format(*rgb(colour)) in style_of_difference(difference)

@@ -30,12 +30,7 @@ SPEED = 6.0
 
 
 def failed(
-    path: Array,
-    steering: Array,
-    road: Road,
-    *,
-    outcome: Outcome = Outcome.OUT_OF_BOUNDS,
-    speed: float = SPEED,
+    path: Array, steering: Array, road: Road, *, outcome: Outcome = Outcome.OUT_OF_BOUNDS, speed: float = SPEED
 ) -> Execution:
     """A drive along a path, which ends where it leaves the lane."""
     tracker = LaneTracker(road.lane_centre)

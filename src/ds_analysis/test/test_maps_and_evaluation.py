@@ -21,7 +21,7 @@ from ds_base.intervals import jeffreys_interval
 from ds_orchestrator.maps.algebra import apply, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, maps_frame, slices_of, to_json
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import DEFAULT_AXES, Cell, feature_of
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_road import generate
 from ds_sim import SimulatorName
@@ -176,6 +176,16 @@ def test_merge_does_not_depend_on_order_and_never_exceeds_any_sibling(maps: list
 
 
 @settings(deadline=None)  # the first example imports SciPy
+@given(feature_maps)
+def test_one_sibling_gives_itself_back(feature_map: FeatureMap) -> None:
+    assert merge(M, [feature_map]).cells == feature_map.cells
+    alone = union(M, [feature_map])
+    assert probabilities(alone) == probabilities(feature_map)
+    for cell, value in alone.cells.items():
+        assert value.quality_loss == feature_map.cells[cell].quality_loss == pytest.approx(value.pooled_quality_loss)
+
+
+@settings(deadline=None)  # the first example imports SciPy
 @given(st.lists(feature_maps, min_size=1, max_size=4), st.randoms())
 def test_a_union_adds_up_and_does_not_depend_on_order(maps: list[FeatureMap], random: object) -> None:
     shuffled = list(maps)
@@ -207,6 +217,15 @@ def test_both_qualities_of_a_union_with_unequal_counts() -> None:
     # A cell that is empty in one map takes the other's values: empty is not 0.
     assert paper.cells[2, 5].quality_loss == pooled.cells[2, 5].quality_loss == 0.9
     assert paper.cells[1, 5].probability == pytest.approx(1 / 10)
+
+
+def test_maps_of_different_features_do_not_mix() -> None:
+    other = FeatureMap(id=MapId.union(ON_B), cells={}, features=DEFAULT_AXES[::-1])
+    for combine in (union, merge):
+        with pytest.raises(ValueError, match="different features"):
+            combine(M, [FeatureMap(id=MapId.union(ON_A), cells={}), other])
+        with pytest.raises(ValueError, match="no maps"):
+            combine(M, [])
 
 
 # Elites of the table: a0 and a3; b0, which failed before b1, and b3; c2, which failed while c0 did not, and c3.
@@ -331,13 +350,7 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     assert found.auc == pytest.approx(average_precision(score, fails)) and found.baseline == fails.mean()
     searches = {MapId.search(SimulatorName(n)): feature_map(counted[n, n]) for n in "ab"}
     own = {MapId.migration(SimulatorName(n), TWIN): feature_map(counted[n, "twin"]) for n in "ab"}
-    maps = {
-        **searches,
-        **own,
-        MapId.union(ON_A): unions["a"],
-        MapId.union(ON_B): unions["b"],
-        MapId.merged(): merged,
-    }
+    maps = {**searches, **own, MapId.union(ON_A): unions["a"], MapId.union(ON_B): unions["b"], MapId.merged(): merged}
     others = check_robustness({**maps, MapId.twin(TWIN): unions["twin"]}, [ON_A, ON_B], TWIN)
     (filled_row,) = [v for v in others if "-2" in v.what and v.map == MapId.merged() and v.value == "probability"]
     low, high = np.min(sorted(a), axis=0), np.max(sorted(a), axis=0)

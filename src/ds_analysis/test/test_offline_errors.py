@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from progress_lines import ProgressLines
-from scipy.stats import nct, norm, t, wilcoxon
+from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
 from ds_analysis.paper.open_loop import OpenLoopError, architecture_of, predict
 from ds_analysis.paper.paper_tables import error_tables
@@ -169,3 +169,8 @@ def test_the_table_stands_beside_the_papers() -> None:
     assert "(paper: 0.08)" in main.notes[0] and len(bins.rows) == 15
     plain = error_tables(rows, others, errors, ["bullet", "softbody"], "donkey", None)[0]
     assert not any(c.name.startswith("paper") for c in plain.columns)
+
+
+def test_other_ways_use_the_errors_themselves() -> None:
+    (raw,) = [v for v in check_error_robustness({"a": ONE}, TWIN) if "no bins" in v.what and v.name == "a"]
+    assert raw.distance == pytest.approx(wasserstein_distance(ONE, TWIN)) and raw.p is not None

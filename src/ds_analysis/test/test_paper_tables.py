@@ -5,17 +5,18 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from pathlib import Path
 
 import pytest
 from rich.console import Console
 
-from ds_analysis.paper.correlation import Correlation
-from ds_analysis.paper.paper_tables import correlation_tables, role_of
+from ds_analysis.paper.correlation import Correlation, PairedDifference, RobustnessCheck
+from ds_analysis.paper.paper_tables import correlation_tables, paired_difference_table, robustness_table, role_of
 from ds_base.table import Column, Table, TableError, keep_tables, read_tables, shown
 from ds_orchestrator.maps.feature_map import MapId
-from ds_sim import BULLET, DONKEY, SOFTBODY
+from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
 
 TABLE = Table(
     name="t",
@@ -80,6 +81,17 @@ def test_kept_tables_come_back(tmp_path: Path) -> None:
             read_tables(path)
 
 
+@pytest.mark.parametrize("damage", [{"rows": [["x"]]}, {"rows": [["x", float("nan")]]}, {"title": None}])
+def test_damaged_tables_are_refused(tmp_path: Path, damage: dict[str, object]) -> None:
+    table = {"name": "rq1", "title": "t", "columns": [{"name": "a"}, {"name": "b"}], "rows": [["x", 1]], "notes": []}
+    path = tmp_path / "rq1.json"
+    path.write_text(json.dumps([table]))
+    assert read_tables(path)[0].texts() == [["x", "1"]]
+    path.write_text(json.dumps([table | damage]))
+    with pytest.raises(TableError, match=r"rq1\.json cannot be read .*: remove it"):
+        read_tables(path)
+
+
 def found(map_id: MapId, value: str, r: float | None) -> Correlation:
     return Correlation(
         map=map_id,
@@ -108,3 +120,30 @@ def test_the_papers_numbers_are_in_the_campaigns_rows() -> None:
     assert len(ours.columns) == len(rq2.columns) - 3
     # A third sibling has no counterpart in the paper.
     assert role_of("x", ["a", "b", "x"]) == "DS3" and role_of("", ["a"]) == "DSS"
+
+
+def test_what_merging_adds_names_the_sibling() -> None:
+    gain = PairedDifference(
+        over=MapId.union(BULLET), value="quality_loss", cells=9, r=-0.1, r_interval=(-0.3, 0.1), auc=-1e-17
+    )
+    assert paired_difference_table([gain], [DONKEY, BULLET]).texts() == [
+        ["RQ3", "DS2 bullet", "9", "-0.100", "[-0.300, 0.100]", "0.000", ""]
+    ]
+
+
+def test_robustness_checks_are_one_row_each() -> None:
+    table = robustness_table(
+        [
+            RobustnessCheck(
+                what="w",
+                map=MapId.merged(),
+                against=MapId.twin(SimulatorName("d")),
+                value="quality_loss",
+                cells=4,
+                r=0.5,
+            )
+        ],
+        ["too few cells fail"],
+    )
+    assert table.rows == [["w", "merged", "twin_d", "quality loss", 4, 0.5, None, None]]
+    assert "No conclusion: too few cells fail" in table.notes[0]

@@ -118,3 +118,13 @@ def test_a_label_leads_only_if_the_second_is_clearly_rarer() -> None:
     # The eighteen descend from three roads, the six from one.
     assert most_frequent(["wide"] * 18 + ["cuts"] * 6, alone // 6) is None
     assert most_frequent(["wide"] * 3, np.arange(3)) == "wide" and most_frequent([], np.arange(0)) is None
+
+
+def test_shares_are_measured_by_the_splits_of_other_families() -> None:
+    families = np.arange(20)
+    values, failed = np.arange(20.0)[None], np.arange(20) >= 12
+    split = choose_split(values, failed, families, np.random.default_rng(1))
+    assert split is not None and split.is_clear and split.apart is not None
+    assert split.threshold == 12.0 and split.harder.tolist() == failed.tolist()
+    # Without test 12, whose value decides, the others call harder what is 13 or more.
+    assert [(one.failures, one.tests) for one in split.apart] == [(7, 7), (1, 13)]

@@ -180,10 +180,7 @@ def changed(**values: Any) -> dict[str, Any]:
     [
         (changed(test="id"), r"has no column 'id', but route, sim, rep, xte.*: say in --columns which is what"),
         (changed(margin={"column": "xte", "limit": {"lofi": 1.0}}), "margin.limit names no limit for hifi"),
-        (
-            changed(margin=None, failed="sim"),
-            r"line 2 \(route=0, sim=lofi, .*: sim is 'lofi', expected true or false",
-        ),
+        (changed(margin=None, failed="sim"), r"line 2 \(route=0, sim=lofi, .*: sim is 'lofi', expected true or false"),
         (changed(repeat=None), "test 0 comes twice on lofi: name the column of the repetition"),
         (changed(features=["sim"]), "sim differs between drives of 40 tests, as 0: it is no feature"),
         (changed(twin="bus"), "has no simulator 'bus': expected car, hifi, lofi"),

@@ -213,6 +213,15 @@ def test_one_sibling_and_tests_that_some_siblings_drove_are_predicted() -> None:
         predict(replace(several, states=states))
 
 
+@pytest.mark.parametrize("level", [-1.5, 1.5])
+def test_siblings_that_all_agree_are_predicted(level: float) -> None:
+    """No failure at all, or nothing else: no boundary is seen, and the prediction stays finite and on its side."""
+    rng = np.random.default_rng(14)
+    margins = level + 0.2 * rng.normal(size=(60, 4))
+    found = predict(table_of_margins(margins, rng.normal(size=(60, 3)))).probabilities()
+    assert np.isfinite(found).all() and ((found < 0.3) if level < 0 else (found > 0.6)).all()
+
+
 def test_cells_without_tests_are_untested_and_one_drive_decides_no_cell() -> None:
     table = made_up(15, tests=60)
     cells = tuple((0, 0) if cell == (1, 1) else cell for cell in table.cells)

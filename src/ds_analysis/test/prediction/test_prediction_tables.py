@@ -79,10 +79,7 @@ def test_a_campaign_becomes_a_table(tmp_path: Path) -> None:
 def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
     """The same campaign without the executions of three tests: two excluded, one that only ever ended in errors."""
     data = data_of(tmp_path)
-    excluded = {
-        ("bullet-0-0000", BULLET): not_applicable("made up"),
-        ("bullet-0-0002", DONKEY): not_applicable("x"),
-    }
+    excluded = {("bullet-0-0000", BULLET): not_applicable("made up"), ("bullet-0-0002", DONKEY): not_applicable("x")}
     gone = {*excluded, ("bullet-0-0001", "bullet")}
     table = table_of_campaign(
         CampaignData(
@@ -97,6 +94,7 @@ def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
     assert not table.known(BULLET)[:2].any() and not table.failed(BULLET)[:2].any()
     assert table.on_siblings.tolist() == [False, False] + [True] * 14
     assert not table.known(DONKEY)[2] and (table.lateral[:2, 0] == 0).all()
+    assert table.judged().roads == table.roads[3:]
 
 
 def test_searched_conditions_are_features_on_their_scale(tmp_path: Path) -> None:

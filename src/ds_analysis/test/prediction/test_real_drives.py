@@ -206,6 +206,9 @@ def test_outcomes_are_read_in_metres_of_the_road(tmp_path: Path) -> None:
     file.write_text("test_id,outcome\na,completed\n")
     (one,) = read_csv(file, HALF_LANES, scale=16.0, who="Ada", when="2026-03-01")
     assert one.who == "Ada" and added([one], [one]) == [one]
+    file.write_text(CSV + "a,completed,Ada,2026-03-01,,\na,failed,Bob,2026-03-02,,\n")
+    with pytest.raises(RecordError, match="test a has two outcomes: completed .Ada, 2026-03-01, drives.csv., and fail"):
+        added([], read_csv(file, HALF_LANES, scale=16.0))
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from ds_analysis.siblings.failure_patterns import nestings
 from ds_analysis.siblings.residuals import residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.executor import execution_of
-from ds_report.sibling_pictures import draw_failures
+from ds_report.sibling_pictures import draw_failures, draw_matrix
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
@@ -267,6 +267,23 @@ def test_the_first_sentence_names_who_adds_something() -> None:
     assert said(adds("a", -0.05)) == ["nothing is shown that a would add about car."]
     few = AddedInformation(about="car", sibling=A_NAME, beyond=(), caution="too few")
     assert said(few) == ["Whether a sibling adds anything about car is open: too few."]
+
+
+def test_the_pictures_show_every_road_of_every_simulator() -> None:
+    """One more failure recolours its column in its simulator's row and its point in its panel, and nothing else."""
+    lateral = np.where(RIGHT > HARD, 2.5, 0.5)
+    changed = lateral.copy()
+    changed[int(np.argmin(RIGHT))] = 2.5
+    feature = "lane_curvature_max_right"
+    before, after = (made_up({"a": lateral, "b": other}) for other in (lateral, changed))
+    one, other = draw_matrix(before, feature), draw_matrix(after, feature)
+    rows, columns = np.nonzero((one != other).any(axis=2))
+    middle = one.shape[0] // 2
+    assert middle - 20 <= rows.min() <= rows.max() < middle + 40 and columns.max() - columns.min() < 25
+    one, other = draw_failures(before, feature), draw_failures(after, feature)
+    rows, columns = np.nonzero((one != other).any(axis=2))
+    assert rows.min() >= 210 and one.shape == other.shape == (460, 1140, 3)
+    np.testing.assert_array_equal(other, draw_failures(after, feature))
 
 
 def test_a_stored_drive_is_compared_as_its_run_to_the_bit() -> None:

@@ -12,13 +12,7 @@ from report_campaigns import make_execution, road
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.model import Origin, Test
-from ds_report.camera_pictures import (
-    SIZE,
-    drive_pictures,
-    moments,
-    plan_pictures,
-    telling_tests,
-)
+from ds_report.camera_pictures import SIZE, drive_pictures, moments, plan_pictures, telling_tests
 from ds_sim.registry import BULLET, SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session

@@ -249,6 +249,12 @@ def test_findings_say_why_there_is_no_correlation() -> None:
     assert "does not predict" in said([BULLET, SOFTBODY], MERGED, (0.0, 1.0, 0.5, 0.0))
 
 
+def test_findings_of_one_sibling() -> None:
+    text = said([BULLET], UNIONS["bullet"], TWIN)
+    assert "bullet, the only sibling, has failures in 12 of 24 cells." in text
+    assert "its map and the merged map are the same" in text
+
+
 def shaped(curvature: float, turns: int, number: int) -> Test:
     """A test whose road has these features, whatever its control points, and is no mutant of another."""
     made = Road(road(number).control_points)
