@@ -104,19 +104,6 @@ def test_values_that_are_not_finite_are_refused_by_name(kind: str, bad: float, w
         KINDS[kind].read(message, CAR)
 
 
-def test_a_circle_driven_by_a_twist_has_the_requested_radius() -> None:
-    """The path is integrated in small steps, independently of the formula under test."""
-    motion = KINDS["twist"].read(SimpleNamespace(linear=SimpleNamespace(x=4.0), angular=SimpleNamespace(z=0.5)), CAR)
-    angle, x, y, yaw, dt = CAR.angle_of(motion.steering), 0.0, 0.0, 0.0, 1e-3
-    points = []
-    for _ in range(round(2 * math.pi / 0.5 / dt)):
-        x, y = x + 4.0 * math.cos(yaw) * dt, y + 4.0 * math.sin(yaw) * dt
-        yaw += 4.0 / CAR.wheelbase * math.tan(angle) * dt
-        points.append((x, y))
-    assert max(p[1] for p in points) == pytest.approx(2 * 8.0, rel=1e-3)  # to the left, radius 8 m
-    assert math.hypot(x, y) < 0.05
-
-
 def test_steering_stops_at_full_lock_and_a_car_cannot_turn_on_the_spot() -> None:
     assert CAR.steering_of(2.0) == -1.0 and CAR.steering_of(-2.0) == 1.0
     assert CAR.angle_for(0.0, 1.0) == 0.0

@@ -67,11 +67,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
         ("n.pt", saved({"model": LINEAR.state_dict(), "epoch": 3}), "holds PyTorch weights alone"),
         ("n.ckpt", saved(LINEAR.state_dict(), old=True), "holds PyTorch weights alone"),
         ("n.pt", saved(Bomb()), r"whole PyTorch model.*names open of"),
-        (
-            "n.h5",
-            written(HDF5 + b"..model_config.."),
-            r"whole Keras model.*--keras \S*n\.h5 --output n",
-        ),
+        ("n.h5", written(HDF5 + b"..model_config.."), r"whole Keras model.*--keras \S*n\.h5 --output n"),
         ("n.h5", written(HDF5), r"weights alone in Keras's HDF5.*load_weights"),
         ("n.onnx", written(HDF5 + b"model_config"), "n.onnx is a whole Keras model in HDF5"),
         (

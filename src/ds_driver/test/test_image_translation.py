@@ -15,8 +15,6 @@ import torch
 
 from ds_bags.run_writer import write_bag
 from ds_base.progress import SILENT
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import InterleavedDrives, drive_road, make_driver
 from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks import weights
@@ -36,7 +34,7 @@ from ds_driver.sim2real.translator import Translator
 from ds_driver.training import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
-from ds_sim.registry import BULLET, SimulatorName, make_simulator
+from ds_sim.registry import BULLET, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Outcome
@@ -105,21 +103,6 @@ def test_frames_of_several_simulators_are_answered_with_the_bits_of_each_alone(f
     missing = Frame(image=asked[0].image, speed=3.0, simulator="donkey")
     found = driver.commands([asked[0], missing, asked[1]])
     assert [found[0], found[2]] == alone[:2] and isinstance(found[1], DriverError)
-
-
-def test_a_drive_has_the_same_bits_alone_and_among_others(folder: Path) -> None:
-    road, driver = generate(np.random.default_rng(5)), DriverName(str(folder / "real.safetensors"))
-    drives = InterleavedDrives(driver)
-    runs: dict[int, RunRecord] = {}
-    for key, name in enumerate(WINDOWS):
-        drives.begin(key, DriveRequest(Scenario(road, seed=1), driver, SimulatorName(name)))
-    while len(drives):
-        runs.update(drives.step())
-    for key, name in enumerate(WINDOWS):
-        simulator = make_simulator(name)
-        run = drive_road(simulator, make_driver(driver, simulator.spec), road, 1)
-        simulator.close()
-        assert runs[key].outcome is run.outcome and runs[key].commands == run.commands and len(run.commands) > 20
 
 
 def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> None:

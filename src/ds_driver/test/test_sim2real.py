@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import errno
 import math
 import shutil
 from dataclasses import replace
@@ -18,7 +17,6 @@ from progress_lines import ProgressLines
 
 from ds_bags.layout import Level
 from ds_bags.run_writer import write_bag
-from ds_base.atomic_files import write_whole
 from ds_base.progress import SILENT
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, write_drive
@@ -205,25 +203,6 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
         assert contents[0] == contents[1], name
     with pytest.raises(TrainingError, match="other settings or images"):
         train(data, replace(SETTINGS, seed=2), tmp_path / "whole", told)
-
-
-def test_a_full_disk_and_a_damaged_checkpoint_lose_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    data = domains(np.random.default_rng(3))
-    one = replace(SETTINGS, epochs=1, steps=1)
-    train(data, one, tmp_path, SILENT)
-    kept = (tmp_path / CHECKPOINT).read_bytes()
-
-    def full(path: Path, content: bytes) -> int:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Path, "write_bytes", full)
-        with pytest.raises(OSError, match="No space"):
-            write_whole(tmp_path / CHECKPOINT, b"new")
-    assert (tmp_path / CHECKPOINT).read_bytes() == kept and not list(tmp_path.glob(".*partial"))
-    (tmp_path / CHECKPOINT).write_bytes(kept[: len(kept) // 2])
-    with pytest.raises(TrainingError, match="delete it and train again"):
-        train(data, one, tmp_path, SILENT)
 
 
 def test_lines_are_found_and_a_picture_without_any_has_none() -> None:
