@@ -27,12 +27,6 @@ def test_an_old_python_without_a_compiler_gets_the_commands_to_type() -> None:
     assert checks["C++ compiler"].fix.endswith("apt-get install -y g++")
 
 
-def test_passing_checks_need_no_fix() -> None:
-    checks = doctor.check_system(version=(3, 12), which=lambda name: f"/usr/bin/{name}")
-    assert all(check.ok != bool(check.fix) for check in checks)
-    assert by_name(checks)["C++ compiler"].detail == "/usr/bin/c++"
-
-
 @pytest.mark.parametrize("imports", [False, True])
 def test_libraries_are_looked_up_and_keep_standard_output_clean(
     capfd: pytest.CaptureFixture[str], imports: bool
@@ -104,15 +98,6 @@ def test_an_interpreter_that_dies_is_reported_for_each_library(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("installed", "ok"), [(("2.13.0+cpu", ""), True), (("2.14.0", ""), False), (("", "no module"), False)]
-)
-def test_a_library_must_have_the_pinned_version(installed: tuple[str, str], ok: bool) -> None:
-    (check,) = doctor.check_libraries({"torch": "2.13.0"}, {"torch": installed})
-    assert check.ok is ok
-    assert bool(check.fix) is not ok
-
-
-@pytest.mark.parametrize(
     ("installed", "ok", "told"),
     [
         (("2026.8.0", ""), True, "2026.8.0"),
@@ -123,12 +108,6 @@ def test_a_library_must_have_the_pinned_version(installed: tuple[str, str], ok: 
 def test_an_extra_may_be_absent_but_not_another_version(installed: tuple[str, str], ok: bool, told: str) -> None:
     (check,) = doctor.check_extras({"distributed": "2026.8.0"}, {"distributed": installed})
     assert check.ok is ok and told in check.detail and bool(check.fix) is not ok
-
-
-def test_pins_are_those_of_the_direct_requirements() -> None:
-    pins = doctor.read_pins(REPOSITORY / "requirements/project.txt")
-    assert pins["torch"] == "2.13.0"
-    assert "sympy" not in pins
 
 
 def test_torn_weights_are_noticed(tmp_path: Path) -> None:
@@ -153,8 +132,3 @@ def test_json_is_one_document(
     document = json.loads(capsys.readouterr().out)
     assert document["ok"] is False
     assert {"name", "ok", "detail", "fix"} == set(document["checks"][0])
-
-
-def test_an_unknown_argument_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert doctor.main(["--yaml"]) == 2
-    assert "--yaml" in capsys.readouterr().err

@@ -15,10 +15,7 @@ FAST, LONG, SLOW, TWIN = map(SimulatorName, ("fast", "long", "slow", "twin"))
 A, QUICK = map(SimulatorName, ("a", "quick"))
 
 TOOK = {FAST: 2.0, SLOW: 5.0, TWIN: 3.0}
-STAGES = [
-    {FAST: 40, SLOW: 40},
-    {FAST: 40, SLOW: 40, TWIN: 80},
-]
+STAGES = [{FAST: 40, SLOW: 40}, {FAST: 40, SLOW: 40, TWIN: 80}]
 WHOLE = 40 * 5.0 + 80 * 3.0
 
 

@@ -10,32 +10,13 @@ from ds_orchestrator.maps import algebra
 from ds_orchestrator.maps.algebra import OPERATORS, merged_interval
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, map_ids, maps_frame
 from ds_orchestrator.search.features import DEFAULT_AXES
-from ds_sim import BULLET, DONKEY, SimulatorName
+from ds_sim import SimulatorName
 
 T_NAME = SimulatorName("t")
 
 T = T_NAME
 
 TRICKY = "path_to_x:Sim"
-
-
-@pytest.mark.parametrize(
-    ("map_id", "name", "title"),
-    [
-        (MapId.search(BULLET), "search_bullet", "Search on bullet"),
-        (
-            MapId.migration(SimulatorName(TRICKY), SimulatorName("twin_to")),
-            f"migration_{TRICKY}_to_twin_to",
-            f"Migration: {TRICKY} to twin_to",
-        ),
-        (MapId.union(SimulatorName(TRICKY)), f"union_{TRICKY}", f"All tests on {TRICKY}"),
-        (MapId.merged(), "merged", "Siblings merged"),
-        (MapId.merged("weighted_mean"), "merged_weighted_mean", "Siblings merged weighted_mean"),
-        (MapId.twin(DONKEY), "twin_donkey", "Twin donkey"),
-    ],
-)
-def test_names_and_titles(map_id: MapId, name: str, title: str) -> None:
-    assert (map_id.name, map_id.title) == (name, title)
 
 
 def test_every_map_of_a_campaign_has_an_identity_of_its_own() -> None:

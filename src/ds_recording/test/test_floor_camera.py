@@ -31,11 +31,6 @@ def test_the_optical_axis_meets_the_floor_where_trigonometry_says() -> None:
     assert valid.tolist() == [True, False]  # the second looks above the horizon
 
 
-def test_left_of_the_car_is_left_in_the_image() -> None:
-    pixels, _ = CAMERA.project(np.array([[1.0, 0.2], [1.0, -0.2]]))
-    assert pixels[0, 0] < 79.5 < pixels[1, 0]
-
-
 LENSES = [
     Lens(),
     LENS,

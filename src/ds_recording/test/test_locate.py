@@ -22,7 +22,6 @@ from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import line_pixels, points_on_floor
 from ds_recording.locate import Fit, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
-from ds_recording.motion import MotionFinder
 from ds_recording.odometry import AHEAD, TURN, Source
 from ds_recording.recording import Views, longest_stretch, read_views
 from ds_recording.smoother import Evidence
@@ -276,17 +275,3 @@ def test_points_of_lines_lie_on_the_lines(centre: str, paint: tuple[int, int, in
     assert (near & found.white).sum() > 20 and (near & ~found.white).sum() > 10
     away = np.where(found.white, np.abs(np.abs(offset) - 1.0), np.abs(offset))[near]
     assert np.median(away) < 0.02 and np.percentile(away, 95) < 0.08
-
-
-def test_motion_between_two_pictures_is_that_of_the_car(pictures: list[NDArray[np.uint8]]) -> None:
-    poses = drive().poses
-    finder = MotionFinder(CAMERA.scaled(1 / WIDTH))
-    assert finder.see(pictures[10], 0.0) is None
-    for index in (11, 12, 13):
-        found = finder.see(pictures[index], 0.05)
-    assert found is not None
-    step = poses[13] - poses[12]
-    cos, sin = np.cos(poses[12, 2]), np.sin(poses[12, 2])
-    truth = np.array([cos * step[0] + sin * step[1], cos * step[1] - sin * step[0], step[2]])
-    np.testing.assert_allclose(found.step * (WIDTH, WIDTH, 1.0), truth, rtol=0.12, atol=0.001)
-    assert finder.see(np.zeros((120, 160, 3), np.uint8), 0.05) is None

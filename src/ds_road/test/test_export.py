@@ -78,25 +78,6 @@ def test_another_reader_finds_the_road_where_it_is(name: str, read_network: Any)
         assert shapely.distance(borders[lane], shapely.points(edge[inner])).max() < 0.25
 
 
-def test_a_spline_is_exported_exactly() -> None:
-    """Every sample by the formula of the standard (ASAM OpenDRIVE 1.7, 7.7), not only near the line."""
-    road = ROADS["tight"]
-    pieces = etree.fromstring(opendrive(road, "tight").encode()).findall(".//planView/geometry")
-    found = []
-    for index, piece in enumerate(pieces):
-        x, y, heading = (float(piece.get(key)) for key in ("x", "y", "hdg"))
-        poly = piece.find("paramPoly3")
-        assert poly.get("pRange") == "normalized"
-        p = np.linspace(0.0, 1.0, 20)[1 if index else 0 :]
-        u, v = (sum(float(poly.get(letter + axis)) * p**k for k, letter in enumerate("abcd")) for axis in "UV")
-        found.append(
-            np.stack(
-                (x + u * np.cos(heading) - v * np.sin(heading), y + u * np.sin(heading) + v * np.cos(heading)), axis=1
-            )
-        )
-    assert np.abs(np.vstack(found) - road.points).max() < 1e-6
-
-
 def test_files_are_named_after_the_roads_and_stay_in_their_folder(tmp_path: Path) -> None:
     paths = write_all([ROADS["random"]] * 2, ["../../x", "cell 3/17"], tmp_path / "out")
     assert [path.parent for path in paths] == [tmp_path / "out"] * 2 and all(path.is_file() for path in paths)

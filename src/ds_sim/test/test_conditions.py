@@ -175,13 +175,3 @@ def test_every_condition_has_a_phrase_with_its_code_name() -> None:
 )
 def test_conditions_in_the_words_of_a_driver(name: str, value: float, side: Side, said: str) -> None:
     assert in_words(name, value, side=side) == said
-
-
-def test_ranges_of_conditions_in_words() -> None:
-    assert (
-        in_words("line_contrast", 0.2, 0.5)
-        == "where lines keep 20 to 50% of new paint's contrast (line_contrast 0.2 to 0.5)"
-    )
-    assert in_words("camera_pitch", -0.1, -0.05) == (
-        "with the camera tilted 2.9 to 5.7 degrees up (camera_pitch -0.1 to -0.05 rad)"
-    )
