@@ -30,12 +30,6 @@ def test_every_simulator_has_a_file_and_every_file_a_simulator() -> None:
     assert {file.stem for file in FOLDER.glob("*.yaml")} == set(STANDARD)
 
 
-def test_the_one_driver_of_all_asks_every_simulator() -> None:
-    """Siblings in the order of the demo, then the twin, as the README starts them; no crop is repeated."""
-    driver = yaml.safe_load((FOLDER.parent / "driver.yaml").read_text())["/driver"]["ros__parameters"]
-    assert driver == {"network": "dave2_short", "namespaces": ["/ds1", "/ds2", "/twin"]}
-
-
 @pytest.mark.parametrize("name", STANDARD)
 def test_a_file_names_its_simulator_and_repeats_nothing_that_drivers_ask_for(name: str) -> None:
     nodes = parameters(name)

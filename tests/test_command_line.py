@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import shlex
@@ -11,45 +10,34 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from progress_lines import ProgressLines
-from tubs import write_tub
+from made_executions import made_execution
+from tests.command_line import ds
 
 from ds_base.table import Column, Table
-from ds_cli import application, evaluations, main
+from ds_cli import application, evaluations
 from ds_cli.output import ScreenProgress
 from ds_cli.verbs import VERBS, overview
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
+from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Road, generate, read_roads, write_roads
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import BULLET, SimulatorName, make_simulator
+from ds_sim.registry import BULLET, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
-from ds_twin_donkey.fit import _Phases
 
 DS = [sys.executable, "-m", "ds_cli.main"]
 REPOSITORY = Path(__file__).resolve().parents[1]
 BICYCLE = "examples.bicycle:BicycleSimulator"
-
-
-def ds(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """Run `ds` in this process, since its imports take longer than most verbs."""
-    given = [str(argument) for argument in arguments]
-    out, err = io.StringIO(), io.StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        status = main.answer_without_libraries(given)
-        status = application.run(given) if status is None else status
-    return subprocess.CompletedProcess(given, status, out.getvalue(), err.getvalue())
 
 
 def in_process(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -73,20 +61,9 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for simulator in ("bullet", "softbody", "donkey"):
             digest = trajectory_sha256(np.zeros((0, 5)))
             failed = number in (1, 2) and simulator != "softbody"
-            store.add_execution(
-                Execution(
-                    test_id=test.test_id,
-                    simulator=SimulatorName(simulator),
-                    message="",
-                    fitness=-0.1 if failed else 0.5,
-                    outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
-                    max_lateral_position=1.0 + number,
-                    steps=0,
-                    simulated_seconds=0.0,
-                    trajectory_sha256=digest,
-                    drive=NO_DRIVE,
-                )
-            )
+            outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
+            made = made_execution(test.test_id, simulator, outcome, 1.0 + number, steps=0)
+            store.add_execution(replace(made, trajectory_sha256=digest))
     store.close()
     return folder
 
@@ -239,30 +216,6 @@ def test_an_evaluation_is_short_unless_all_is_wanted(tmp_path: Path, capsys: pyt
     assert capsys.readouterr().out.count("0.500") == 2
 
 
-def test_a_fit_says_how_long_it_still_takes() -> None:
-    """Iterations of 2 s; those of the second phase are taken to last 2.5 times, of the third 6 times as long."""
-    told = ProgressLines()
-    phases = _Phases(told, first=1)
-    phases.begin(1, "windows")
-    for number in range(6):
-        phases.iterated(f"iteration {number}")
-    assert told.total == 4 * 1 + 4 * 2.5 + 8 * 6 and told.done == 3.875  # more than usual share what is left
-    phases.begin(2, "windows")
-    assert told.done == 4
-    phases.iterated("iteration 0")
-    assert told.done == 6.5 and told.lines[-2:] == ["phase 2 of 3: windows", "iteration 0"]
-
-
-def test_lines_may_be_some_seconds_apart(capsys: pytest.CaptureFixture[str]) -> None:
-    now = 0.0
-    progress = ScreenProgress(lambda: now, every=3.0)
-    progress.start(10)
-    for _ in range(10):
-        now += 1.0
-        progress.advance(line="x")
-    assert [line.split(";")[0] for line in capsys.readouterr().err.splitlines()] == ["3/10 x", "6/10 x", "9/10 x"]
-
-
 def test_time_left_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:
     """Four of eight were done before; the others take 30 s each."""
     now = 0.0
@@ -392,10 +345,3 @@ def test_a_drive_answers_with_one_document_repeats_itself_and_is_that_of_the_lib
     run = drive_road(simulator, driver, read_roads(road)[0], 5, parse_conditions(text))
     simulator.close()
     assert first["trajectory_sha256"] == executor.trajectory_sha256(run)
-
-
-def test_a_tub_without_motion_is_refused(tmp_path: Path) -> None:
-    write_tub(tmp_path, [{"user/angle": 0.1, "user/throttle": 0.2}])
-    done = ds("twin", "fit", tmp_path, "--out", tmp_path / "car.yaml")
-    assert done.returncode == 2 and done.stdout == "" and len(done.stderr.splitlines()) == 1
-    assert "neither positions" in done.stderr and not (tmp_path / "car.yaml").exists()

@@ -491,8 +491,3 @@ def test_an_error_prevails_over_a_criterion() -> None:
         with pytest.raises(typer.Exit) as exit_, redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
             end(result, True)
         assert exit_.value.exit_code == status
-
-
-def test_a_name_that_is_neither_a_campaign_nor_a_network_is_refused_in_one_line(tmp_path: Path) -> None:
-    done = ds("compare", tmp_path / "gone", "autopilot", "--sims", "bullet", "--out", tmp_path / "out")
-    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "gone" in done.stderr, done.stderr

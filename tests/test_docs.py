@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import subprocess
 import sys
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmarks.replication.drive import NETWORKS, title_of
 from pydantic import BaseModel
 from tests.python_api_page import short_script
 
@@ -46,15 +43,3 @@ def keys(model: BaseModel, prefix: str = "") -> dict[str, Any]:
 def test_the_configuration_page_has_every_key_with_its_default() -> None:
     rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \|", (DOCS / "configuration.md").read_text(), re.MULTILINE)
     assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig())
-
-
-def test_the_page_of_the_replication_counts_what_its_table_holds() -> None:
-    with (ROOT / "docs/data/replication.csv").open(newline="") as file:
-        ours = {(row["network"], row["measure"], row["who"]): row["ours"] for row in csv.DictReader(file)}
-    row = re.compile(r"^\| `(\w+)` \| ([\d,]+) \| (\d+) .*\| ([\d,]+) \| (\d+) .*\| (\d+) \|$", re.MULTILINE)
-    rows = row.findall((DOCS / "results.md").read_text())
-    assert {name for name, *_ in rows} == set(map(title_of, NETWORKS))
-    for name, *counts in rows:
-        kinds = product(("all siblings fail", "no sibling fails"), ("tests", "fail on the twin"))
-        expected = [ours[name, *kind] for kind in (*kinds, ("tests failed", "donkey"))]
-        assert [count.replace(",", "") for count in counts] == expected

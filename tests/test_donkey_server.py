@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Donkey protocol: framing, one telemetry per control, runs equal to the simulator's own, misbehaving clients.
-
-With gym-donkeycar 1.3.1 or later installed (its copy on PyPI is older and speaks another protocol; its sources:
-github.com/tawnkramer/gym-donkeycar), its environment runs unmodified against the server.
-"""
+"""The Donkey protocol: framing, one telemetry per control, runs equal to the simulator's own, misbehaving clients."""
 
 from __future__ import annotations
 
@@ -33,7 +29,7 @@ from hypothesis import strategies as st
 from ds_base.progress import LOGGER, lines_to
 from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
-from ds_sim import Command, SimulatorName, make_simulator
+from ds_sim import SimulatorName, make_simulator
 from ds_sim.donkey_protocol.conversation import Conversation, ServedTests
 from ds_sim.donkey_protocol.messages import (
     LARGEST_MESSAGE,
@@ -43,7 +39,7 @@ from ds_sim.donkey_protocol.messages import (
     command_of,
     image_format_of,
 )
-from ds_sim.donkey_protocol.server import GREETING_DELAY, DonkeyServer
+from ds_sim.donkey_protocol.server import DonkeyServer
 from ds_sim.simulator import Outcome
 
 ROAD = generate(np.random.default_rng(21), max_angle=120)
@@ -362,34 +358,3 @@ def test_the_command_serves_until_stopped_and_refuses_a_port_in_use(tmp_path: Pa
         "client 1: disconnected: the server stops",
         "stopped",
     ]
-
-
-@pytest.mark.parametrize("sim", ["bullet", "softbody", "panda", "donkey"])
-def test_gym_donkeycar_unmodified(sim: str, caplog: pytest.LogCaptureFixture) -> None:
-    """Its environment sees the simulator's own pixels, frame by frame, and the end of the run."""
-    pytest.importorskip("gym_donkeycar.core.sim_client", reason="gym-donkeycar 1.3.1 or later is not installed")
-    import gymnasium
-
-    simulator = make_simulator(sim)
-    with served(STRAIGHT, ROAD, sim=sim, greeting_delay=GREETING_DELAY) as (port, _):
-        camera = {"img_w": 320, "img_h": 160, "img_enc": "PNG"}
-        conf = {"host": "127.0.0.1", "port": port, "cam_resolution": (160, 320, 3), "cam_config": camera}
-        env = gymnasium.make("donkey-generated-roads-v0", conf=conf)
-        for road in (STRAIGHT, ROAD):
-            image, info = env.reset()
-            frame, done = simulator.load(road, seed=5), False
-            assert np.array_equal(image, frame.image) and info["hit"] == "none"
-            started = time.monotonic()
-            while not done:
-                command, former = [0.02 * (frame.step > 60), 0.6], frame
-                image, reward, done, truncated, info = env.step(np.array(command))
-                if frame.outcome is Outcome.RUNNING:
-                    frame = simulator.step(Command(*command))
-                assert np.array_equal(image, frame.image)
-                # Its thread hands the image over before the rest, so the rest may be the former frame's, the end too.
-                assert info["cte"] in (frame.lane.lateral_position, former.lane.lateral_position)
-                assert info["forward_vel"] == pytest.approx(former.vehicle.speed, abs=0.6)
-            assert frame.outcome is Outcome.OUT_OF_BOUNDS and info["hit"] == "out_of_bounds" and reward == -1.0
-            print(f"{sim}: {frame.step / (time.monotonic() - started):.0f} frames/s")
-        env.close()
-    simulator.close()

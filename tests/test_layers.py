@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import ast
-import subprocess
-import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -83,27 +81,3 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     TopologicalSorter(
         {name: set(imported_modules(ast.parse(path.read_text()))) & names.keys() for name, path in names.items()}
     ).prepare()
-
-
-def test_the_science_imports_in_a_process_without_ros() -> None:
-    """Isolated from the environment's paths, with ROS forbidden by name."""
-    packages = [str(p.resolve()) for p in Path("src").glob("ds_*")]
-    script = f"""
-import sys
-sys.path[:0] = {packages!r}
-class Forbid:
-    def find_spec(self, name, path=None, target=None):
-        if name.partition('.')[0] in {ROS_MODULES!r}:
-            raise ImportError('ROS is forbidden here: ' + name)
-sys.meta_path.insert(0, Forbid())
-import ds_road, ds_sim.road_simulator, ds_driver.training, ds_driver.closed_loop.simulation
-import ds_orchestrator.campaign.runner, ds_studies.whole_campaign
-import ds_report.html_report, ds_report.build, ds_cli.application
-from ds_sim.registry import STANDARD, make_simulator
-import ds_sim_ros.simulator, ds_recording.sibling.simulator
-for name in STANDARD: make_simulator(name)
-app = ds_cli.application.make_app()
-for verb in app.list_commands(None): app.get_command(None, verb)
-"""
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr

@@ -23,7 +23,7 @@ from ds_report.sections import merge_tables
 TABLE = Path("docs/data/replication/chauffeur.parquet")
 NUMBERS = 12
 """Tests of each search in a small campaign."""
-CAMPAIGNS = 300
+CAMPAIGNS = 120
 HIGHEST = 0.05 + 2.33 * (0.05 * 0.95 / CAMPAIGNS) ** 0.5
 """A rate of 5% gives a larger share in 1% of the seeds."""
 

@@ -9,47 +9,13 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import pytest
 from typer.main import get_group
 
 import ds_cli
-from ds_cli.output import Result
-from ds_cli.verbs import GROUPS, PACKAGE, VERBS
+from ds_cli.verbs import PACKAGE, VERBS
 
-SAYING = {"answer", "end", "say_next"}
 """Functions that print the line; `Result`, which the first two take, cannot be made without it."""
 MODULES = sorted(Path(ds_cli.__file__).parent.rglob("*.py"))
-
-
-def calls_in(node: ast.AST) -> set[str]:
-    """Names of functions that are called by their names."""
-    found = (one.func for one in ast.walk(node) if isinstance(one, ast.Call))
-    return {one.id for one in found if isinstance(one, ast.Name)}
-
-
-def commands() -> Iterator[tuple[str, set[str]]]:
-    """Functions that are verbs, and what they call, by way of functions of their module too."""
-    for path in MODULES:
-        functions = {one.name: one for one in ast.parse(path.read_text()).body if isinstance(one, ast.FunctionDef)}
-        called = {name: calls_in(function) for name, function in functions.items()}
-        for name, function in functions.items():
-            if any(
-                isinstance(one, ast.Call) and ast.unparse(one.func).endswith(".command")
-                for one in function.decorator_list
-            ):
-                reached, new = set(called[name]), set(called[name])
-                while new := {inner for one in new for inner in called.get(one, ())} - reached:
-                    reached |= new
-                yield f"{path.stem}.{name}", reached
-
-
-def test_every_verb_ends_with_what_comes_next() -> None:
-    found = dict(commands())
-    verbs = sum(max(len(verb.verbs), 1) for _, group in GROUPS for verb in group if verb.module)
-    assert len(found) == verbs
-    assert [name for name, reached in found.items() if not SAYING & reached] == []
-    with pytest.raises(TypeError, match="next"):
-        Result(document={}, show=lambda: None)  # type: ignore[call-arg]
 
 
 def named_commands() -> Iterator[tuple[str, list[str]]]:

@@ -24,8 +24,6 @@ from ds_road import Road
 from ds_sim.registry import DONKEY, make_simulator
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-SOURCES = [path for path in REPOSITORY.glob("src/*/ds_*/**/*") if path.suffix in (".py", ".j2", ".js")]
-IN_TEXT = re.compile(r"(?:`|<code>)(?:\./)?ds ([a-z0-9]+)(?: ([a-z]+))?")
 
 
 @pytest.fixture

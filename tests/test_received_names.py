@@ -3,28 +3,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
-from tests.fuzz.kinds_suites import KINDS as SUITES
 
 from ds_orchestrator.campaign.config import ConfigError
 from ds_road import Road
 from ds_sim.scenario import MAX_SEED, Scenario, ScenarioError
-from ds_studies.suite.suite_file import SuiteError, read_suite
-
-
-@pytest.mark.parametrize("place", ["tests.0", "tests.1.outcomes.bullet", ""])
-def test_an_unknown_key_inside_a_suite_is_one_line_with_its_place(place: str, tmp_path: Path) -> None:
-    path = SUITES[0].write(tmp_path, 2)
-    raw = inside = json.loads(path.read_text())
-    for part in filter(None, place.split(".")):
-        inside = inside[int(part) if part.isdigit() else part]
-    inside["typo"] = 1
-    path.write_text(json.dumps(raw))
-    with pytest.raises(SuiteError, match=rf"{f'{place}.typo' if place else 'typo'}: there is no such key \(keys: "):
-        read_suite(path)
 
 
 @pytest.mark.parametrize(

@@ -3,24 +3,17 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import multiprocessing
-import os
 import shutil
-import subprocess
 import sys
-import venv
-import zipfile
 from collections.abc import Callable
 from multiprocessing.synchronize import Event
 from pathlib import Path
 
 import pytest
-import yaml
 
-from setup_tool import first_use, machine, ros, steps, workspace
-from setup_tool.console import CommandFailedError, Console, SetupError
+from setup_tool import machine, ros, workspace
+from setup_tool.console import SetupError
 from setup_tool.machine import Python
 from setup_tool.stamps import Stamps, one_at_a_time
 
@@ -58,44 +51,6 @@ def test_a_missing_renderer_is_named_with_its_packages(tmp_path: Path) -> None:
 def test_a_python_that_is_named_but_not_there_is_refused() -> None:
     with pytest.raises(SetupError, match=r"Python 3\.11 or 3\.12 is needed, found none"):
         machine.find_python("/no/such/python")
-
-
-def test_ci_runs_on_every_supported_python() -> None:
-    workflow = yaml.safe_load((REPOSITORY / ".github/workflows/ci.yml").read_text())
-    versions = workflow["jobs"]["test"]["strategy"]["matrix"]["python"]
-    assert sorted(versions) == sorted(f"{major}.{minor}" for major, minor in machine.PYTHON_VERSIONS)
-    assert any(step.get("run") == "bash .ci/run" for step in workflow["jobs"]["test"]["steps"])
-
-
-def make_wheel(folder: Path, name: str) -> None:
-    files = {
-        f"{name}.py": "",
-        f"{name}-1.0.dist-info/METADATA": f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n",
-        f"{name}-1.0.dist-info/WHEEL": "Wheel-Version: 1.0\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
-    }
-    with zipfile.ZipFile(folder / f"{name}-1.0-py3-none-any.whl", "w") as wheel:
-        for path, text in files.items():
-            wheel.writestr(path, text)
-        record = "".join(f"{path},,\n" for path in (*files, f"{name}-1.0.dist-info/RECORD"))
-        wheel.writestr(f"{name}-1.0.dist-info/RECORD", record)
-
-
-def test_packages_come_from_the_indexes_of_pip(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only pip is told of a folder of wheels. What is not in it ends in one line, and counts as not installed."""
-    (tmp_path / "wheels").mkdir()
-    make_wheel(tmp_path / "wheels", "only_here")
-    for name, value in (("PIP_NO_INDEX", "1"), ("PIP_FIND_LINKS", str(tmp_path / "wheels"))):
-        monkeypatch.setenv(name, value)
-    venv.create(tmp_path / ".venv", with_pip=True)
-    (tmp_path / ".venv/bin/uv").symlink_to(Path(sys.executable).with_name("uv"))
-    with one_at_a_time(tmp_path, lambda: None) as lock:
-        setup = steps.Setup(tmp_path, Console(tmp_path / ".venv/setup.log", lock), wanted_python="")
-        setup._install("only_here==1.0")
-        with pytest.raises(CommandFailedError, match="is the network there"):
-            setup._install("nowhere==1.0")
-        installed, *others = setup._found(["only_here==1.0", "only_here==2.0", "nowhere==1.0"])
-    assert installed.is_dir() and others == [Path("only_here==2.0"), Path("nowhere==1.0")]
-    assert "nowhere" in (tmp_path / ".venv/setup.log").read_text()
 
 
 def test_a_stamp_counts_for_its_inputs_only_and_while_what_was_made_is_there(tmp_path: Path) -> None:
@@ -172,27 +127,9 @@ def test_a_clean_environment_has_no_other_ros_in_it() -> None:
     assert clean == {"ROS_DOMAIN_ID": "7", "PATH": "/usr/bin", "HOME": "/home/someone"}
 
 
-def test_what_set_up_uses_first_exists() -> None:
-    assert [name for name in first_use.MODULES if importlib.util.find_spec(name) is None] == []
-    assert all(hasattr(importlib.import_module(module), car) for module, car in first_use.CARS)
-
-
 def test_a_ros_that_is_gone_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="cannot be sourced"):
         ros.environment_after(tmp_path / "setup.bash", {"PATH": "/usr/bin:/bin"})
-
-
-def test_cmake_paths_of_the_builder_become_those_of_this_machine(tmp_path: Path) -> None:
-    export = tmp_path / "export_x__rosidl_generator_pyExport.cmake"
-    builder = "/opt/python/cp311-cp311"
-    export.write_text(
-        f'INTERFACE_INCLUDE_DIRECTORIES "{builder}/include/python3.11;'
-        f'{builder}/lib/python3.11/site-packages/numpy/_core/include"'
-    )
-    assert ros.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
-    expected = 'INTERFACE_INCLUDE_DIRECTORIES "/usr/include/python3.11;/venv/numpy/include"'
-    assert export.read_text() == expected
-    assert not ros.use_headers(export, "/usr/include/python3.11", "/venv/numpy/include")
 
 
 @pytest.mark.parametrize(
@@ -216,39 +153,6 @@ def test_the_workspace_is_built_again_only_where_it_must(
     before = workspace.inputs(source)
     change(source)
     assert (workspace.inputs(source) != before) is is_built_again
-
-
-def test_python_packages_are_linked_as_colcon_does_and_their_executables_run(tmp_path: Path) -> None:
-    source, install = tmp_path / "src", tmp_path / "ros_ws/install"
-    shutil.copytree(REPOSITORY / "src/ds_cli", source / "ds_cli")
-    workspace.build(install.parent, source, None, Path(sys.executable), os.environ, Console(tmp_path / "log", 0))
-    made = workspace.products(install.parent, source)
-    assert all(path.exists() for path in made) and install / "ds_cli/lib/ds_cli/ds" in made
-    assert (install / "ds_cli/share/ament_index/resource_index/packages/ds_cli").is_file()
-    answer = subprocess.run([made[-1], "--version"], capture_output=True, text=True, check=True, timeout=60)
-    assert answer.stdout.startswith("ds ")
-    shutil.rmtree(install / "ds_cli/lib")
-    assert not all(path.exists() for path in made)
-
-
-def test_a_definition_is_parsed_once_for_all_generators(tmp_path: Path) -> None:
-    """A process whose program is one of rosidl's reads what another parsed; anything else is left alone."""
-    parser = pytest.importorskip("rosidl_parser").__path__[0]
-    program = tmp_path / "rosidl_generator.py"
-    program.write_text(
-        "import sys\nfrom rosidl_parser import parser\n"
-        "if len(sys.argv) > 1: parser.get_ast_from_idl_string = None  # nothing can be parsed any more\n"
-        "content = parser.parse_idl_string('module a { module msg { struct B { double c; }; }; };')\n"
-        "print([member.name for message in content.elements for member in message.structure.members])\n"
-    )
-    path = os.pathsep.join([str(REPOSITORY / "tools/setup_tool/build_path"), str(Path(parser).parent)])
-    environment = {**os.environ, "PYTHONPATH": path, "DS_PARSED": str(tmp_path)}
-
-    def run(*arguments: str) -> str:
-        command: list[str | Path] = [sys.executable, program, *arguments]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=60).stdout
-
-    assert run() == run("again") == "['c']\n"
 
 
 def test_an_installed_standard_package_is_preferred(tmp_path: Path) -> None:

@@ -147,18 +147,6 @@ def test_every_executable_has_its_function(name: str) -> None:
         assert callable(getattr(import_module(module), function))
 
 
-def test_launch_files_start_executables_that_exist() -> None:
-    """Those that they name in one place, and those that a campaign chooses."""
-    started = {("ds_sim", "simulator"), ("ds_driver", "driver"), ("ds_driver", "autopilot")}
-    for file in (SOURCE / "ds_bringup").glob("launch/*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.Call):
-                words = {one.arg: one.value.value for one in node.keywords if isinstance(one.value, ast.Constant)}
-                if words.get("package") in PACKAGES:
-                    started.add((str(words["package"]), str(words["executable"])))
-    assert len(started) == 6 and all(name in executables(package) for package, name in started)
-
-
 @pytest.mark.parametrize("name", PYTHON_PACKAGES)
 def test_a_package_is_set_up_by_files_of_its_own_folder(name: str) -> None:
     assert list(top_level(SOURCE / name / "setup.py")) == ["setuptools"]
