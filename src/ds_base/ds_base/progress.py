@@ -24,22 +24,19 @@ def logger_of(module: str) -> logging.Logger:
     return logging.getLogger(f"{LOGGER}.{module}")
 
 
-class LinesTo(logging.Handler):
-    """Hands the lines of loggers to a function."""
-
+class _LinesTo(logging.Handler):
     def __init__(self, receive: Callable[[str], object]) -> None:
         super().__init__()
         self._receive = receive
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Hand a line on."""
         self._receive(record.getMessage())
 
 
 @contextmanager
 def lines_to(receive: Callable[[str], object]) -> Iterator[None]:
     """Hand the lines of the product's loggers to a function while the context lasts."""
-    handler, logger = LinesTo(receive), logging.getLogger(LOGGER)
+    handler, logger = _LinesTo(receive), logging.getLogger(LOGGER)
     level = logger.level
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)

@@ -19,8 +19,9 @@ from typer.core import TyperGroup
 from typer.main import get_group
 
 from ds_base.errors import DsError, RunError
+from ds_base.progress import lines_to
 from ds_base.words import did_you_mean
-from ds_cli.output import Interrupted, show_lines
+from ds_cli.output import Interrupted, say
 from ds_cli.verbs import COMPLETION_VARIABLE, PACKAGE, VERBS, overview
 from ds_orchestrator.graph import signals
 
@@ -82,14 +83,14 @@ def make_app() -> TyperGroup:
 
 def run(arguments: Sequence[str]) -> int:
     """Run a verb, and return the exit status."""
-    show_lines()
     try:
-        status = make_app().main(
-            args=[one for one in arguments if one != DEBUG],
-            prog_name="ds",
-            complete_var=COMPLETION_VARIABLE,
-            standalone_mode=False,
-        )
+        with lines_to(say):
+            status = make_app().main(
+                args=[one for one in arguments if one != DEBUG],
+                prog_name="ds",
+                complete_var=COMPLETION_VARIABLE,
+                standalone_mode=False,
+            )
         sys.stdout.flush()
     except _UsageError as error:
         # A verb such as `bag` without another one has printed its help already.

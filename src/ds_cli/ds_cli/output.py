@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import stat
 import sys
@@ -18,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ds_base.installation import as_typed
-from ds_base.progress import LOGGER, LinesTo
 from ds_base.words import duration
 
 if TYPE_CHECKING:
@@ -130,14 +128,6 @@ class ScreenProgress:
             left = f"; about {duration(pace * (self._total - self._done))} left"
         self._said = self._now()
         say(f"{share} {line}{left}")
-
-
-def show_lines() -> None:
-    """Print lines of the product's loggers on standard error from now on."""
-    logger = logging.getLogger(LOGGER)
-    logger.setLevel(logging.INFO)
-    if not logger.handlers:
-        logger.addHandler(LinesTo(say))
 
 
 def number(value: float | None) -> str:

@@ -133,8 +133,7 @@ def siblings_compare_command(
         "left_out": len(table) - len(judged),
     }
     if out is not None:
-        _write(out, document, chosen, runs, table, analysis)
-        _write_all_tables(out, document, pairs, analysis)
+        _write(out, document, chosen, runs, table, pairs, analysis)
 
     def show() -> None:
         for sentence in analysis.answer:
@@ -153,14 +152,15 @@ def _write(
     roads: Sequence[Road],
     runs: dict[SimulatorName, list[DrivenRoad]],
     table: RoadTable,
+    pairs: Sequence[PairComparison],
     analysis: SiblingAnalysis,
 ) -> None:
-    """Write siblings.json, roads.json, tables and pictures."""
+    """Write siblings.json, roads.json, pictures, and tables, once more with every sentence as text for people."""
     import ds_road
     from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
-    from ds_analysis.paper.simulator_agreement import most_different
+    from ds_analysis.paper.simulator_agreement import APART, most_different
     from ds_analysis.siblings.analysis import analysis_tables
-    from ds_base.atomic_files import write_json, write_whole
+    from ds_base.atomic_files import whole_file, write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.sibling_pictures import draw_failures, draw_matrix
     from ds_sim.camera.encodings import png
@@ -168,7 +168,8 @@ def _write(
 
     write_json(out / SIBLINGS, {"version": SIBLINGS_VERSION, **document})
     ds_road.write_roads(list(roads), out / "roads.json")
-    write_tables(analysis_tables(analysis), out)
+    tables = analysis_tables(analysis)
+    write_tables(tables, out)
     judged = table.judged()
     if len(judged):
         write_whole(out / "failures.png", png(draw_failures(judged, analysis.feature, out / "failures")))
@@ -178,6 +179,21 @@ def _write(
         paths = {name: of[index].path for name, of in runs.items()}
         picture = ds_road.draw(roads[index], trajectories=paths, colours=colours_of(list(paths)))
         write_whole(out / f"most_different_{rank + 1}.png", png(picture))
+    distances = Table("pair", "Cohen's kappa", "median apart, m", "95%, m", f"over {APART:g} m apart", "correlation")
+    for pair in pairs:
+        kappa = _with_interval(pair.kappa, pair.kappa_interval) or "undefined"
+        share = "" if pair.share_apart is None else f"{pair.share_apart:.0%}"
+        meters = number(pair.median_apart), number(pair.apart_95)
+        distances.add_row(f"{pair.first}, {pair.second}", kappa, *meters, share, number(pair.correlation))
+    with whole_file(out / TABLES) as partial, partial.open("w", encoding="utf-8") as file:
+        console = Console(file=file, width=140)
+        console.print(_simulator_table(document), distances)
+        for reason in sorted({pair.reason for pair in pairs if pair.reason}):
+            console.print(f"kappa undefined: {reason}")
+        for one in tables:
+            one.show(console)
+        for sentence in analysis.sentences:
+            console.print(sentence)
 
 
 def _simulator_table(document: dict[str, Any]) -> Table:
@@ -187,33 +203,6 @@ def _simulator_table(document: dict[str, Any]) -> Table:
         median = row["median_max_lateral_position"]
         table.add_row(name, str(row["roads"]), completed, str(row["failures"]), str(row["errors"]), number(median))
     return table
-
-
-def _write_all_tables(
-    out: Path, document: dict[str, Any], pairs: Sequence[PairComparison], analysis: SiblingAnalysis
-) -> None:
-    """Write every table and sentence as text for people."""
-    from ds_analysis.paper.simulator_agreement import APART
-    from ds_analysis.siblings.analysis import analysis_tables
-    from ds_base.atomic_files import whole_file
-
-    distances = Table("pair", "Cohen's kappa", "median apart, m", "95%, m", f"over {APART:g} m apart", "correlation")
-    for pair in pairs:
-        names = f"{pair.first}, {pair.second}"
-        kappa = _with_interval(pair.kappa, pair.kappa_interval) or "undefined"
-        share = "" if pair.share_apart is None else f"{pair.share_apart:.0%}"
-        distances.add_row(
-            names, kappa, number(pair.median_apart), number(pair.apart_95), share, number(pair.correlation)
-        )
-    with whole_file(out / TABLES) as partial, partial.open("w", encoding="utf-8") as file:
-        console = Console(file=file, width=140)
-        console.print(_simulator_table(document), distances)
-        for reason in sorted({pair.reason for pair in pairs if pair.reason}):
-            console.print(f"kappa undefined: {reason}")
-        for one in analysis_tables(analysis):
-            one.show(console)
-        for sentence in analysis.sentences:
-            console.print(sentence)
 
 
 def _with_interval(value: float | None, interval: tuple[float, float] | None) -> str:

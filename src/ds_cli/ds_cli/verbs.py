@@ -42,21 +42,13 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
             Verb(
                 "compare", "campaign.group", "Compare two networks on the same tests: what got worse, what got better?"
             ),
-            Verb(
-                "report",
-                "campaign.group",
-                "Rebuild the report of a campaign, or write one of imported outcomes.",
-            ),
+            Verb("report", "campaign.group", "Rebuild the report of a campaign, or write one of imported outcomes."),
         ),
     ),
     (
         "Campaigns and suites",
         (
-            Verb(
-                "demo",
-                "studies.demo",
-                "See where a shipped network fails, why, and what to do next.",
-            ),
+            Verb("demo", "studies.demo", "See where a shipped network fails, why, and what to do next."),
             Verb(
                 "campaign",
                 "campaign.group",
@@ -72,11 +64,7 @@ GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
     (
         "The real car",
         (
-            Verb(
-                "predict",
-                "prediction.predict",
-                "Predict where a car, or a simulator that was never driven, fails.",
-            ),
+            Verb("predict", "prediction.predict", "Predict where a car, or a simulator that was never driven, fails."),
             Verb(
                 "real",
                 "prediction.real",

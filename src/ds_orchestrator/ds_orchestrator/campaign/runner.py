@@ -22,9 +22,8 @@ from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Engine
 from ds_orchestrator.campaign.executor import CampaignError, Executor, Listener
 from ds_orchestrator.campaign.folder import read_campaign
-from ds_orchestrator.maps.campaign_maps import elites_of
+from ds_orchestrator.maps.campaign_maps import cell_of_test, elites_of
 from ds_orchestrator.search.algorithms import search_of
-from ds_orchestrator.search.features import cell_of
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import SimulatorName, label_of
@@ -143,15 +142,8 @@ class Campaign:
                 search.tell(None)
                 yield
                 continue
-            gate = self._store.gate(test_id, sibling)
-            cell = cell_of(
-                test.road,
-                execution,
-                features=config.features,
-                maxitwo_compatible=config.maxitwo_compatible,
-                conditions=test.conditions,
-                visible_contrast=None if gate is None else gate.visible_contrast,
-            )
+            gate, as_maxitwo = self._store.gate(test_id, sibling), config.maxitwo_compatible
+            cell = cell_of_test(test, execution, gate, config.features, maxitwo_compatible=as_maxitwo)
             search.tell(execution.fitness, failed=execution.outcome.is_failure, cell=cell)
             yield
 

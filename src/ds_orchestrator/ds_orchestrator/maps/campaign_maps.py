@@ -62,18 +62,25 @@ def cells_of(
     verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}
     cells = {}
     for test in tests:
-        gate = gates.get((test.test_id, test.sibling))
-        cell = cell_of(
-            test.road,
-            verdicts.get((test.test_id, test.sibling)),
-            features=features,
-            maxitwo_compatible=maxitwo_compatible,
-            conditions=test.conditions,
-            visible_contrast=None if gate is None or gate.outcome is None else gate.visible_contrast,
-        )
+        own = test.test_id, test.sibling
+        cell = cell_of_test(test, verdicts.get(own), gates.get(own), features, maxitwo_compatible=maxitwo_compatible)
         if cell is not None:
             cells[test.test_id] = cell
     return cells
+
+
+def cell_of_test(
+    test: Test, own: Execution | None, gate: Gate | None, features: Sequence[str], *, maxitwo_compatible: bool
+) -> Cell | None:
+    """Compute the cell of a test, given its execution and its gate on the sibling whose search generated it."""
+    return cell_of(
+        test.road,
+        own,
+        features=features,
+        maxitwo_compatible=maxitwo_compatible,
+        conditions=test.conditions,
+        visible_contrast=None if gate is None or gate.outcome is None else gate.visible_contrast,
+    )
 
 
 def elites_of(

@@ -12,7 +12,8 @@ from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
 from ds_orchestrator.campaign.live_file import Live, read_live
-from ds_orchestrator.search.features import Cell, cell_of
+from ds_orchestrator.maps.campaign_maps import cell_of_test
+from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import SimulatorName
@@ -139,14 +140,12 @@ class CampaignReader:
             if test is None or execution.simulator not in campaign.config.simulators:
                 raise StoreError(f"{self.folder} has changed while it was read")
             campaign.executions[execution.test_id, execution.simulator] = replace(execution, drive=NO_DRIVE)
-            gate = gates.get((execution.test_id, test.sibling))
-            cell = cell_of(
-                test.road,
+            cell = cell_of_test(
+                test,
                 execution if execution.simulator == test.sibling else None,
-                features=campaign.config.features,
+                gates.get((execution.test_id, test.sibling)),
+                campaign.config.features,
                 maxitwo_compatible=campaign.config.maxitwo_compatible,
-                conditions=test.conditions,
-                visible_contrast=None if gate is None or gate.outcome is None else gate.visible_contrast,
             )
             if cell is not None:
                 campaign.cells[execution.test_id] = cell
