@@ -214,13 +214,6 @@ def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test 
     return max(tests, key=lambda test: completed[test.test_id], default=None)
 
 
-def camera_pictures(
-    names: Sequence[SimulatorName], scenario: Scenario, trusted: Collection[str] = (), driver: DriverName = AUTOPILOT
-) -> list[CameraPicture]:
-    """Render the same place of one road on every simulator, driven by the autopilot; below it what a driver sees."""
-    return [_camera_picture(name, scenario, trusted, driver) for name in names]
-
-
 def translates(driver: DriverName) -> bool:
     """Return whether a driver sees translated images, and its generators are there."""
     try:
@@ -235,9 +228,10 @@ def _paired(image: NDArray[np.uint8], driver: DriverName, simulator: SimulatorNa
     return image if translate is None else np.vstack((image, translate(image)))
 
 
-def _camera_picture(
-    name: SimulatorName, scenario: Scenario, trusted: Collection[str], driver: DriverName
+def camera_picture(
+    name: SimulatorName, scenario: Scenario, trusted: Collection[str] = (), driver: DriverName = AUTOPILOT
 ) -> CameraPicture:
+    """Render a place of a road on a simulator, driven by the autopilot; below it what a driver sees."""
     try:
         with closing(make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))) as simulator:
             reached = _drive_to(simulator, scenario)

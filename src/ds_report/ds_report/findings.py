@@ -387,7 +387,7 @@ def _comparison(
         return f"{subject}, the merged map cannot be compared with the twin: {merged.reason}."
     if merged.caution:
         return f"{subject}, no conclusion about how well the siblings predict the twin: {merged.caution}."
-    siblings = listed([f"{c.map.simulator} {_r(c)}" for c in unions])
+    siblings = listed([f"{c.map.simulator} {'undefined' if c.r is None else f'{c.r:.2f}'}" for c in unions])
     numbers = (
         f"{subject}, the merged map correlates with the failures of the twin {config.twin} with r = {merged.r:.2f}"
     )
@@ -406,10 +406,6 @@ def _comparison(
         own = [one for one in paired_differences if one.value == value]
         verdict = f": {_against_siblings(own, len(paired_differences))}" if own else ""
     return f"{numbers} ({siblings}){verdict}.{chance}"
-
-
-def _r(correlation: Correlation) -> str:
-    return "undefined" if correlation.r is None else f"{correlation.r:.2f}"
 
 
 def _against_siblings(paired_differences: Sequence[PairedDifference], among: int) -> str:

@@ -29,7 +29,7 @@ from ds_report.camera_pictures import (
     CAMERA_PLACE,
     REPLAY_PICTURES,
     REPLAYS_OF_LARGE,
-    camera_pictures,
+    camera_picture,
     common_test,
     drive_pictures,
     plan_pictures,
@@ -112,7 +112,9 @@ def write_report(
         first=first_screen(data, where=findings.headline),
         findings=findings,
         tiles=_tiles(data),
-        cameras=camera_pictures(config.simulators, place.scenario, trusted, config.driver) if place else [],
+        cameras=[camera_picture(name, place.scenario, trusted, config.driver) for name in config.simulators]
+        if place
+        else [],
         paired=paired,
         camera_test=place,
         camera_cell=data.cells.get(place.test_id, ()) if place else (),

@@ -156,15 +156,14 @@ def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> Furt
         title=f"{up} by {across}",
         folder=f"maps/{'_by_'.join(axes)}",
         pictures=[
-            (_failing(maps[map_id]), data_address(draw_map(maps[map_id], "probability", bounds=bounds)))
-            for map_id in compared_ids(maps)
+            (
+                f"{one.title}: failures in {sum(cell.probability > 0 for cell in one.cells.values())} of "
+                f"{len(one.cells)} cells",
+                data_address(draw_map(one, "probability", bounds=bounds)),
+            )
+            for one in (maps[map_id] for map_id in compared_ids(maps))
         ],
     )
-
-
-def _failing(feature_map: FeatureMap) -> str:
-    failing = sum(cell.probability > 0 for cell in feature_map.cells.values())
-    return f"{feature_map.title}: failures in {failing} of {len(feature_map.cells)} cells"
 
 
 class ShownGroup(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from ds_analysis.sensitivity.result import Sensitivity
-from ds_report.camera_pictures import CameraPicture, camera_pictures
+from ds_report.camera_pictures import CameraPicture, camera_picture
 from ds_report.pages import write_page
 from ds_sim.conditions.words import in_words
 
@@ -50,6 +50,6 @@ class SensitivityPage:
         if key not in self._pictures:
             first = result.roads[worst.simulator][0]
             scenario = replace(first, conditions=worst.factor.conditions(level))
-            (self._pictures[key],) = camera_pictures([worst.simulator], scenario)
+            self._pictures[key] = camera_picture(worst.simulator, scenario)
         words = in_words(worst.factor.name, worst.factor.value(level))
         return f"{worst.simulator} {words}", self._pictures[key]

@@ -12,7 +12,7 @@ from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.selection import SEED, choose_split
 from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import Study
-from ds_analysis.prediction.car import CarPrediction, predict_car
+from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
 from ds_analysis.siblings.failure_patterns import nestings
@@ -34,6 +34,7 @@ def write_study_page(folder: Path, study: Study) -> Path:
         unpredicted = ""
     except OutcomeTableError as error:
         car, unpredicted = None, str(error)
+    about_car = [one.sentence for one in (car.help, car.certificate) if one] if car is not None and car.drives else []
     tables = []
     if study.twin is not None and car is not None:
         try:
@@ -47,7 +48,7 @@ def write_study_page(folder: Path, study: Study) -> Path:
         "study.html.j2",
         title=folder.resolve().name,
         sentence=f"{len(table)} tests on {', '.join(study.simulators)}" if car is None else car.sentence,
-        sentences=[*_about_car(car), *(_where(table, name) for name in table.simulators)],
+        sentences=[*about_car, *(_where(table, name) for name in table.simulators)],
         unpredicted=unpredicted,
         command=str(ds_command("real", "propose", folder)),
         simulators=simulator_table(study),
@@ -61,13 +62,6 @@ def write_study_page(folder: Path, study: Study) -> Path:
         tables=tables,
         features=study.features,
     )
-
-
-def _about_car(car: CarPrediction | None) -> list[str]:
-    """What the car's drives say of the simulators, and certify."""
-    if car is None or not car.drives:
-        return []
-    return [car.help.sentence, *([] if car.certificate is None else [car.certificate.sentence])]
 
 
 def _where(table: OutcomeTable, name: SimulatorName) -> str:

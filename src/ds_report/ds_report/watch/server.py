@@ -163,12 +163,6 @@ class _Drive(_Handler):
         await self.answer(drive)
 
 
-def page_of(reader: CampaignReader) -> str:
-    """Write the page; its script asks for everything else."""
-    paired = translates(reader.config.driver)
-    return render("watch.html.j2", config=reader.config, folder=str(reader.folder), paired=paired)
-
-
 class _Server(HTTPServer):
     """Closes the connections that are too many, as without descriptors it could not even refuse them."""
 
@@ -207,7 +201,9 @@ async def serve(
         why = "is in use" if taken else f"cannot be used ({getattr(error, 'strerror', None) or error})"
         raise ServerError(f"port {port} {why}: choose another with --port, or 0 for any free one") from None
     watched = Watched(reader, trusted)
-    parts = {"watched": watched, "page": page_of(reader)}
+    paired = translates(reader.config.driver)
+    page = render("watch.html.j2", config=reader.config, folder=str(reader.folder), paired=paired)
+    parts = {"watched": watched, "page": page}
     server = _Server(
         Application(
             [("/", _Page, parts), ("/state.json", _State, parts), ("/drive.json", _Drive, parts)],

@@ -12,8 +12,8 @@ from ds_interfaces.msg import MapLegend, TestOutcome
 from ds_interfaces.srv import GetTest
 from nav_msgs.msg import OccupancyGrid
 
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
 from ds_orchestrator.search.features import Cell, feature_of
 from ds_orchestrator.store.model import Execution
@@ -80,10 +80,7 @@ def grids_of(data: CampaignData) -> Grids | None:
 
     A map of three features becomes one of the first two, whose cells are the means over the third, weighted by tests.
     """
-    config = data.config
-    maps = build_maps(
-        config.siblings, config.twin, data.tests, data.executions, config.map_plan(data.given_up), gates=data.gates
-    )
+    maps = maps_of(data)
     chosen = {label_of(one.name).replace(".", "_").replace("-", "_"): maps[one] for one in compared_ids(maps)}
     cells = [cell[:2] for one in chosen.values() for cell in one.cells]
     if not cells:
@@ -95,7 +92,7 @@ def grids_of(data: CampaignData) -> Grids | None:
     grids, tests = {}, {}
     for name, one in chosen.items():
         grids[name], tests[name] = _grid(one, (int(low[0]), int(low[1])), (int(size[0]), int(size[1])))
-    across, up = (feature_of(name) for name in config.features[:2])
+    across, up = (feature_of(name) for name in data.config.features[:2])
     legend = MapLegend(
         across=across.title,
         up=up.title,
