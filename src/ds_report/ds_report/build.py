@@ -52,20 +52,10 @@ def write_all(
     listener: Listener | None = None,
     trusted: Collection[str] = (),
 ) -> Path:
-    """Write maps, evaluation and report from a campaign's store.
+    """Write maps, evaluation and report of a campaign, and return the report's path; the caller holds the lock.
 
-    Args:
-        folder: campaign folder.
-        store: store of the campaign, finished or not.
-        data: contents of the store, if already read.
-        again: write all results even if they are up to date.
-        listener: receives every stage.
-        trusted: user-defined simulators whose code may run; the report has no camera pictures of others.
-
-    The caller holds `ds_base.folder_files.locked`.
-
-    Returns:
-        Path of the report.
+    Contents of the store are given if they are already read. Results that are up to date are written only `again`.
+    Simulators of users that are not trusted have no camera pictures.
     """
     from ds_report.heatmap import write_maps
     from ds_report.html_report import SHOWN_TESTS, write_report

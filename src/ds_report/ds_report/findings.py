@@ -182,14 +182,7 @@ def summarise(
     *,
     paired_differences: Sequence[PairedDifference] = (),
 ) -> Findings:
-    """Summarise the findings of a campaign, finished or not.
-
-    Args:
-        data: contents of the campaign's store.
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
-        correlations: with the twin, empty without one.
-        paired_differences: differences between the merged map and each sibling's; they are not compared without them.
-    """
+    """Summarise the findings of a campaign, finished or not; correlations and differences are empty without a twin."""
     config = data.config
     if not data.executions:
         return Findings(headline=NOTHING_DRIVEN)

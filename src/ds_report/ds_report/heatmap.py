@@ -50,18 +50,10 @@ def _bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
 
 
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Picture:
-    """Draw one value of a feature map.
+    """Draw one value of a feature map of two features, as (rows, columns, 3) uint8 RGB.
 
     Every filled cell shows its value and its number of tests; cells without tests are hatched. The number of tests that
-    the gates exclude stands next to it, as in `-2`.
-
-    Args:
-        feature_map: map of two features.
-        value: value to draw, `probability` or `quality_loss`.
-        bounds: part of the feature space to show; use the same for all maps to compare.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
+    the gates exclude stands next to it, as in `-2`. Maps with the same bounds can be compared cell by cell.
     """
     excluded = sum(feature_map.excluded.values())
     titles = (feature_map.title, VALUE_TITLES[value] + (f"; -n: excluded, {excluded} in all" if excluded else ""))
@@ -132,10 +124,6 @@ def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
 
     The overview shows the siblings' unions, their merge and the twin side by side: failure probability above, loss of
     quality below. All pictures share the same bounds.
-
-    Args:
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
-        folder: folder for the pictures, created if missing; existing pictures are replaced.
     """
     bounds = bounds_of(maps.values())
     for map_id, feature_map in maps.items():

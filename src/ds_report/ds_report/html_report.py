@@ -66,24 +66,10 @@ def write_report(
     further_maps: Sequence[FurtherMap] = (),
     trusted: Collection[str] = (),
 ) -> Path:
-    """Write `report.html`; the same campaign gives the same bytes.
+    """Write `report.html`, and return its path; the same campaign gives the same bytes.
 
-    Args:
-        folder: campaign folder.
-        data: contents of the campaign's store, finished or not.
-        maps: as `ds_orchestrator.maps.campaign_maps.build_maps` returns them.
-        correlations: with the twin, empty without one.
-        paired_differences: differences between the merged map and each sibling's.
-        tables: tables of the evaluation.
-        network: network in the paper whose numbers are shown for comparison, or None.
-        siblings: what each sibling adds, or None.
-        answer: what is predicted of a car, or None.
-        failures: why tests failed, or None.
-        further_maps: maps over other features than the configured ones.
-        trusted: user-defined simulators whose code may run; others have no pictures.
-
-    Returns:
-        Path of the report.
+    The paper's numbers of a network are shown for comparison. User-defined simulators that are not trusted have no
+    pictures.
     """
     config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
     place = common_test(tests, executions)

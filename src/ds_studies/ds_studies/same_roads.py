@@ -21,14 +21,10 @@ from ds_sim.simulator import Outcome
 def drive_same_roads(
     settings: DriveSettings, roads: Sequence[Road], seed: int, folder: Path | None, callbacks: Callbacks
 ) -> dict[SimulatorName, list[DrivenRoad]]:
-    """Drive roads on every simulator; errors are as in `ds_orchestrator.engines.drive_tests.drive_tests`.
+    """Drive roads on every simulator, the first with this seed, which increases by one per road.
 
-    Args:
-        settings: driver, simulators and engine.
-        roads: roads to drive.
-        seed: of the run on the first road; it increases by one per road.
-        folder: of the drives, where a stopped call goes on, with other roads, too; None keeps nothing.
-        callbacks: who hears of it.
+    A stopped call goes on in its folder, with other roads, too; None keeps nothing. Errors are as in
+    `ds_orchestrator.engines.drive_tests.drive_tests`.
 
     Returns:
         Simulator -> what became of the roads, in their order; what a simulator cannot realise ends in an error.

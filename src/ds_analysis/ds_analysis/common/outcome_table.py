@@ -226,9 +226,9 @@ class RoadTable(OutcomeTable):
             lateral: (tests, simulators) largest absolute lateral position, m.
             siblings: names of the siblings.
             twin: name of the last simulator, if it is the twin.
-            test_ids: ids; those of the roads if None.
-            conditions: operating conditions; the default ones if None.
-            axes: the feature map's axes; those of the paper's maps if left out.
+            test_ids: those of the roads if None.
+            conditions: the default ones if None.
+            axes: the feature map's axes.
             cells: cells of that map; those of the paper's maps if None.
             drives: (tests, simulators) recorded drives, of verdicts only; there are none if None.
         """
@@ -267,11 +267,9 @@ class RoadTable(OutcomeTable):
 def table_of_runs(
     runs: Mapping[SimulatorName, Sequence[DrivenRoad]], *, conditions: Sequence[Conditions] | None = None
 ) -> RoadTable:
-    """Collect runs; all simulators are siblings.
+    """Collect runs, the same roads in the same order for all simulators, which are siblings.
 
-    Args:
-        runs: simulator -> its runs, the same roads in the same order for all.
-        conditions: operating conditions of each test; the default ones if None.
+    Conditions are those of each test, the default ones if None.
     """
     rows = list(zip(*runs.values(), strict=True))
     shape = len(rows), len(runs)
@@ -289,9 +287,7 @@ def table_of_runs(
 def table_of_campaign(data: CampaignData, *, most: int | None = None) -> RoadTable:
     """Collect the tests of a campaign, finished or not; a road and conditions that it drove twice count once.
 
-    Args:
-        data: contents of the campaign's store.
-        most: tests at most, a sample of whole families where there are more; None for all.
+    Of more than `most` tests, a sample of whole families is taken.
 
     Raises:
         OutcomeTableError: no test has a verdict yet.
@@ -357,11 +353,7 @@ def is_study(folder: Path) -> bool:
 
 
 def table_of_comparison(folder: Path, *, twin: SimulatorName | None = None) -> RoadTable:
-    """Read what `ds siblings compare --out` wrote, without profiles.
-
-    Args:
-        folder: the folder.
-        twin: simulator that plays the twin; None if all are siblings.
+    """Read what `ds siblings compare --out` wrote, without profiles; all but the twin are siblings.
 
     Raises:
         OutcomeTableError: the folder holds no comparison, or one without a verdict.

@@ -134,23 +134,11 @@ def compare_networks(
     left_out: Sequence[tuple[str, SimulatorName, str]] = (),
     sequential: bool = False,
 ) -> Comparison:
-    """Compare two networks by their drives on the same tests.
+    """Compare two networks by their drives on the same tests; for the arguments see `Comparison`.
 
     Tests that a search found against the reference favour the candidate: where the reference was made to fail, a
-    network that is as good fails less often. There, `better` is judged by the unsearched tests alone.
-
-    Args:
-        drives: every test on every simulator, with a verdict of both networks.
-        reference: the network that is known.
-        candidate: the network that may replace it.
-        origin: how the tests were chosen.
-        source: where they come from, in words.
-        simulators: names of the simulators, in the order of the rows.
-        features: axes of the cells.
-        twin: simulator that acts as the twin, or None.
-        excluded: number of pairs by which no network can be judged.
-        left_out: pairs in which a drive ended in an error.
-        sequential: the drives end where their outcomes make the answer sure.
+    network that is as good fails less often. There, `better` is judged by the unsearched tests alone. With
+    `sequential`, the drives end where their outcomes make the answer sure.
     """
     of = {name: [drive for drive in drives if drive.simulator == name] for name in simulators}
     return Comparison(

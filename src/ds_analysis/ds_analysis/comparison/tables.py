@@ -195,10 +195,7 @@ _READING = (
 def markdown_of(comparison: Comparison, road_files: Mapping[str, str], unmet: Sequence[str] = ()) -> str:
     """Format a comparison as GitHub's and GitLab's Markdown.
 
-    Args:
-        comparison: the comparison.
-        road_files: test -> file with its road, for tests that newly fail.
-        unmet: pass criteria that are not met, one sentence each.
+    `road_files` has the file with the road of tests that newly fail; `unmet` the pass criteria that are not met.
     """
     lines = [f"## {_text(comparison.candidate.label)} against {_text(comparison.reference.label)}", ""]
     lines += [f"**{answer_of(comparison)}**", ""]

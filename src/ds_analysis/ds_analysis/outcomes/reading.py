@@ -23,10 +23,7 @@ from ds_sim.registry import SimulatorName
 def read_table(folder: Path, *, twin: SimulatorName | None = None, most: int | None = None) -> OutcomeTable:
     """Read a folder of `ds campaign run`, finished or running, of `ds siblings compare --out`, or `ds outcomes import`.
 
-    Args:
-        folder: the folder.
-        twin: simulator that plays the twin; the campaign's own twin if None.
-        most: tests of a campaign at most; see `table_of_campaign`.
+    The twin is the campaign's own if None; for `most` see `table_of_campaign`.
 
     Raises:
         OutcomeTableError: the folder holds neither, or has no such simulator, or no verdict yet.

@@ -17,12 +17,7 @@ from ds_sim.registry import SimulatorName
 
 
 def maps_of(data: CampaignData, *, features: Sequence[str] | None = None) -> dict[MapId, FeatureMap]:
-    """Build every map of a campaign, finished or not.
-
-    Args:
-        data: contents of the campaign's store.
-        features: names of the axes; the configured ones if None.
-    """
+    """Build every map of a campaign, finished or not, over its features or over others."""
     config = data.config
     plan = config.map_plan(data.given_up)
     if features is not None:

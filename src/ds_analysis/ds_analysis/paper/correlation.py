@@ -108,14 +108,7 @@ class PairedDifference:
 
 
 def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resamples: int = 0) -> Correlation:
-    """Correlate one map with the twin's; see `Correlation`.
-
-    Args:
-        feature_map: map of the siblings.
-        twin: map of the twin.
-        value: `probability` or `quality_loss`.
-        resamples: resamples of the bootstrap; 0 computes no intervals.
-    """
+    """Correlate one map with the twin's; see `Correlation`. Without resamples, there are no intervals."""
     predicted, truth = paired_values(feature_map, twin, value)
     failing = int((truth > 0).sum())
     r, p, reason = pearson_or_reason(predicted, truth, value)
@@ -143,12 +136,7 @@ def evaluate(
 ) -> list[Correlation]:
     """Compare each sibling's union map and the merged map with the twin, by failure probability and by quality loss.
 
-    Args:
-        maps: maps of the campaign.
-        siblings: names of the siblings, in order.
-        twin: name of the twin.
-        resamples: resamples of the bootstrap, which takes most of the time: `RESAMPLES` is enough, 0 computes no
-            intervals.
+    Resamples of the bootstrap take most of the time: `RESAMPLES` are enough, 0 computes no intervals.
     """
     compared = [maps[map_id] for map_id in (*map(MapId.union, siblings), MapId.merged())]
     truth = maps[MapId.twin(twin)]

@@ -138,12 +138,7 @@ class CarPrediction:
 
 
 def predict_car(folder: Path, table: OutcomeTable, *, tolerated: float = TOLERATED_RATE) -> CarPrediction:
-    """Predict a car from a campaign's outcomes, its twin's among them, and from the car's own drives.
-
-    Args:
-        folder: campaign folder, which may hold drives of the car.
-        table: outcomes of the campaign.
-        tolerated: failure rate up to which a cell counts as safe.
+    """Predict a car from a campaign's outcomes, its twin's among them, and from the car's own drives in the folder.
 
     Raises:
         ds_analysis.common.outcome_table.OutcomeTableError: there are too few tests.

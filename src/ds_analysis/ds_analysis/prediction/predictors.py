@@ -141,11 +141,7 @@ class PredictorComparison:
 
 
 def compare_predictors(table: OutcomeTable, prediction: Prediction) -> PredictorComparison:
-    """Score every predictor of the twin's failures, by test.
-
-    Args:
-        table: outcomes.
-        prediction: of the table's tests, without drives of the twin.
+    """Score every predictor of the twin's failures, by test; the prediction has no drives of the twin.
 
     Raises:
         OutcomeTableError: there is no twin, or no test with a verdict everywhere.

@@ -114,13 +114,7 @@ class Verdicts:
 
 
 def judge(table: OutcomeTable, prediction: Prediction, *, tolerated: float = TOLERATED_RATE) -> Verdicts:
-    """Judge every test and every cell.
-
-    Args:
-        table: outcomes of the siblings.
-        prediction: of the table's tests.
-        tolerated: failure rate up to which a cell counts as safe.
-    """
+    """Judge every test and every cell, which is safe up to the tolerated failure rate."""
     driven = {drive.row for drive in prediction.drives}
     judged = table.on_a_sibling
     judged[list(driven)] = True

@@ -80,12 +80,9 @@ class SiblingAnalysis:
 
 
 def analyse(table: RoadTable, about: Sequence[SimulatorName], *, repeats: int = REPEATS) -> SiblingAnalysis:
-    """Analyse outcomes on the same roads.
+    """Analyse tests with a verdict on every simulator; each of `about` is predicted from the others, such as the twin.
 
-    Args:
-        table: tests with a verdict on every simulator.
-        about: simulators whose failures the others are to predict, such as the twin.
-        repeats: divisions into folds over which cross-validated losses are averaged.
+    Cross-validated losses are averaged over `repeats` divisions into folds.
     """
     return SiblingAnalysis(
         departures=departures_of(table),

@@ -99,11 +99,7 @@ def tests_of_campaign(folder: Path, data: CampaignData) -> GivenTests:
 
 
 def tests_of_campaigns(reference: tuple[Path, CampaignData], candidate: tuple[Path, CampaignData]) -> list[GivenTests]:
-    """Tests of two campaigns of one configuration; those that both have are driven already.
-
-    Args:
-        reference: folder and contents of the reference's campaign.
-        candidate: the same of the candidate's.
+    """Tests of two campaigns, each with its folder, of one configuration; those that both have are driven already.
 
     Raises:
         ComparisonError: the campaigns have different simulators, conditions or searches, or one has no drives.
@@ -140,14 +136,7 @@ def tests_of_campaigns(reference: tuple[Path, CampaignData], candidate: tuple[Pa
 def random_tests(
     roads: Sequence[Road], seed: int, *, siblings: Sequence[SimulatorName], twin: SimulatorName | None
 ) -> GivenTests:
-    """Random roads, each driven on every simulator.
-
-    Args:
-        roads: the roads.
-        seed: of the run on the first road; it increases by one per road.
-        siblings: names of the simulators but the twin.
-        twin: name of the twin, or None.
-    """
+    """Random roads, each driven on every simulator, the first with this seed, which increases by one per road."""
     tests = [Test(f"random-0-{i:04d}", Scenario(road, seed=seed + i)) for i, road in enumerate(roads)]
     settings = DriveSettings(siblings=tuple(siblings), twin=twin, driver=DriverName(""))
     return GivenTests(
@@ -196,8 +185,8 @@ def compare(
         source: where they come from, in words.
         out: folder for the drives; a comparison that was stopped goes on there.
         callbacks: who hears of it.
-        sequential: outcomes decide when drives end, as `compare_until_sure` does.
         recheck: drive one known test again on each simulator, to find out whether drives are repeatable here.
+        sequential: outcomes decide when drives end, as `compare_until_sure` does.
 
     Raises:
         ComparisonError: a known drive does not come out the same again.

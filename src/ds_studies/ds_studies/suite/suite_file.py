@@ -211,10 +211,6 @@ def select(data: CampaignData, *, most: int) -> dict[str, list[Reason]]:
     - `cell`: of every cell the test with the smallest margin; cells with the smallest one first.
 
     Only tests with a verdict on every simulator take part.
-
-    Args:
-        data: contents of the campaign.
-        most: largest number of tests.
     """
     done = {(one.test_id, one.simulator): one for one in data.verdicts}
     names = data.config.simulators
@@ -255,11 +251,6 @@ def _in_turns(lists: Mapping[Reason, Sequence[str]], most: int) -> dict[str, lis
 
 def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
     """Make a suite of a campaign's tests that tell most.
-
-    Args:
-        folder: campaign folder.
-        data: its contents.
-        most: largest number of tests.
 
     Raises:
         SuiteError: no test has a verdict on every simulator.
@@ -316,15 +307,9 @@ def settings_of_suite(suite: Suite, driver: DriverName) -> DriveSettings:
 def run_suite(
     suite: Suite, settings: DriveSettings, candidate: Network, folder: Path, callbacks: Callbacks, *, source: str
 ) -> tuple[Comparison, dict[tuple[str, SimulatorName], Execution]]:
-    """Drive a suite, and compare its outcomes with those of the suite.
+    """Drive a suite, and compare its outcomes with those of the suite; a run that was stopped goes on in its folder.
 
-    Args:
-        suite: the suite.
-        settings: of `settings_of_suite`, with the engine.
-        candidate: the driver.
-        folder: for the drives; a run that was stopped goes on there.
-        callbacks: who hears of it.
-        source: where the tests come from, in words.
+    The settings are those of `settings_of_suite`, with the engine; `source` says where the tests come from.
 
     Returns:
         The comparison, and every execution by test and simulator.
