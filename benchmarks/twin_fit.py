@@ -11,8 +11,8 @@ import argparse
 import time
 
 import numpy as np
+from benchmarks.twin_drives import hidden_and_start, manoeuvres, simulated_recording
 
-from ds_twin_donkey.excitation import hidden_and_start, manoeuvres, simulated_recording
 from ds_twin_donkey.fit import FITTED, fit
 from ds_twin_donkey.parameters import DonkeyParameters
 

@@ -198,19 +198,11 @@ class _Panel:
         failed = observation.outcome not in (Outcome.RUNNING, Outcome.COMPLETED)
         state = "" if observation.outcome is Outcome.RUNNING else observation.outcome.words
         _write(panel, state, (left + 180, row), _BAD if failed else _GOOD)
-        out_of_bounds = lane.lateral_distance < 0.0
-        _gauge(
-            panel,
-            row + 34,
-            "lateral",
-            lane.lateral_position,
-            HALF_LANE,
-            f"{lane.lateral_position:+.2f} m",
-            out_of_bounds,
-        )
+        lateral, out_of_bounds = lane.lateral_position, lane.lateral_distance < 0.0
+        _gauge(panel, row + 34, "lateral", lateral / HALF_LANE, f"{lateral:+.2f} m", bad=out_of_bounds)
         steering, throttle = (command.steering, command.throttle) if command else (0.0, 0.0)
-        _gauge(panel, row + 66, "steering", steering, 1.0, f"{steering:+.2f}", False)
-        _gauge(panel, row + 98, "throttle", throttle, 1.0, f"{throttle:.2f}", False)
+        _gauge(panel, row + 66, "steering", steering, f"{steering:+.2f}")
+        _gauge(panel, row + 98, "throttle", throttle, f"{throttle:.2f}")
         for line, text in enumerate(self._conditions):
             _write(panel, text, (left, row + 122 + 15 * line), size=0.36)
         return panel
@@ -220,13 +212,13 @@ class _Panel:
         return np.round((flipped - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 
-def _gauge(panel: NDArray[np.uint8], row: int, name: str, value: float, limit: float, text: str, bad: bool) -> None:
-    """Draw a value in [-limit, limit] as a bar from the middle; right is positive, as on the road."""
+def _gauge(panel: NDArray[np.uint8], row: int, name: str, value: float, text: str, *, bad: bool = False) -> None:
+    """Draw a value in [-1, 1] as a bar from the middle; right is positive, as on the road."""
     left, right, middle = 82, 212, 147
     _write(panel, name, (10, row + 5))
     cv2.line(panel, (left, row), (right, row), _FAINT, 1)
     cv2.line(panel, (middle, row - 8), (middle, row + 8), _FAINT, 1)
-    end = middle + round(max(-1.0, min(1.0, value / limit)) * (right - middle))
+    end = middle + round(max(-1.0, min(1.0, value)) * (right - middle))
     cv2.line(panel, (middle, row), (end, row), _BAD if bad else _GOOD, 7)
     _write(panel, text, (222, row + 5))
 

@@ -119,8 +119,6 @@ class BulletParameters:
 
     def adjusted(self, *, friction: float, payload: float) -> BulletParameters:
         """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
-        if (friction, payload) == (1.0, 0.0):
-            return self
         mass = self.mass * (1.0 + payload)
         heavier = (mass - 4.0 * self.unsprung_mass) / self.sprung_mass
         return dataclasses.replace(

@@ -17,6 +17,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_xml import parse_xml
@@ -218,11 +219,6 @@ def _transform(origin: Element | None) -> NDArray[np.float64]:
         xyz, rpy = ([float(v) for v in origin.get(name, "0 0 0").split()] for name in ("xyz", "rpy"))
         if len(xyz) != 3 or len(rpy) != 3 or not np.isfinite([xyz, rpy]).all():
             raise ValueError(f"the origin {abbreviated(origin.attrib)}: expected three finite numbers in xyz and rpy")
-        (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-        transform[:3, :3] = [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
+        transform[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
         transform[:3, 3] = xyz
     return transform

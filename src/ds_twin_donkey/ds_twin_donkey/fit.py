@@ -76,7 +76,6 @@ class Estimate:
         low: lower end of the 95% interval; NaN if not determined.
         high: upper end of the 95% interval; NaN if not determined.
         start: value from which the fit started.
-        determined: whether the drives determine the value.
     """
 
     name: str
@@ -85,7 +84,11 @@ class Estimate:
     low: float
     high: float
     start: float
-    determined: bool
+
+    @property
+    def determined(self) -> bool:
+        """Whether the drives determine the value."""
+        return math.isfinite(self.low)
 
     @property
     def status(self) -> str:
@@ -186,19 +189,10 @@ def fit(
     values = dict(zip(names, zip(problem.values(names, theta), width, strict=True), strict=True))
     estimates = []
     for name in settings.names:
-        unit = FITTED[name]
         before = float(getattr(start, name))
         value, half = values.get(name, (before, math.nan))
         estimates.append(
-            Estimate(
-                name=name,
-                unit=unit,
-                value=value,
-                low=value - half,
-                high=value + half,
-                start=before,
-                determined=name in values,
-            )
+            Estimate(name=name, unit=FITTED[name], value=value, low=value - half, high=value + half, start=before)
         )
     predicted = problem.predict([problem.car(names, theta)], eta[None])[0]
     squares = np.square(problem.windows.difference(predicted))

@@ -138,8 +138,6 @@ class DonkeyParameters:
 
     def adjusted(self, *, friction: float, payload: float) -> DonkeyParameters:
         """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
-        if (friction, payload) == (1.0, 0.0):
-            return self
         grown = 1.0 + payload
         softer = 1.0 / math.sqrt(grown)
         # The lean of the heavier body is taken up by the springs, which the frequency does not show.

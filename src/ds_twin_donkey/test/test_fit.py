@@ -8,14 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tubs import write_tub
-
-from ds_bags.messages import typestore
-from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
-from ds_report.fit_picture import draw_fit
-from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
-from ds_twin_donkey.excitation import (
+from benchmarks.twin_drives import (
     coast,
     hard_bends,
     hidden_and_start,
@@ -23,6 +16,13 @@ from ds_twin_donkey.excitation import (
     random_commands,
     simulated_recording,
 )
+from tubs import write_tub
+
+from ds_bags.messages import typestore
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_report.fit_picture import draw_fit
+from ds_sim.simulator import FRAME_TIME
+from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
 from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.fit_state import FitState, Kept, digest_of
 from ds_twin_donkey.located import Mounting, find_mounting, fit_located, rough_start

@@ -70,6 +70,9 @@ class Ground:
             from the outer corner; n is a multiple of `TILE` on the finest level.
         lazy_levels: number of levels, finest first, that are painted by `reveal`.
         memory: memory to paint in, which ends the use of any ground painted in it before; its own if omitted.
+
+    Attributes:
+        tiles_shape: number of rows and columns of tiles.
     """
 
     def __init__(
@@ -96,8 +99,8 @@ class Ground:
             self.atlas[: rows >> level, start : start + (columns >> level)]
             for level, start in enumerate(self._starts[:-1])
         )
-        self._tiles = (math.ceil(rows / TILE), math.ceil(columns / TILE))
-        self._is_painted = np.zeros((lazy_levels, *self._tiles), np.bool_)
+        self.tiles_shape = (math.ceil(rows / TILE), math.ceil(columns / TILE))
+        self._is_painted = np.zeros((lazy_levels, *self.tiles_shape), np.bool_)
         # Where there are tiles to close, the levels beyond follow then.
         for level in range(lazy_levels, lazy_levels + 1 if lazy_levels else len(texture)):
             self._cover(level, 0, 0, *self._rasters[level].shape[:2])
@@ -106,7 +109,7 @@ class Ground:
     def levels(self) -> tuple[NDArray[np.uint8], ...]:
         """All rasters, painted in full, (rows, columns, 4) each, finest first: parts of the atlas."""
         for level in range(self.lazy_levels):
-            self._reveal_tiles(level, 0, self._tiles[0] - 1, 0, self._tiles[1] - 1)
+            self._reveal_tiles(level, 0, self.tiles_shape[0] - 1, 0, self.tiles_shape[1] - 1)
         return self._rasters
 
     @property
@@ -137,7 +140,7 @@ class Ground:
         size = TILE * self.resolution
         left, top = ((low[i] - margin - self.origin[i]) / size for i in (0, 1))
         right, bottom = ((high[i] + margin - self.origin[i]) / size for i in (0, 1))
-        rows, columns = self._tiles
+        rows, columns = self.tiles_shape
         first, last = min(max(math.floor(top), 0), rows - 1), min(max(math.floor(bottom), 0), rows - 1)
         begin, end = min(max(math.floor(left), 0), columns - 1), min(max(math.floor(right), 0), columns - 1)
         self._reveal_tiles(level, first, last, begin, end)
@@ -177,11 +180,6 @@ class Ground:
             halved(rasters[level - 1], rasters[level])
             self._draw_border(level, 0, 0, *rasters[level].shape[:2])
         self._is_painted |= tiles
-
-    @property
-    def tiles_shape(self) -> tuple[int, int]:
-        """Number of rows and columns of tiles."""
-        return self._tiles
 
     def boxes(self, tiles: NDArray[np.bool_], corner: tuple[int, int] = (0, 0)) -> Iterator[Box]:
         """Parts of the finest level that some tiles cover; none crosses a period of the texture.

@@ -45,6 +45,7 @@ class Sensor:
             # Bytes that are added or taken away saturate as signed noise does, and are much faster.
             self._noise = (signed.clip(0, 255).astype(np.uint8), (-signed).clip(0, 255).astype(np.uint8))
         self._delayed: list[NDArray[np.uint8]] = []
+        self._blank = np.broadcast_to(np.zeros(1, np.uint8), (spec.height_px, spec.width, 3))
 
     def deliver(self, scene: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
         """Expose one image and return the one that arrives now, `latency` frames late (at first the very first one).
@@ -54,7 +55,7 @@ class Sensor:
         """
         # A random window of one precomputed noise plate is much cheaper than new noise for each image.
         row, column = (0, 0) if self._noise is None else self._rng.integers(0, _NOISE_MARGIN, 2).tolist()
-        self._delayed.append(blank(self._spec) if scene is None else self._exposed(scene, row, column))
+        self._delayed.append(self._blank if scene is None else self._exposed(scene, row, column))
         if len(self._delayed) > self._spec.latency + 1:
             self._delayed.pop(0)
         return self._delayed[0]
@@ -79,11 +80,6 @@ class Sensor:
             image[:] = light
         delivered.setflags(write=False)
         return delivered
-
-
-def blank(spec: CameraSpec) -> NDArray[np.uint8]:
-    """An image that nobody looks at, of zeros, read-only."""
-    return np.broadcast_to(np.zeros(1, np.uint8), (spec.height_px, spec.width, 3))
 
 
 def scene_rows(spec: CameraSpec, rows: tuple[int, int]) -> tuple[int, int]:
