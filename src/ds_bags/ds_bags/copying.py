@@ -164,15 +164,7 @@ UNFINISHED = "UNFINISHED"
 
 @dataclass(frozen=True, kw_only=True)
 class Recovered:
-    """Result of a recovery.
-
-    Attributes:
-        source: file that was read.
-        folder: recovered bag.
-        messages: number of recovered messages.
-        seconds: time from the first message to the last.
-        lost_bytes: bytes at the end of the file that could not be read.
-    """
+    """Recovered bag, and the bytes at the end of its source that could not be read."""
 
     source: Path
     folder: Path
@@ -205,11 +197,8 @@ def unfinished_file(path: Path) -> Path:
 def recover(path: Path, out: Path | None = None) -> Recovered:
     """Make a whole bag from an unfinished one, which stays as it is.
 
-    Keeps every record up to the first damaged one, in order.
-
-    Args:
-        path: unfinished bag, see `unfinished_file`.
-        out: folder to create; None for a folder next to the unfinished bag whose name ends in `_recovered`.
+    Keeps every record up to the first damaged one, in order. The new folder is next to the unfinished bag, with a name
+    that ends in `_recovered`, where none is given.
 
     Raises:
         BagError: there is no unfinished bag, nothing in it can be read, or `out` exists.

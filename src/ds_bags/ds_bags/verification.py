@@ -25,15 +25,7 @@ IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Result of a re-simulation.
-
-    Attributes:
-        simulator: simulator that re-simulated the run.
-        frames: number of identical frames.
-        images: number of compared images.
-        step: first step that differs, or None.
-        difference: description of the difference at that step.
-    """
+    """Result of a re-simulation on a simulator: numbers of identical frames and images, and where a step differs."""
 
     simulator: SimulatorName
     frames: int
@@ -47,11 +39,7 @@ def verify_bag(
 ) -> Verification:
     """Re-simulate the run of a bag and compare it with the recording.
 
-    Args:
-        folder: bag of this project.
-        simulator: simulator to use instead of the recorded one, named by the user.
-        seed: seed of the run, for a bag that has lost it.
-        trusted: user-provided simulators that the bag may name, see `read_run`.
+    Arguments are those of `read_run`; another simulator than the recorded one may be used.
 
     Raises:
         ds_bags.layout.BagError: the bag cannot be read, or holds no run.

@@ -46,17 +46,10 @@ DEFAULT_LIMITS = YamlLimits()
 
 
 class BoundedYamlError(FileError):
-    """Text that is not YAML, or beyond the limits; the message is one line without the file's name.
-
-    Attributes:
-        line: where, counted from 1, or None.
-        column: where, counted from 1, or None.
-    """
+    """Text that is not YAML, or beyond the limits; the message is one line without the file's name."""
 
     def __init__(self, message: str, mark: Any = None) -> None:
-        self.line: int | None = mark.line + 1 if mark is not None else None
-        self.column: int | None = mark.column + 1 if mark is not None else None
-        place = f"line {self.line}, column {self.column}: " if mark is not None else ""
+        place = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         super().__init__(" ".join(f"{place}{message}".split()))
 
 

@@ -54,7 +54,7 @@ def draw_figure(
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
         # Older versions of Matplotlib cut off fractions of pixels: 4.6 inches are 459.99.
-        figure = Figure(((width + 1e-6) / _DPI, (height + 1e-6) / _DPI), _DPI, layout="constrained")
+        figure = Figure(((width + 1e-9) / _DPI, (height + 1e-9) / _DPI), _DPI, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         draw(figure)
         canvas.draw()

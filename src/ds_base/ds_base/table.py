@@ -183,14 +183,11 @@ def _tex_value(value: Value, style: Style) -> str:
     return f"${text}$" if text.startswith("-") else text
 
 
-def write_tables(tables: Sequence[Table], folder: Path) -> list[Path]:
+def write_tables(tables: Sequence[Table], folder: Path) -> None:
     """Write `<name>.csv` and `<name>.tex` of every table into a folder, created if missing."""
-    paths = []
     for table in tables:
-        for suffix, text in (("csv", table.csv()), ("tex", table.latex())):
-            paths.append(folder / f"{table.name}.{suffix}")
-            write_whole(paths[-1], text)
-    return paths
+        write_whole(folder / f"{table.name}.csv", table.csv())
+        write_whole(folder / f"{table.name}.tex", table.latex())
 
 
 def keep_tables(tables: Sequence[Table], path: Path) -> None:

@@ -104,11 +104,7 @@ def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
 
 
 def parse_roads(text: str, source: str) -> list[Any]:
-    """Split a JSON text into its raw roads, unchecked; a single road becomes a list of one.
-
-    Args:
-        text: JSON.
-        source: name of the text in error messages.
+    """Split a JSON text of a named source into its raw roads, unchecked; a single road becomes a list of one.
 
     Raises:
         RoadError: the text is not JSON, or not a list.

@@ -74,13 +74,7 @@ class _Strict(BaseModel):
 
 
 class SearchedConditionConfig(_Strict):
-    """Operating condition that a search varies.
-
-    Attributes:
-        low: smallest value.
-        high: largest value.
-        step: largest mutation, as a share of the range on the condition's scale.
-    """
+    """Operating condition that a search varies; see `SearchedCondition`."""
 
     low: float
     high: float
@@ -126,12 +120,9 @@ class SearchConfig(_Strict):
 
 
 class OperatorsConfig(_Strict):
-    """How the siblings' union maps are merged (paper 3.5).
+    """How the siblings' union maps are merged (paper 3.5): operators on failure probabilities and on quality losses.
 
-    Attributes:
-        probability: operator on failure probabilities.
-        quality_loss: operator on the loss of driving quality.
-        compare: further operators, each of which yields another merged map.
+    Further operators, to compare, yield another merged map each.
     """
 
     probability: str = "product"
@@ -294,12 +285,7 @@ class CampaignConfig(_Strict):
         )
 
     def drive_settings(self, *, cluster: ClusterOptions | None = None, attach: bool = False) -> DriveSettings:
-        """How the campaign's tests are driven.
-
-        Args:
-            cluster: cluster of the engine `dask`.
-            attach: use running nodes.
-        """
+        """How the campaign's tests are driven; see `DriveSettings`."""
         return DriveSettings(
             siblings=tuple(self.siblings),
             twin=self.twin,
@@ -364,10 +350,7 @@ class CampaignConfig(_Strict):
 
 
 def read_config(path: Path) -> CampaignConfig:
-    """Read and validate a configuration.
-
-    Args:
-        path: path of the YAML file; the paths in it are relative to it.
+    """Read and validate a configuration: a YAML file, to which the paths in it are relative.
 
     Raises:
         ConfigError: one line with the key, what is wrong with it, and what is allowed.

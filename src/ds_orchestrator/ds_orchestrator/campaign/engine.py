@@ -30,16 +30,8 @@ class DriveSettings:
     """How tests are driven; the meaning of each key is that of `CampaignConfig`.
 
     Attributes:
-        siblings: names of the simulators but the twin.
-        twin: name of the twin, or None.
-        driver: what drives.
-        conditions: operating conditions of every test.
-        gates: tests that the autopilot must complete first: those with conditions, all, or none.
-        retries: further attempts after a run that ended in an error.
-        command_timeout: wall-clock time that a simulator waits for its driver, s.
-        record: content of a run's bag.
-        engine: what drives, never `auto` once made; no result depends on it, nor on what follows.
-        workers: graphs or processes that drive in parallel.
+        gates: `none`, too: the autopilot drives no test first.
+        engine: never `auto` once made; no result depends on it, nor on what follows.
         cluster: cluster of the engine `dask`.
         attach: use running nodes in this ROS domain instead of starting any.
     """
@@ -83,12 +75,7 @@ def usual_record() -> Record:
 
 
 def engine_here(engine: EngineName, *, attach: bool = False) -> EngineName:
-    """What `auto` stands for here; any other engine stays.
-
-    Args:
-        engine: as configured.
-        attach: use running nodes, which only `graph` can.
-    """
+    """What `auto` stands for here, where running nodes are used or not; any other engine stays."""
     if engine != "auto":
         return engine
     return "graph" if attach or not missing_of_ros() else "local"
@@ -113,11 +100,9 @@ class Engine(Protocol):
         ...
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        """Drive to an outcome; errors are outcomes too. Called from several threads.
+        """Drive to an outcome, with the engine's driver or the autopilot; errors are outcomes too.
 
-        Args:
-            request: what to drive, with the engine's driver or the autopilot.
-            watch: called from another thread by an engine that gives feedback during a run.
+        Called from several threads. An engine that gives feedback during a run calls `watch` from another thread.
         """
         ...
 

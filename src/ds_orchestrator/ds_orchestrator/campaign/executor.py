@@ -76,18 +76,14 @@ class Listener:
 
         Args:
             test: test that was driven.
-            simulator: name of the simulator.
+            simulator: on which.
             execution: outcome; why the test is excluded there; or None if every attempt ended in an error.
             fresh: False if the execution was read from the store.
         """
 
 
 class NoOutcomeError(RunError):
-    """Every attempt ended in an error, which says nothing about the test.
-
-    Attributes:
-        run: last attempt.
-    """
+    """Every attempt ended in an error, which says nothing about the test; `run` is the last one."""
 
     def __init__(self, run: RunRecord) -> None:
         super().__init__(f"{run.outcome.name}: {run.message}")

@@ -42,8 +42,8 @@ def template(
 
     Args:
         driver: name of the driver.
-        siblings: names of the simulators that act as siblings.
-        twin: name of the simulator that acts as the twin, or None.
+        siblings: simulators that act as siblings.
+        twin: simulator that acts as the twin, or None.
         size: one of `SIZES`.
         ranges: conditions to search, the most sensitive one first; those after `MOST_SEARCHED` become comments.
         angles: `min_angle` and `max_angle` of the search, where they are not to be the defaults.
@@ -74,9 +74,8 @@ def template(
         operators=", ".join(OPERATORS),
     )
     config = parse_config(load_yaml(text), "the template")
-    drives, tests = config.executions_at_most, config.executions_at_most // len(config.simulators)
-    head = f"# {tests} tests, each on {len(config.simulators)} simulators: {drives} drives.\n"
-    return head + text
+    drives, simulators = config.executions_at_most, len(config.simulators)
+    return f"# {drives // simulators} tests, each on {simulators} simulators: {drives} drives.\n{text}"
 
 
 def _conditions(ranges: Mapping[str, tuple[float, float]]) -> str:

@@ -108,7 +108,16 @@ def drive_tests(
         drives = _read(store, work)
         if not drives.errors:
             return drives
-        _drive(settings, work, folder, store, callbacks)
+        own = {name: sum(test.sibling == name for test in of) for name, of in work.items()}
+        try:
+            with running_engine(settings, logs=folder / "logs") as engine, callbacks.listen() as listener:
+                listener.expect([own, {name: len(of) - own[name] for name, of in work.items()}])
+                listener.stage("given tests")
+                executor = Executor(settings, folder, store, engine, listener)
+                callbacks.stop.connect(executor.stop, engine.stop)
+                executor.execute_all(work)
+        except KeyboardInterrupt:
+            raise Stopped from None
         return _read(store, work)
 
 
@@ -132,28 +141,6 @@ def open_drives(
         if store.note("code", (code := code_sha256())) != code:
             LOG.warning("the code has changed since %s began: its drives are kept, another --out has none", folder)
         yield store, settings
-
-
-def _drive(
-    settings: DriveSettings,
-    work: Mapping[SimulatorName, Sequence[Test]],
-    folder: Path,
-    store: Store,
-    callbacks: Callbacks,
-) -> None:
-    try:
-        with (
-            running_engine(settings, logs=folder / "logs") as engine,
-            callbacks.listen() as listener,
-        ):
-            own = {name: sum(test.sibling == name for test in of) for name, of in work.items()}
-            listener.expect([own, {name: len(of) - own[name] for name, of in work.items()}])
-            listener.stage("given tests")
-            executor = Executor(settings, folder, store, engine, listener)
-            callbacks.stop.connect(executor.stop, engine.stop)
-            executor.execute_all(work)
-    except KeyboardInterrupt:
-        raise Stopped from None
 
 
 def read_drives(folder: Path, work: Mapping[SimulatorName, Sequence[Test]]) -> DriveResults:

@@ -154,7 +154,7 @@ def union(map_id: MapId, maps: Sequence[FeatureMap], *, pooled_quality_loss: boo
     test weighs as much as a map with ten; a map in which the cell is empty is left out of the mean.
 
     Args:
-        map_id: identity of the union.
+        map_id: of the union.
         maps: at least one, whose cells have counts of failures.
         pooled_quality_loss: take the mean over all tests instead, as maxitwo does.
 

@@ -341,5 +341,5 @@ def cell_of(
         visible_contrast=visible_contrast,
         maxitwo_compatible=maxitwo_compatible,
     )
-    cell = [feature_of(name).bin_of(run) for name in features]
-    return None if None in cell else tuple(bin_ for bin_ in cell if bin_ is not None)
+    bins = [bin_ for name in features if (bin_ := feature_of(name).bin_of(run)) is not None]
+    return tuple(bins) if len(bins) == len(features) else None

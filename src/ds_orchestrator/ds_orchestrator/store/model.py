@@ -31,13 +31,7 @@ from ds_sim.simulator import FRAME_TIME, Outcome
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Place of a test in the search that generated it.
-
-    Attributes:
-        sibling: simulator that the search drove on.
-        run: index of the search run, from 0.
-        number: index of the test within the run, from 0.
-    """
+    """Place of a test in the search that generated it: run of a search on a sibling, and number in it, from 0."""
 
     sibling: SimulatorName
     run: int
