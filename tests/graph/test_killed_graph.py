@@ -91,6 +91,23 @@ def test_a_killed_graph_leaves_nothing(road: Path) -> None:
     assert all(used == {"udp"} for used in transports) and not left
 
 
+@pytest.mark.long
+def test_a_paused_graph_goes_on(road: Path) -> None:
+    """As `docker pause` does it; ROS forgets a node after 20 s."""
+    road.write_text(json.dumps([(125.0, 25.0 * i) for i in range(9)]))
+    paused = drive(road)
+    while len(graph := [paused.pid, *children(paused.pid)]) < 2 or not all(map(dds_transports, graph)):
+        assert paused.poll() is None
+        time.sleep(0.02)
+    time.sleep(2.0)
+    for stop in (signal.SIGSTOP, signal.SIGCONT):
+        for pid in graph:
+            os.kill(pid, stop)
+        if stop == signal.SIGSTOP:
+            time.sleep(40.0)
+    assert json.loads(paused.communicate(timeout=LIMIT)[0])["outcome"] == "COMPLETED"
+
+
 def test_what_a_library_prints_does_not_reach_standard_output(road: Path, tmp_path: Path) -> None:
     """Fast DDS logs its errors there, here that a profile has the same name as another one; both are valid."""
     valid = PROFILE.read_text()

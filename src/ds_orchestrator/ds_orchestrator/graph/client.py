@@ -51,6 +51,8 @@ BUSY_TIME = 25.0
 QUIET, UNANSWERED = 2.0, 3
 """Silence, s, after which a simulator that this process did not start is queried, and the number of unanswered queries
 in a row after which it counts as dead; chosen: a dead node is reported in 10 s, within which a loaded one answers."""
+ASK_AGAIN = 5.0
+"""Silence, s, after which a run's result is requested again; chosen: a run gives feedback every second or so."""
 QUERY_TIME = 2.5
 """Limit for the answer to such a query, s."""
 _NUMBERS = itertools.count()
@@ -330,9 +332,15 @@ class GraphClient:
         simulator = self._simulators[name]
         # A slow driver may use the whole timeout for every frame between two feedback messages.
         silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
+        asked = simulator.clock.now()
         while not future.done():
-            if self._thread.stopped or simulator.clock.now() - simulator.alive > silence:
+            now = simulator.clock.now()
+            if self._thread.stopped or now - simulator.alive > silence:
                 return None
+            if (
+                now - max(asked, simulator.alive) > ASK_AGAIN
+            ):  # a result is lost that comes while neither knows the other
+                asked, future = now, self._thread.send(handle.get_result_async, SERVICE_TIME) or future
             if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
                 return None
             self._thread.wait(future, 0.5)
