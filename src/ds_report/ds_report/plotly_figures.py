@@ -33,9 +33,27 @@ _ROW, _LEAST, _MOST = 17, 230, 560
 
 def layouts(rows: int) -> dict[str, Any]:
     """Create layouts by name: `map`, `road`, `lateral` and `steering`; the script sets axes of maps with such rows."""
+    # Automatic margins together with a scale anchor would never converge.
+    grid = {"showgrid": True, "gridcolor": "#e3e7dc", "automargin": False}
     return {
-        "map": _plain(_map_layout(rows)),
-        "road": _plain(_road_layout()),
+        "map": _plain(
+            _layout(
+                margin={"l": 46, "r": 6, "t": 6, "b": 44},
+                height=min(max(_ROW * rows, _LEAST), _MOST) + 46,
+                xaxis=_axis(ticks="", side="bottom"),
+                yaxis=_axis(ticks=""),
+            )
+        ),
+        "road": _plain(
+            _layout(
+                margin={"l": 44, "r": 8, "t": 8, "b": 40},
+                height=430,
+                plot_bgcolor="#f0f4ea",
+                hovermode="closest",
+                xaxis=_axis("x, m", **grid),
+                yaxis=_axis("y, m", scaleanchor="x", scaleratio=1, **grid),
+            )
+        ),
         "lateral": _plain(_line_layout("lateral position, m", autorange="reversed")),
         "steering": _plain(_line_layout("steering, 1 = full lock", range=[1.08, -1.08], tickvals=[-1, 0, 1])),
         "scales": {name: [list(stop) for stop in scale] for name, scale in SCALES.items()},
@@ -72,28 +90,6 @@ def _axis(title: str = "", **more: Any) -> dict[str, Any]:
         "automargin": True,
     }
     return {**options, **more}
-
-
-def _map_layout(rows: int) -> go.Layout:
-    return _layout(
-        margin={"l": 46, "r": 6, "t": 6, "b": 44},
-        height=min(max(_ROW * rows, _LEAST), _MOST) + 46,
-        xaxis=_axis(ticks="", side="bottom"),
-        yaxis=_axis(ticks=""),
-    )
-
-
-def _road_layout() -> go.Layout:
-    # Automatic margins together with a scale anchor would never converge.
-    grid = {"showgrid": True, "gridcolor": "#e3e7dc", "automargin": False}
-    return _layout(
-        margin={"l": 44, "r": 8, "t": 8, "b": 40},
-        height=430,
-        plot_bgcolor="#f0f4ea",
-        hovermode="closest",
-        xaxis=_axis("x, m", **grid),
-        yaxis=_axis("y, m", scaleanchor="x", scaleratio=1, **grid),
-    )
 
 
 def _line_layout(title: str, **more: Any) -> go.Layout:

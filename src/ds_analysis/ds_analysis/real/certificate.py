@@ -11,6 +11,7 @@ averaged. Chosen drives are known tests, and no bets.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -104,11 +105,8 @@ def _log_mean(log_capital: Array) -> Array:
 
 def drives_until(rate: float, tests: int) -> int | None:
     """Count the drawn drives without a failure after which at most a share of the tests can fail; None if never."""
-    low, high = 1, tests
-    if certify([Bet(failed=False, drawn=True)] * tests, tests).high > rate * tests:
-        return None
-    while low < high:
-        middle = (low + high) // 2
-        certificate = certify([Bet(failed=False, drawn=True)] * middle, tests)
-        low, high = (low, middle) if certificate.high <= rate * tests else (middle + 1, high)
-    return low
+
+    def enough(drives: int) -> bool:
+        return certify([Bet(failed=False, drawn=True)] * drives, tests).high <= rate * tests
+
+    return 1 + bisect_left(range(1, tests + 1), True, key=enough) if enough(tests) else None

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -30,27 +31,29 @@ class DrivePictures:
 
     def __init__(self, driver: DriverName, trusted: Collection[str] = ()) -> None:
         self._driver, self._trusted = driver, trusted
-        self._simulators: dict[str, Simulator] = {}
-        self._refused: dict[str, str] = {}
+        self._simulators: dict[str, Simulator | str] = {}
+        """The simulators, or why they cannot be made."""
 
     def render(self, test: Test, execution: Execution) -> dict[str, Any]:
         """Render a picture every half second, as `ds_report.camera_pictures.PicturedDrive` in JSON values."""
         name = execution.simulator
-        if name not in self._simulators and name not in self._refused:
+        if name not in self._simulators:
             try:
                 checked = received_simulator(name, confirmed=self._trusted, option="--trust")
                 self._simulators[name] = make_simulator(checked)
             except Exception as error:  # a missing or broken simulator must not prevent the page
-                self._refused[name] = " ".join(str(error).split())
-        if name in self._refused or not len(execution.trajectory):
-            return asdict(PicturedDrive(note=f"no pictures: {self._refused.get(name, 'no frame')}"))
+                self._simulators[name] = " ".join(str(error).split())
+        simulator = self._simulators[name] if len(execution.trajectory) else "no frame"
+        if isinstance(simulator, str):
+            return asdict(PicturedDrive(note=f"no pictures: {simulator}"))
         frames = replay_frames(execution, SPACINGS[0])
-        return asdict(render_drive(self._simulators[name], name, test, execution, frames, self._driver))
+        return asdict(render_drive(simulator, name, test, execution, frames, self._driver))
 
     def close(self) -> None:
         """Close the simulators."""
         for simulator in self._simulators.values():
-            simulator.close()
+            if not isinstance(simulator, str):
+                simulator.close()
         self._simulators.clear()
 
 
@@ -157,19 +160,11 @@ def _under_way(drive: LiveDrive, by_road: dict[tuple[str, int], list[Test]], now
     few = np.unique(np.linspace(0, len(road.points) - 1, _OUTLINE).round().astype(int))
     said["road"] = [np.round(line, 1).tolist() for line in (*road.left_edge[few].T, *road.right_edge[few].T)]
     if drive.progress is not None and drive.lateral_position is not None:
-        lane = road.lane_centre
-        along = arc_lengths(lane)
-        at = drive.progress * road.length
-        x, y = (float(np.interp(at, along, lane[:, k])) for k in (0, 1))
-        ahead = [float(np.interp(min(at + 1.0, along[-1]), along, lane[:, k])) for k in (0, 1)]
-        back = [float(np.interp(min(at + 1.0, along[-1]) - 1.0, along, lane[:, k])) for k in (0, 1)]
-        yaw = float(np.arctan2(ahead[1] - back[1], ahead[0] - back[0]))
-        right = drive.lateral_position
-        said["car"] = [
-            round(x + right * float(np.sin(yaw)), 2),
-            round(y - right * float(np.cos(yaw)), 2),
-            round(yaw, 3),
-        ]
+        at, along = drive.progress * road.length, arc_lengths(road.lane_centre)
+        ahead = min(at + 1.0, along[-1])
+        (x, *xs), (y, *ys) = (np.interp((at, ahead - 1.0, ahead), along, line).tolist() for line in road.lane_centre.T)
+        yaw, right = math.atan2(ys[1] - ys[0], xs[1] - xs[0]), drive.lateral_position
+        said["car"] = [round(x + right * math.sin(yaw), 2), round(y - right * math.cos(yaw), 2), round(yaw, 3)]
     return said
 
 

@@ -320,23 +320,14 @@ def run_suite(
     pairs, left_out, executions = [], [], {}
     for one in suite.tests:
         test = tests[one.name]
-        compared = ComparedTest(
-            name=one.name,
-            scenario=test.scenario,
-            cell=None if one.cell is None else tuple(one.cell),
-        )
+        cell = None if one.cell is None else tuple(one.cell)
+        compared = ComparedTest(name=one.name, scenario=test.scenario, cell=cell)
         for name, expected in one.outcomes.items():
             key = (test.test_id, name)
             if key in results.executions:
                 execution = executions[one.name, name] = results.executions[key]
-                pairs.append(
-                    PairedDrive(
-                        test=compared,
-                        simulator=name,
-                        reference=_outcome(expected),
-                        candidate=DriveOutcome.of(execution),
-                    )
-                )
+                before, now = _outcome(expected), DriveOutcome.of(execution)
+                pairs.append(PairedDrive(test=compared, simulator=name, reference=before, candidate=now))
             elif key in results.errors:
                 left_out.append((one.name, name, str(results.errors[key])))
     comparison = compare_networks(
@@ -358,26 +349,14 @@ def with_outcomes(
     suite: Suite, candidate: Network, executions: dict[tuple[str, SimulatorName], Execution], code: str
 ) -> Suite:
     """The same tests with the outcomes of another network, to be expected from now on."""
-    return suite.model_copy(
-        update={
-            "driver": str(candidate.driver),
-            "driver_sha256": candidate.sha256,
-            "code_sha256": code,
-            "tests": [
-                test.model_copy(
-                    update={
-                        "outcomes": {
-                            name: _expected(executions[test.name, name])
-                            if (test.name, name) in executions
-                            else expected
-                            for name, expected in test.outcomes.items()
-                        }
-                    }
-                )
-                for test in suite.tests
-            ],
+    tests = []
+    for test in suite.tests:
+        driven = {
+            name: _expected(executions[key]) for name in test.outcomes if (key := (test.name, name)) in executions
         }
-    )
+        tests.append(test.model_copy(update={"outcomes": test.outcomes | driven}))
+    now = {"driver": str(candidate.driver), "driver_sha256": candidate.sha256, "code_sha256": code, "tests": tests}
+    return suite.model_copy(update=now)
 
 
 def _outcome(expected: SuiteOutcome) -> DriveOutcome:
@@ -387,10 +366,5 @@ def _outcome(expected: SuiteOutcome) -> DriveOutcome:
 
 
 def _expected(execution: Execution) -> SuiteOutcome:
-    return SuiteOutcome.model_validate(
-        {
-            "outcome": execution.outcome.name,
-            "fitness": execution.fitness,
-            "trajectory_sha256": execution.trajectory_sha256,
-        }
-    )
+    values = {name: getattr(execution, name) for name in ("fitness", "trajectory_sha256")}
+    return SuiteOutcome.model_validate(values | {"outcome": execution.outcome.name})
