@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import reduce
@@ -78,7 +77,7 @@ def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = 
     with BagReader(path) as bag:
         when = _said(bag.start / 1e9)
         if topic is not None and ":" in topic:
-            values = list(_values(bag, topic))
+            values = _values(bag, topic)
             return Recording(lateral=max(map(abs, values)) * scale, share=None, when=when)
         lateral, share = _along(road, _poses(bag, topic), scale, path)
         return Recording(lateral=lateral, share=share, when=when)
@@ -113,23 +112,21 @@ def _said(seconds: float) -> str:
     return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
-def _values(bag: BagReader, topic: str) -> Iterator[float]:
+def _values(bag: BagReader, topic: str) -> list[float]:
     name, _, path = topic.partition(":")
     connections = [connection for connection in bag.connections if connection.topic == name]
     if not connections:
         topics = ", ".join(sorted({connection.topic for connection in bag.connections}))
         raise RecordingError(f"{bag.path} has no topic {name!r:.80}, expected one of {topics}")
-    some = False
+    values = []
     for connection, _, raw in bag.messages(connections):
         try:
-            value = float(reduce(getattr, path.split("."), bag.message(connection, raw)))
+            values.append(float(reduce(getattr, path.split("."), bag.message(connection, raw))))
         except (AttributeError, TypeError, ValueError):
             raise RecordingError(f"{bag.path}: {connection.msgtype} has no number {path!r:.80}") from None
-        if math.isfinite(value):
-            some = True
-            yield value
-    if not some:
+    if not (finite := list(filter(math.isfinite, values))):
         raise RecordingError(f"{bag.path}: {topic} has no finite value")
+    return finite
 
 
 def _poses(bag: BagReader, topic: str | None) -> Array:

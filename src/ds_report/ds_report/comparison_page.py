@@ -13,7 +13,7 @@ from ds_analysis.comparison.tables import cell_table, command_of, drive_table, s
 from ds_base.palette import FAIL, PASS, ink_on, rgb
 from ds_base.table import p_in_words
 from ds_report.pages import data_address, write_page
-from ds_road import draw
+from ds_road import Road, draw
 from ds_sim.registry import path_moved
 
 PICTURED = 12
@@ -71,7 +71,7 @@ def write_comparison_page(
         cells=cell_table(comparison),
         drives=drive_table(comparison),
         pictures=[
-            (one, _picture(one), _command(one, comparison, road_files, path.parent))
+            (one, _picture(one, one.test.scenario.road), _command(one, comparison, road_files, path.parent))
             for one in worse[:PICTURED]
             if one.test.scenario is not None
         ],
@@ -123,13 +123,11 @@ def _grid_cell(one: CellComparison | None) -> GridCell:
     )
 
 
-def _picture(drive: PairedDrive) -> str:
-    """Address of a picture of the road with both paths; "" if a path is not known."""
-    if drive.test.scenario is None:
-        return ""
+def _picture(drive: PairedDrive, road: Road) -> str:
+    """Address of a picture of the road with the paths that are known."""
     paths = {"reference": drive.reference.path, "candidate": drive.candidate.path}
     driven = {name: path for name, path in paths.items() if len(path)}
-    return data_address(draw(drive.test.scenario.road, trajectories=driven, size=_SIZE, caption=False))
+    return data_address(draw(road, trajectories=driven, size=_SIZE, caption=False))
 
 
 def _command(drive: PairedDrive, comparison: Comparison, road_files: Mapping[str, str], folder: Path) -> str:

@@ -20,7 +20,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines.start import ENGINES
-from ds_report.sensitivity_picture import draw_sensitivity
+from ds_report.sensitivity_page import draw_sensitivity
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName
 from ds_sim.session import NO_IMAGE, RunRecord

@@ -101,12 +101,80 @@ def analyse(table: RoadTable, about: Sequence[SimulatorName], *, repeats: int = 
 
 def analysis_tables(analysis: SiblingAnalysis) -> list[Table]:
     """Tabulate an analysis, in the order of its attributes."""
+    scores = []
+    for one in analysis.baselines:
+        chosen = ", ".join(f"{name} ({share:.0%})" for name, share in one.chosen.items())
+        start = (one.simulator, one.failures, one.roads, one.entropy)
+        scores.append((*start, "best single feature", *_score_row(one.best), chosen))
+        scores.append((*start, "all features", *_score_row(one.all), ""))
     return [
-        _departure_table(analysis.departures),
-        _nesting_table(analysis.nesting),
-        _baseline_table(analysis.baselines),
-        _residual_table(analysis.residuals),
-        _information_table(analysis.information),
+        Table(
+            name="sibling_departures",
+            title="How failures leave the lane: wide is out of a bend, to cut is into it",
+            columns=[Column("simulator"), Column("failures", "count"), *(Column(kind, "count") for kind in KINDS)],
+            rows=[(one.simulator, one.failures, *(one.counts[kind] for kind in KINDS)) for one in analysis.departures],
+        ),
+        Table(
+            name="sibling_nesting",
+            title="Do failures lie inside each other? Roads on which both, one or none fails",
+            columns=[
+                Column("pair"),
+                *styled("count", "both", "first only", "second only", "neither"),
+                *styled(
+                    "number", "second fails where first does", "95 %", "first fails where second does", "95 % of that"
+                ),
+            ],
+            rows=[(f"{one.first}, {one.second}", *list(vars(one).values())[2:]) for one in analysis.nesting],
+        ),
+        Table(
+            name="sibling_baseline",
+            title="Without driving: failures predicted from road features and conditions",
+            columns=[
+                Column("failures on"),
+                *styled("count", "failures", "roads"),
+                Column("entropy", "number"),
+                Column("predicted from"),
+                *styled("number", "AUC-ROC", "95 %", "Brier score", "95 % of Brier", "bits left"),
+                Column("chosen on other roads"),
+            ],
+            rows=scores,
+            notes=[one.caution for one in analysis.baselines if one.caution],
+        ),
+        Table(
+            name="sibling_residuals",
+            title="What is left: correlation of lateral positions beyond the best feature",
+            columns=[
+                Column("pair"),
+                *styled("number", "largest per road", "95 %", "beyond the best feature", "95 % of it"),
+                *styled("number", "per place, beyond curvature", "95 % of that"),
+            ],
+            rows=[(f"{one.first}, {one.second}", *list(vars(one).values())[2:-1]) for one in analysis.residuals],
+            notes=list(
+                dict.fromkeys(part for one in analysis.residuals if one.caution for part in one.caution.split("; "))
+            ),
+        ),
+        Table(
+            name="sibling_information",
+            title="Information that each sibling adds, bits a road",
+            columns=[
+                *styled("text", "about", "sibling", "beyond"),
+                *styled("number", "bits left before", "adds", "95 %"),
+                Column("verdict"),
+            ],
+            rows=[
+                (
+                    one.about,
+                    one.sibling,
+                    ", ".join(("features", *one.beyond)),
+                    one.left,
+                    one.bits,
+                    one.interval,
+                    one.verdict,
+                )
+                for one in analysis.information
+            ],
+            notes=list(dict.fromkeys(one.caution for one in analysis.information if one.caution)),
+        ),
     ]
 
 
@@ -124,91 +192,7 @@ def outcome_rows(table: RoadTable) -> list[dict[str, Any]]:
     ]
 
 
-def _departure_table(departures: Sequence[Departures]) -> Table:
-    return Table(
-        name="sibling_departures",
-        title="How failures leave the lane: wide is out of a bend, to cut is into it",
-        columns=[Column("simulator"), Column("failures", "count"), *(Column(kind, "count") for kind in KINDS)],
-        rows=[(one.simulator, one.failures, *(one.counts[kind] for kind in KINDS)) for one in departures],
-    )
-
-
-def _nesting_table(nesting: Sequence[Nesting]) -> Table:
-    return Table(
-        name="sibling_nesting",
-        title="Do failures lie inside each other? Roads on which both, one or none fails",
-        columns=[
-            Column("pair"),
-            *styled("count", "both", "first only", "second only", "neither"),
-            *styled("number", "second fails where first does", "95 %", "first fails where second does", "95 % of that"),
-        ],
-        rows=[(f"{one.first}, {one.second}", *list(vars(one).values())[2:]) for one in nesting],
-    )
-
-
-def _baseline_table(baselines: Sequence[Baseline]) -> Table:
-    rows = []
-    for one in baselines:
-        chosen = ", ".join(f"{name} ({share:.0%})" for name, share in one.chosen.items())
-        start = (one.simulator, one.failures, one.roads, one.entropy)
-        rows.append((*start, "best single feature", *_score_row(one.best), chosen))
-        rows.append((*start, "all features", *_score_row(one.all), ""))
-    return Table(
-        name="sibling_baseline",
-        title="Without driving: failures predicted from road features and conditions",
-        columns=[
-            Column("failures on"),
-            *styled("count", "failures", "roads"),
-            Column("entropy", "number"),
-            Column("predicted from"),
-            *styled("number", "AUC-ROC", "95 %", "Brier score", "95 % of Brier", "bits left"),
-            Column("chosen on other roads"),
-        ],
-        rows=rows,
-        notes=[one.caution for one in baselines if one.caution],
-    )
-
-
 def _score_row(score: Score | None) -> tuple[Any, ...]:
     if score is None:
         return (None,) * 5
     return score.auc, score.auc_interval, score.brier, score.brier_interval, score.bits
-
-
-def _residual_table(residuals: Sequence[ResidualCorrelation]) -> Table:
-    return Table(
-        name="sibling_residuals",
-        title="What is left: correlation of lateral positions beyond the best feature",
-        columns=[
-            Column("pair"),
-            *styled("number", "largest per road", "95 %", "beyond the best feature", "95 % of it"),
-            *styled("number", "per place, beyond curvature", "95 % of that"),
-        ],
-        rows=[(f"{one.first}, {one.second}", *list(vars(one).values())[2:-1]) for one in residuals],
-        notes=list(dict.fromkeys(part for one in residuals if one.caution for part in one.caution.split("; "))),
-    )
-
-
-def _information_table(information: Sequence[AddedInformation]) -> Table:
-    return Table(
-        name="sibling_information",
-        title="Information that each sibling adds, bits a road",
-        columns=[
-            *styled("text", "about", "sibling", "beyond"),
-            *styled("number", "bits left before", "adds", "95 %"),
-            Column("verdict"),
-        ],
-        rows=[
-            (
-                one.about,
-                one.sibling,
-                ", ".join(("features", *one.beyond)),
-                one.left,
-                one.bits,
-                one.interval,
-                one.verdict,
-            )
-            for one in information
-        ],
-        notes=list(dict.fromkeys(one.caution for one in information if one.caution)),
-    )

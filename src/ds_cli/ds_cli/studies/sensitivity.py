@@ -75,8 +75,7 @@ def sensitivity_command(
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables
     from ds_orchestrator.campaign.engine import DriveSettings
-    from ds_report.sensitivity_page import SensitivityPage
-    from ds_report.sensitivity_picture import draw_sensitivity
+    from ds_report.sensitivity_page import SensitivityPage, draw_sensitivity
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import analyse_sensitivity
 
