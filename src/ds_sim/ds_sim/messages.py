@@ -29,10 +29,6 @@ class MessageBuilder:
         type_named: returns the class of a message such as `std_msgs/Header`, which takes its fields by name.
         sequence: converts an array to what the classes take for a sequence of numbers.
         namespace: namespace of the simulator, which prefixes its tf frames.
-
-    Attributes:
-        camera_frame: name of the camera's optical frame.
-        base_frame: name of the vehicle's frame.
     """
 
     def __init__(

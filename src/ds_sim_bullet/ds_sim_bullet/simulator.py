@@ -49,11 +49,7 @@ LOOK = Look(
 
 
 class BulletSimulator(RoadSimulator):
-    """Simulator of a rigid-body city car in PyBullet.
-
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-    """
+    """Simulator of a rigid-body city car in PyBullet, with nominal parameters unless others are given."""
 
     modules = ("pybullet",)
 

@@ -65,9 +65,6 @@ class BulletVehicle(Vehicle):
     grip the path depends on the heading in the world by 0.3% of the distance. The car has no brakes that could lock
     its wheels.
 
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-
     Raises:
         ImportError: PyBullet is not installed.
         SimulatorError: PyBullet has no free physics client.

@@ -33,9 +33,6 @@ MARKER_COLOURS = Look(asphalt=(88, 88, 90), grass=(78, 112, 48), edge_line=(230,
 class PandaSimulator(RoadSimulator):
     """Simulator of a compact car with CommonRoad's multi-body model in a world rendered by Panda3D.
 
-    Args:
-        parameters: parameters of the car; the published and nominal values if omitted.
-
     Raises:
         ImportError: a library of this simulator is not installed.
         ds_sim.simulator.SimulatorError: EGL or Mesa's software renderer is missing.

@@ -18,11 +18,7 @@ UNIT_TOLERANCE = 0.01
 
 
 def image_of(message: Any, topic: str) -> NDArray[np.uint8]:
-    """Bring a sensor_msgs/Image to (160, 320, 3) uint8 RGB, read-only.
-
-    Raises:
-        SimulatorError: an unknown encoding, or a size that does not match the data.
-    """
+    """Bring a sensor_msgs/Image to (160, 320, 3) uint8 RGB, read-only; SimulatorError if that is impossible."""
     try:
         image = fit_to_network(rgb_of_message(message))
     except ImageError as error:

@@ -57,11 +57,7 @@ def read_track(path: Path, lane_width: float | None, lane: Side | None) -> tuple
 
 
 def check_is_track(road: Road, track: Road, name: str) -> None:
-    """Check that a road is the fixed track, in either lane.
-
-    Raises:
-        RoadError: it is another one.
-    """
+    """Check that a road is the fixed track, in either lane; RoadError if it is another one."""
     tracker = LaneTracker(track.points)
     reached = [tracker.update(x, y) for x, y in road.points.tolist()]
     furthest = max(abs(lateral) for lateral, _ in reached)

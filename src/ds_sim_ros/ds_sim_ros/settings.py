@@ -66,12 +66,9 @@ class _Strict(BaseModel):
 
 
 class VehicleSettings(_Strict):
-    """The vehicle.
+    """The vehicle; lengths in m.
 
     Attributes:
-        length: m.
-        width: m.
-        wheelbase: m.
         max_steering_angle: angle of the front wheels at |steering| = 1, rad.
         centre_ahead: distance from the point whose pose the odometry gives to the vehicle's centre, m, ahead positive.
     """
@@ -137,12 +134,7 @@ class RoadSettings(_Strict):
 
 
 class StepSettings(_Strict):
-    """Lock-step by the standard's service.
-
-    Attributes:
-        step: name of a service of the type simulation_interfaces/srv/StepSimulation.
-        seconds: simulated time of one step, s.
-    """
+    """Lock-step by a service, simulation_interfaces/srv/StepSimulation, and the simulated time of a step, s."""
 
     step: RosName
     seconds: Annotated[float, Field(gt=0.0, le=FRAME_TIME)]
@@ -195,13 +187,9 @@ class RosSettings(_Strict):
     """Description of a simulator.
 
     Attributes:
-        name: short name.
-        vehicle: the vehicle.
         image: topic of the type sensor_msgs/msg/Image.
         odometry: topic of the type nav_msgs/msg/Odometry.
         origin: pose of the road frame in the frame of the odometry's pose.
-        command: how it is commanded.
-        road: how it gets its road.
         reset: service that puts the vehicle to the start, of the type std_srvs/srv/Trigger or
             simulation_interfaces/srv/ResetSimulation; None if loading the road does that.
         time: steps; None for real time.
@@ -210,7 +198,6 @@ class RosSettings(_Strict):
         camera: geometry of the camera; None if it is not known.
         crop_top: image rows at the top, of 160, that a network does not see.
         crop_bottom: image rows at the bottom.
-        autopilot: its gains.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]{0,49}$")]
@@ -236,11 +223,7 @@ class RosSettings(_Strict):
 
 
 def read_settings(path: Path) -> RosSettings:
-    """Read and check a description.
-
-    Raises:
-        RosSettingsError: in one line, the file, the key, and what was expected.
-    """
+    """Read and check a description; RosSettingsError says in one line the file, the key, and what was expected."""
     raw = read_keys(path, RosSettingsError)
     try:
         return RosSettings.model_validate(raw)

@@ -178,12 +178,7 @@ def _is_at_rest(state: VehicleState, x: float, y: float, yaw: float) -> bool:
 
 
 class RosSimulator(RoadSimulator):
-    """Simulator that a file describes; it is looked for when the first road is loaded.
-
-    Args:
-        settings: description of the simulator.
-        folder: folder for the relative paths in it.
-    """
+    """Simulator that a file in a folder describes; it is looked for when the first road is loaded."""
 
     needs_file = True
     is_external = True
@@ -215,11 +210,7 @@ class RosSimulator(RoadSimulator):
 
     @classmethod
     def from_file(cls, path: Path) -> RosSimulator:
-        """Make the simulator that a file describes.
-
-        Raises:
-            ds_sim_ros.settings.RosSettingsError: the file, or one that it names, cannot be used.
-        """
+        """Make the simulator that a file describes; RosSettingsError if it, or a file that it names, cannot be used."""
         return cls(read_settings(path), path.parent)
 
     @property

@@ -49,11 +49,7 @@ LOOK = Look(
 
 
 class SoftbodySimulator(RoadSimulator):
-    """Simulator of a small electric car of nodes and damped beams.
-
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-    """
+    """Simulator of a small electric car of nodes and damped beams, with nominal parameters unless others are given."""
 
     def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
         p = parameters or SoftbodyParameters()

@@ -40,9 +40,6 @@ class SoftbodyVehicle(Vehicle):
 
     The physics run in the car's axes at the start, so that a run does not depend on where it starts.
 
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-
     Attributes:
         record: record `CAR` of the car.
     """

@@ -60,8 +60,7 @@ class Start:
 def read_start(path: Path) -> Start:
     """Read where a fit starts; the file's content tells its kind.
 
-    Raises:
-        ParameterFileError: none of these files, or a value that no car has; one line.
+    ParameterFileError, in one line: none of these files, or a value that no car has.
     """
     notes: list[str] = []
     try:

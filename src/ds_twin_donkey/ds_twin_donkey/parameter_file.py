@@ -63,11 +63,7 @@ def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
 
 
 def write_parameters(path: Path, document: dict[str, Any]) -> None:
-    """Write a document of `document_of`, in SI units of the model car.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Write a document of `document_of`, in SI units of the model car."""
     head = (
         "# Parameters of the 1:16 car, fitted to recorded drives. SI units of the model car.\n"
         "# Drive with them by naming the simulator donkey@THIS_FILE. Status: fitted (95% interval within 5%),\n"

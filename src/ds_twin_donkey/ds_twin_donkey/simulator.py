@@ -61,12 +61,7 @@ LOOK = Look(
 
 
 class DonkeySimulator(RoadSimulator):
-    """Simulator of a 1:16 Donkey Car on a 1:16 road, reported in road metres.
-
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-        source: origin of the parameters, shown in the spec.
-    """
+    """Simulator of a 1:16 Donkey Car on a 1:16 road, reported in road metres; its spec shows the parameters' source."""
 
     def __init__(self, parameters: DonkeyParameters | None = None, source: str = "nominal") -> None:
         parameters = parameters or DonkeyParameters()
@@ -96,10 +91,6 @@ class DonkeySimulator(RoadSimulator):
 
     @classmethod
     def from_file(cls, path: Path) -> DonkeySimulator:
-        """Make the simulator with a parameter file written by `ds twin fit`.
-
-        Raises:
-            ParameterFileError: the file cannot be used.
-        """
+        """Make the simulator with a file of `ds twin fit`; ParameterFileError if it cannot be used."""
         parameters, digest = read_parameters(path)
         return cls(parameters, f"{path.name} sha256 {digest}")

@@ -15,11 +15,7 @@ from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 
 
 class DonkeyVehicle(Vehicle):
-    """Donkey Car on an infinite floor.
-
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-    """
+    """Donkey Car on an infinite floor, with nominal parameters unless others are given."""
 
     conditions = VEHICLE_CONDITIONS
     delays_commands = True

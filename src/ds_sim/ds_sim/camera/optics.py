@@ -114,15 +114,10 @@ def noise_of(spec: CameraSpec, conditions: Conditions) -> float:
 
 
 class Optics:
-    """Applies the conditions of one run to rendered images.
+    """Applies the conditions of one run to some rows of rendered images, from the first to their end.
 
-    Args:
-        spec: camera.
-        conditions: of the run.
-        rng: source of the smudges.
-        sun: azimuth and elevation of the sun where the conditions do not say them, rad.
-        rows: first row and end of the rows that are changed.
-        haze: colour of the horizon, into which distant things fade; None for a scene with a haze of its own.
+    The sun, azimuth and elevation, rad, is where it stands unless conditions say; `rng` decides the smudges. Distant
+    things fade into the haze, the horizon's colour; None for a scene with a haze of its own.
     """
 
     def __init__(

@@ -19,13 +19,7 @@ TEXTURE_SIZE = 512
 
 @dataclass(frozen=True)
 class Textures:
-    """Textures of one look, uint8 RGBA.
-
-    Attributes:
-        grass: (TEXTURE_SIZE, TEXTURE_SIZE, 4) and its pyramid, each level half the size of the one before.
-        asphalt: (TEXTURE_SIZE, TEXTURE_SIZE, 4).
-        outside: mean colour of the grass.
-    """
+    """Textures of one look, uint8 RGBA."""
 
     grass: tuple[NDArray[np.uint8], ...]
     asphalt: NDArray[np.uint8]

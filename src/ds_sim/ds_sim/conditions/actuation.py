@@ -33,12 +33,7 @@ class Actuation:
         self._steering = 0.0
 
     def reached(self, command: Command, speed: float) -> Command:
-        """Return the command that the vehicle executes during this step.
-
-        Args:
-            command: of the driver.
-            speed: of the vehicle at the start of the step, m/s.
-        """
+        """Command that the vehicle executes during this step, at its speed at the start of it, m/s."""
         self._sent.append(command)
         older, newer = self._sent[0], self._sent[1]
         # A dead time of part of a frame: the mean of what is held before and after the change.

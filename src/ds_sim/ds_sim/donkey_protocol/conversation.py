@@ -35,13 +35,9 @@ _HAS_NO_EFFECT = {"car_config", "racer_info", "connected", "ping"}
 
 @dataclass(frozen=True, kw_only=True)
 class ServedTests:
-    """What clients drive.
+    """What clients drive: roads one after the other, each with the same seed and conditions.
 
-    Attributes:
-        roads: one after the other: each reset of a client whose car has moved goes on to the next, the last one to the
-            first.
-        seed: of each run.
-        conditions: operating conditions of each run.
+    Each reset of a client whose car has moved goes on to the next road, the last one to the first.
     """
 
     roads: Sequence[Road]

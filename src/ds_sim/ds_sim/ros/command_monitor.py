@@ -74,12 +74,7 @@ REPEAT_AFTER = 0.5
 
 
 class CommandWatchdog:
-    """Measures the wait for a driver.
-
-    Args:
-        limit: longest wait for an answer, s.
-        frames_wait: True in lock-step, where each frame begins a new wait; False in real time.
-    """
+    """Measures the wait for a driver, at most a limit, s; in lock-step each frame begins a new one."""
 
     def __init__(self, limit: float, *, frames_wait: bool = True) -> None:
         self.limit = limit

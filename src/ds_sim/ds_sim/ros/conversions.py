@@ -127,11 +127,7 @@ def command_from_message(message: DriveCommand) -> Command:
 
 
 def pixels_of(message: Image) -> NDArray[np.uint8]:
-    """Return the pixels of an rgb8 image, (rows, columns, 3), without copying them.
-
-    Raises:
-        ValueError: another encoding, or another number of bytes.
-    """
+    """Pixels of an rgb8 image, (rows, columns, 3), without a copy; ValueError for any other image."""
     if message.encoding != "rgb8" or len(message.data) != message.height * message.width * 3:
         raise ValueError(
             f"image of encoding {message.encoding!r}, {message.width} x {message.height} px and {len(message.data)} "
@@ -214,11 +210,7 @@ def trajectory_of(run: RunRecord) -> Trajectory:
 
 
 def observations_of(trajectory: Trajectory) -> list[Observation]:
-    """Convert a trajectory's columns to observations, without images.
-
-    Raises:
-        ValueError: the columns differ in length, or an outcome is unknown.
-    """
+    """Convert a trajectory's columns to observations without images; ValueError for unequal or unknown ones."""
     vehicles = zip(*(getattr(trajectory, name) for name in _VEHICLE), strict=True)
     lanes = zip(*(getattr(trajectory, name) for name in _LANE), strict=True)
     rows = zip(trajectory.step, trajectory.time, trajectory.outcome, vehicles, lanes, strict=True)
@@ -236,11 +228,7 @@ def observations_of(trajectory: Trajectory) -> list[Observation]:
 
 
 def commands_of(trajectory: Trajectory) -> list[Command]:
-    """Convert a trajectory's columns to commands; command k led from frame k to frame k + 1.
-
-    Raises:
-        ValueError: the columns differ in length, or a command is out of range.
-    """
+    """Convert a trajectory's columns to commands; command k led from frame k to frame k + 1."""
     return [Command(*pair) for pair in zip(trajectory.steering, trajectory.throttle, strict=True)]
 
 

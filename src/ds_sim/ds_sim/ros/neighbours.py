@@ -72,13 +72,10 @@ class Neighbours:
         )
 
     def check_alone(self) -> None:
-        """Check that no other simulator runs in the namespace.
+        """Refuse a request, as TWO_SIMULATORS, if another simulator runs in the namespace.
 
         Drivers are not counted, as a killed one stays in the ROS graph for 20 s next to its replacement. Two running
         drivers are detected by their commands.
-
-        Raises:
-            RequestRefused: TWO_SIMULATORS.
         """
         if crowd := self.crowd():
             raise RequestRefused(Reason.TWO_SIMULATORS, crowd)

@@ -97,11 +97,7 @@ counts; realtime: frames come at 20 Hz by the wall clock, and the last command i
 
 
 def check_goal(sync: str, command_timeout: float) -> None:
-    """Check the options of a goal; "" and 0 mean the node's parameters.
-
-    Raises:
-        RequestRefused: BAD_GOAL.
-    """
+    """Refuse, as BAD_GOAL, options of a goal that cannot be; "" and 0 mean the node's parameters."""
     if sync not in ("", *SYNC_MODES):
         raise RequestRefused(Reason.BAD_GOAL, f"sync {sync!r}: expected one of {', '.join(SYNC_MODES)}")
     if not 0.0 <= command_timeout < math.inf:

@@ -31,11 +31,7 @@ _lock = threading.RLock()
 
 @cache
 def panda() -> Any:
-    """Import Panda3D's classes.
-
-    Raises:
-        ImportError: Panda3D is not installed.
-    """
+    """Import Panda3D's classes; ImportError if it is not installed."""
     try:
         core = importlib.import_module("panda3d.core")
     except ImportError as error:
@@ -45,12 +41,7 @@ def panda() -> Any:
 
 
 def graphics() -> Graphics:
-    """Return the graphics of this process.
-
-    Raises:
-        ImportError: Panda3D is not installed.
-        SimulatorError: EGL or Mesa's software renderer is missing.
-    """
+    """Graphics of this process; SimulatorError if EGL or Mesa's software renderer is missing."""
     with _lock:
         return _graphics()
 

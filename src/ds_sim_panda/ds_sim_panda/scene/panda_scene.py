@@ -41,10 +41,7 @@ def camera_pose(axes: Axes, position: Vector) -> NDArray[np.float64]:
 
 
 class PandaScene(RenderedScene):
-    """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze.
-
-    Args:
-        camera: pinhole camera.
+    """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze; for a pinhole camera.
 
     Raises:
         ValueError: the camera has a property that this scene does not draw.

@@ -22,9 +22,6 @@ class MultiBodyVehicle(Vehicle):
 
     The model runs in the car's axes at the start, so that a run does not depend on where it starts.
 
-    Args:
-        parameters: parameters of the car; nominal values if omitted.
-
     Raises:
         ImportError: Numba or the package of the model is not installed.
     """

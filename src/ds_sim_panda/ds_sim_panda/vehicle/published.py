@@ -34,11 +34,7 @@ FRONT_OFFSET, REAR_OFFSET = 27, 28
 
 
 def check_version() -> None:
-    """Refuse another version of the package.
-
-    Raises:
-        ImportError: it is not installed, or not in the version that this project was tested with.
-    """
+    """Refuse, by an ImportError, another version of the package than that which this project was tested with."""
     try:
         installed = metadata.version(PACKAGE)
     except metadata.PackageNotFoundError:
