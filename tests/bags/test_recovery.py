@@ -48,7 +48,7 @@ def payloads(folder: Path) -> list[bytes]:
         return [raw for _, _, raw in reader.messages()]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", [pytest.param(seed, marks=[pytest.mark.long] * (seed > 4)) for seed in range(20)])
 def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
     """Frames of random size, flushed at random; a file's length tells the test what the child has flushed."""
     rng = np.random.default_rng(seed)

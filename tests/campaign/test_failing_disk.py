@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from tests.campaign.disk import KINDS, Disk, damage, differences, needs_compiler
 
-SAMPLE, CUTS = 12, 97
+SAMPLE, CUTS = 12, 199
 """Of so many calls, one fails, or is the last before a power cut, in every run of the tests; each one in long ones."""
 FAILURES = [("full", "once"), ("full", "stays"), ("broken", "once"), ("broken", "stays"), ("short", "once")]
 LONG = pytest.mark.long

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.painted_scene import PaintedScene
-from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import make_simulator, spec_of
 from ds_sim.road_simulator import RoadSimulator
@@ -215,13 +215,6 @@ def test_stronger_is_never_weaker(name: str) -> None:
         image = seen("softbody", Conditions(**{name: value}), look=look, x=127.0)
         changes.append(float(np.abs(image - clear).mean()))
     assert 0.0 < changes[0] < changes[1] < changes[2]
-
-
-def test_what_acts_on_pictures_or_cars_is_tested_here() -> None:
-    here = {"line_cover_length", "shadow_depth", "sun_azimuth", "sun_elevation", "exposure"}  # how others act, or plain
-    elsewhere = {"steering_lag", "command_delay", "tyre_pull", "speed_limit"}  # test_conditions.py of ds_sim
-    here |= {"camera_height", "camera_pitch", "camera_yaw", "friction", "payload"}
-    assert here | elsewhere | STRONGER.keys() == FIELDS.keys()
 
 
 MU = {"bullet": 0.9, "softbody": 1.0, "donkey": 0.85}

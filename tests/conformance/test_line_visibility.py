@@ -56,12 +56,6 @@ def test_clear_lines_have_the_contrast_of_their_paint(name: str) -> None:
     assert contrast(name) == pytest.approx((paint - pavement) / pavement, rel=0.15)
 
 
-@pytest.mark.parametrize("left", [0.5, 0.2, 0.02])
-def test_worn_lines_have_the_share_of_contrast_that_is_left(left: float) -> None:
-    # Worn paint is blotchy, and levels are whole numbers.
-    assert contrast("bullet", Conditions(line_contrast=left)) == pytest.approx(left * contrast("bullet"), rel=0.2)
-
-
 @pytest.mark.parametrize("visibility", [30.0, 60.0, 200.0])
 def test_haze_takes_the_contrast_that_koschmieder_says(visibility: float) -> None:
     look, clear = spec_of("bullet").look, contrast("bullet")

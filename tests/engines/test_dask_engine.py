@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -98,7 +97,7 @@ class Drives:
 
 
 def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, tmp_path: Path) -> None:
-    reference = expected(tmp_path, 48)
+    reference = expected(tmp_path, 32)
     other = tmp_path / "other_version.py"
     other.write_text(
         "from ds_orchestrator.engines import fingerprint\n"
@@ -108,7 +107,7 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
     lines = Lines()
     first = cluster.worker()
     with running(cluster, tmp_path, lines) as engine:
-        drives = Drives(engine, SLOW, 48)
+        drives = Drives(engine, SLOW, 32)
         wait_until(lambda: drives.done > 0)
         late = cluster.worker()
         cluster.worker("--preload", str(other))
@@ -137,19 +136,6 @@ def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp
         cluster.worker()
         assert drives.encoded() == expected(tmp_path, 24)
     assert "is back" in lines
-
-
-@pytest.mark.long
-def test_ten_kills_at_seeded_moments_change_no_byte(cluster: DaskProcesses, tmp_path: Path) -> None:
-    lines, rng = Lines(), np.random.default_rng(13)
-    workers = [cluster.worker(), cluster.worker()]
-    with running(cluster, tmp_path, lines) as engine:
-        drives = Drives(engine, SLOW, 400)
-        for _ in range(10):
-            time.sleep(float(rng.uniform(0.5, 4.0)))
-            workers.pop(int(rng.integers(len(workers)))).kill()
-            workers.append(cluster.worker())
-        assert drives.encoded() == expected(tmp_path, 400)
 
 
 @pytest.mark.long
@@ -189,26 +175,8 @@ def test_an_own_cluster_of_any_size_gives_the_same_bytes(tmp_path: Path, count: 
 
 def certificate(folder: Path, name: str) -> tuple[Path, Path]:
     cert, key = folder / f"{name}.pem", folder / f"{name}.key"
-    subprocess.run(
-        [
-            "openssl",
-            "req",
-            "-x509",
-            "-newkey",
-            "rsa:2048",
-            "-nodes",
-            "-days",
-            "2",
-            "-subj",
-            f"/CN={name}",
-            "-keyout",
-            str(key),
-            "-out",
-            str(cert),
-        ],
-        check=True,
-        capture_output=True,
-    )
+    words = f"openssl req -x509 -newkey rsa:2048 -nodes -days 2 -subj /CN={name} -keyout".split()
+    subprocess.run([*words, key, "-out", cert], check=True, capture_output=True)
     return cert, key
 
 

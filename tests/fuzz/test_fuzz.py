@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every reader of received files accepts a damaged input, or refuses it in one line.
 
-DS_FUZZ=N tries N inputs of each kind (200 if unset), DS_FUZZ_FIRST=SEED starts at SEED, not 0. Repeat one input:
+DS_FUZZ=N tries N inputs of each kind (80 if unset), DS_FUZZ_FIRST=SEED starts at SEED, not 0. Repeat one input:
 DS_FUZZ=1 DS_FUZZ_FIRST=SEED pytest tests/fuzz -k KIND
 """
 
@@ -19,7 +19,7 @@ from tests.fuzz.damage import HOSTILE, Rng
 from tests.fuzz.harness import Finding, Kind, try_inputs
 from tests.fuzz.kinds_tables import BOMBS
 
-COUNT = int(os.environ.get("DS_FUZZ", "200"))
+COUNT = int(os.environ.get("DS_FUZZ", "80"))
 FIRST = int(os.environ.get("DS_FUZZ_FIRST", "0"))
 KINDS: list[Kind] = [
     kind

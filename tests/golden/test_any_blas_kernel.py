@@ -20,7 +20,7 @@ import pytest
 AVX512 = {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
 CORES = ("SkylakeX", "Haswell", "Prescott")
 """Types of processor whose kernels are compared: AVX-512, AVX2 with fused multiply-add, and neither."""
-FRAMES = 15
+FRAMES = 6
 WET = {"visibility": 60.0, "low_sun": 4000.0, "lens_dirt": 0.1, "camera_yaw": 0.05, "friction": 0.6, "payload": 0.2}
 WORN = {"shadow_density": 0.4, "repair_share": 0.2, "line_cover": 0.2, "pavement_reflectance": 0.2}
 

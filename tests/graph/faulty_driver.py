@@ -17,8 +17,8 @@ from ds_interfaces.msg import DriveCommand, VehicleState
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-FAULTS = ("none", "crash", "hang", "twice", "late", "old", "nan", "range", "beyond", "silent")
-"""`twice` answers the frame before once more, then this frame twice; `range` and `beyond` leave the valid range."""
+FAULTS = ("none", "crash", "hang", "twice", "late", "old", "nan", "beyond", "silent")
+"""`twice` answers the frame before once more, then this frame twice; `beyond` leaves the valid range."""
 
 
 class FaultyDriver(Node):
@@ -63,8 +63,6 @@ class FaultyDriver(Node):
             self._say(Header(stamp=self.get_clock().now().to_msg()))
         elif fault == "nan":
             self._say(state.header, steering=math.nan)
-        elif fault == "range":
-            self._say(state.header, throttle=7.0)
         elif fault == "beyond":
             self._say(state.header, steering=-1.5)
         elif fault != "silent":

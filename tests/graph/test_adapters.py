@@ -17,7 +17,7 @@ from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+STRAIGHT = Road([(125.0, 15.0 * i) for i in range(1, 6)])
 SPACE = {DONKEY: "/ds1"}
 
 

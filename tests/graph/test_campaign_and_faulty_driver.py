@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A campaign whose driver crashes or hangs: it continues with a restarted one, and reports the error."""
+"""A campaign whose driver crashes: it continues with a restarted one, and reports the error."""
 
 from __future__ import annotations
 
@@ -24,14 +24,8 @@ CONFIG = {
 }
 
 
-@pytest.mark.parametrize(
-    ("fault", "outcome", "message"),
-    [("crash", "SIM_ERROR", "driver ended during the run"), ("hang", "DRIVER_SILENT", "no command within 2 s")],
-)
-def test_a_campaign_outlives_its_driver(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: str, outcome: str, message: str
-) -> None:
-    """The driver fails once, during a run; the test is repeated, and the error enters no map."""
+def test_a_campaign_outlives_its_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver crashes once, during a run; the test is repeated, and the error enters no map."""
     from ds_cli.campaign.inspection import status
     from ds_orchestrator.graph import session as running
     from ds_orchestrator.graph.supervisor import ProcessSpec, simulator_processes
@@ -41,7 +35,7 @@ def test_a_campaign_outlives_its_driver(
         name="driver",
         module="tests.graph.faulty_driver",
         namespace="/ds1",
-        parameters={"fault": fault, "once": str(tmp_path / "once")},
+        parameters={"fault": "crash", "once": str(tmp_path / "once")},
     )
 
     def separate(_driver: str, namespaces: dict[SimulatorName, str], limit: float, *, draw: str) -> list[ProcessSpec]:
@@ -55,7 +49,7 @@ def test_a_campaign_outlives_its_driver(
     assert (tmp_path / "once").exists()
     assert result.executions == 3 and result.executions_in_error == 0
     errors = status(tmp_path / "out").document["errors"]
-    assert [(error["outcome"], error["attempt"]) for error in errors] == [(outcome, 0)]
-    assert message in errors[0]["message"]
+    assert [(error["outcome"], error["attempt"]) for error in errors] == [("SIM_ERROR", 0)]
+    assert "driver ended during the run" in errors[0]["message"]
     report = result.report.read_text()
-    assert errors[0]["test_id"] in report and message in report
+    assert errors[0]["test_id"] in report and "driver ended during the run" in report

@@ -47,33 +47,6 @@ def test_a_road_message_without_a_width_has_the_usual_one_and_contradictions_are
         road_from_message(message)
 
 
-def test_a_result_carries_a_run_bit_for_bit() -> None:
-    """Through the bytes that go over the wire; the last frame is there in words, too."""
-    from ds_interfaces.action import DriveRoad
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    from ds_driver.closed_loop.simulation import drive_road, make_driver
-    from ds_sim.registry import make_simulator
-    from ds_sim.ros.conversions import commands_of, drive_result, observations_of
-
-    simulator = make_simulator("donkey")
-    run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROADS["plain"], 3)
-    simulator.close()
-    result = deserialize_message(serialize_message(drive_result(run)), DriveRoad.Result)
-    assert commands_of(result.trajectory) == run.commands
-    keys = ("step", "time", "vehicle", "lane", "outcome")
-    sent, got = (
-        [[getattr(o, k) for k in keys] for o in many] for many in (run.observations, observations_of(result.trajectory))
-    )
-    assert got == sent
-    last, final = run.observations[-1], result.final_state
-    assert (final.step, final.x, final.arc_length) == (last.step, last.vehicle.x, last.lane.arc_length)
-    assert (result.fitness, result.steps, final.outcome.value) == (run.fitness, run.steps, int(run.outcome))
-    result.trajectory.roll.pop()
-    with pytest.raises(ValueError, match="shorter"):
-        observations_of(result.trajectory)
-
-
 def test_the_numbers_of_outcomes_and_reasons_are_those_of_the_messages() -> None:
     from ds_interfaces.msg import Outcome as OutcomeMsg
     from ds_interfaces.msg import Reason as ReasonMsg

@@ -110,8 +110,7 @@ def runnable() -> float:
     return max(float(average), float(now.partition("/")[0]))
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("after", [0.0, 0.5, 1.2])
+@pytest.mark.parametrize(("number", "after"), [(signal.SIGINT, 0.0), (signal.SIGTERM, 0.5), (signal.SIGINT, 1.2)])
 def test_a_node_ends_during_its_set_up(start: Start, domain: int, number: signal.Signals, after: float) -> None:
     """As soon as our first lines have run, while PyTorch is imported, while the network is loaded; in s of CPU time."""
     process = start("ds_driver/driver", domain)
@@ -194,14 +193,13 @@ def test_the_orchestrator_ends_within_5_s_whatever_it_does(domain: int) -> None:
         rclpy.try_shutdown()
 
 
-@pytest.mark.parametrize("number", SIGNALS)
 @pytest.mark.parametrize(
-    ("executable", "ready"),
+    ("number", "executable", "ready"),
     [
-        ("ds_sim/simulator", "is ready"),
-        ("ds_driver/autopilot", "drives"),
-        ("ds_driver/closed_loop", "drives"),
-        ("ds_driver/cmd_vel_adapter", "drives"),
+        (signal.SIGINT, "ds_sim/simulator", "is ready"),
+        (signal.SIGTERM, "ds_driver/autopilot", "drives"),
+        (signal.SIGTERM, "ds_driver/closed_loop", "drives"),
+        (signal.SIGINT, "ds_driver/cmd_vel_adapter", "drives"),
     ],
 )
 def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signals, executable: str, ready: str) -> None:
@@ -212,8 +210,9 @@ def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signal
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("simulator", ["donkey", "tests.graph.stuck_simulator:Stuck"])
+@pytest.mark.parametrize(
+    ("number", "simulator"), [(signal.SIGINT, "donkey"), (signal.SIGTERM, "tests.graph.stuck_simulator:Stuck")]
+)
 def test_a_node_ends_in_the_midst_of_a_run(
     start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
 ) -> None:

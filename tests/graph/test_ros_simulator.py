@@ -324,14 +324,3 @@ def test_the_definitions_are_the_standards(name: str) -> None:
     share = Path(simulation_interfaces.__file__).parents[4] / "share/simulation_interfaces"
     described = json.loads((share / f"srv/{name}.json").read_text())["type_hashes"][0]
     assert described == {"type_name": f"simulation_interfaces/srv/{name}", "hash_string": f"RIHS01_{HASHES[name]}"}
-
-
-def test_the_message_of_tf_is_the_standard_one() -> None:
-    from rosbags.typesys import Stores, get_typestore
-
-    from ds_base.installation import share_folders
-
-    share = next(one for one in share_folders("tf2_msgs") if one.is_dir())
-    described = json.loads((share / "msg/TFMessage.json").read_text())["type_hashes"][0]
-    expected = get_typestore(Stores.ROS2_JAZZY).hash_rihs01("tf2_msgs/msg/TFMessage")
-    assert described == {"type_name": "tf2_msgs/msg/TFMessage", "hash_string": expected}

@@ -182,16 +182,6 @@ def test_another_driver_takes_the_wheel_without_touching_anything_else(
     assert run.outcome is Outcome.COMPLETED, run.message
 
 
-def test_a_killed_simulator_is_an_error_and_the_next_run_goes_on(graph: Any) -> None:
-    import threading
-
-    victim = graph._supervisor._processes["closed_loop_ds1"]
-    threading.Timer(1.0, lambda: os.kill(victim.pid, signal.SIGKILL)).start()
-    slow = Road([(125.0, 25.0 * i) for i in range(9)])
-    outcomes = [graph.execute("donkey", Scenario(road, seed=1)).outcome for road in (ROAD, slow, ROAD)]
-    assert outcomes.count(Outcome.SIM_ERROR) == 1 and outcomes[-1] is Outcome.COMPLETED
-
-
 @pytest.mark.long
 def test_a_node_that_stops_between_two_runs_is_replaced(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """ROS forgets it after 20 s."""

@@ -90,14 +90,6 @@ def test_foxglove_shows_topics_that_are_published(published: dict[str, tuple[str
     assert len(seen) == 4 * len(NAMESPACES)
 
 
-def test_foxglove_places_every_panel_once() -> None:
-    def leaves(node: Any) -> list[str]:
-        return [node] if isinstance(node, str) else [*leaves(node["first"]), *leaves(node["second"])]
-
-    assert sorted(leaves(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
-    assert {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"} == set(LAYOUT)
-
-
 def test_rviz_subscribes_to_what_is_published(published: dict[str, tuple[str, Any]]) -> None:
     assert RVIZ["Global Options"]["Fixed Frame"] == ROAD_FRAME
     groups = {display["Name"]: display for display in RVIZ["Displays"] if display["Class"] == "rviz_common/Group"}

@@ -66,19 +66,3 @@ def test_the_same_seed_gives_the_same_bytes_with_any_engine_also_on_a_busy_machi
             assert (tmp_path / name / file).read_bytes() == (first / file).read_bytes(), f"{name}: {file}"
     shown = subprocess.run([*DS, "maps", str(first), "--json"], capture_output=True, text=True, check=True)
     assert json.loads(shown.stdout) == json.loads((first / "maps" / "maps.json").read_text())
-
-
-@pytest.mark.long
-@pytest.mark.timeout(1200)
-def test_under_conditions_drives_and_gates_are_the_same_with_any_engine(tmp_path: Path) -> None:
-    (tmp_path / "c.yaml").write_text(f"{WHOLE}conditions: visibility=80,line_contrast=0.5,steering_lag=0.05\n")
-    found = {}
-    for engine in ("graph", "local", "dask"):
-        command = [*DS, "campaign", "run", str(tmp_path / "c.yaml"), "--out", str(tmp_path / engine), "--json"]
-        done = subprocess.run([*command, "--engine", engine], capture_output=True, text=True, timeout=400)
-        assert done.returncode == 0, done.stderr[-2000:]
-        assert json.loads(done.stdout)["executions_in_error"] == 0
-        gates = sqlite3.connect(tmp_path / engine / "campaign.sqlite").execute("SELECT * FROM gates ORDER BY 1, 2")
-        found[engine] = (executions(tmp_path / engine), gates.fetchall())
-    assert len(found["graph"][1]) == 12 and found["graph"][0]
-    assert found["local"] == found["graph"] == found["dask"]
