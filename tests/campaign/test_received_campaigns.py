@@ -179,6 +179,21 @@ def test_a_campaign_of_an_earlier_version_is_read_as_it_is_and_rewritten_when_it
         assert db.execute("PRAGMA user_version").fetchone() == (5,)
 
 
+def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path, ds: Ds) -> None:
+    import tracemalloc
+
+    folder = make(tmp_path / "received")
+    packer = zlib.compressobj(9)
+    first, again = (packer.compress(bytes(2**22)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
+    bomb = first + again * 255  # no block refers to the previous one
+    change(folder, "UPDATE executions SET trajectory=?", bomb)
+    tracemalloc.start()
+    status, said = ds("report", folder)
+    assert status == 2 and "does not hold" in said
+    assert tracemalloc.get_traced_memory()[1] < 50_000_000
+    tracemalloc.stop()
+
+
 def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path, ds: Ds) -> None:
     """SQLite deletes the file that a left-over rollback journal names as its super-journal."""
     folder = make(tmp_path / "received")
