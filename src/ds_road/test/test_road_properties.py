@@ -289,6 +289,17 @@ def test_the_picture_shows_road_grass_and_trajectory() -> None:
     np.testing.assert_array_equal(plain, draw(road))
 
 
+def test_every_control_point_has_a_star() -> None:
+    """Stars are evenly spaced, as control points 25 m apart on a straight road must be."""
+    picture = draw(Road([(125.0, 25.0 * i) for i in range(9)]), caption=False)
+    red = (np.abs(picture.astype(int) - (215, 40, 40)).max(axis=2) < 10).any(axis=1)
+    rows = np.flatnonzero(red)
+    stars = np.split(rows, np.flatnonzero(np.diff(rows) > 3) + 1)
+    assert len(stars) == 9
+    spacing = np.diff([float(np.mean(star)) for star in stars])
+    np.testing.assert_allclose(spacing, spacing.mean(), atol=3.0)
+
+
 def test_a_trajectory_ends_in_a_disc_and_no_star_covers_it() -> None:
     road = Road([(125.0, 25.0 * i) for i in range(9)])
     path = np.array([(126.0, 25.0), (126.0, 100.0)])
@@ -299,6 +310,12 @@ def test_a_trajectory_ends_in_a_disc_and_no_star_covers_it() -> None:
     wide = np.flatnonzero(blue.sum(axis=1) > 4)
     # 75 m up the straight road; its only wide part is the disc at the top, where it ends.
     assert len(rows) > 150 and 5 <= len(wide) <= 9 and wide[0] - rows[0] <= 1
+
+
+@pytest.mark.parametrize("path", [np.zeros(4), np.full((3, 2), np.nan), np.zeros((3, 1))])
+def test_the_picture_refuses_an_invalid_trajectory(path: Any) -> None:
+    with pytest.raises(RoadError, match="trajectory car"):
+        draw(random_road(1), trajectories={"car": path})
 
 
 def test_a_trajectory_far_away_does_not_shrink_the_road() -> None:

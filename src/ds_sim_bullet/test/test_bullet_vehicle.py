@@ -80,6 +80,17 @@ def test_it_starts_where_reset_puts_it_and_stays_there_whatever_the_steering(car
     assert (last.heave, last.roll, last.pitch) == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
 
 
+def test_it_reaches_a_steady_speed_under_the_papers_throttle(car: BulletVehicle) -> None:
+    speeds = [0.0]
+    for _ in range(300):
+        car.advance(Command(0.0, max(0.0, 1.0 - (speeds[-1] * 3.6 / 30.0) ** 2)))
+        speeds.append(car.state().speed)
+    kmh = 3.6 * np.array(speeds)
+    assert 3.0 < np.argmax(kmh > 20.0) * FRAME_TIME < 4.0
+    assert 22.0 < kmh[-1] < 27.0
+    assert kmh[-1] - kmh[-20] < 0.05
+
+
 def test_the_turning_circle_is_that_of_the_data_sheet() -> None:
     """8.6 m from kerb to kerb: the path of the outer front wheel."""
     rear = P.wheelbase / math.tan(P.max_steering_angle)

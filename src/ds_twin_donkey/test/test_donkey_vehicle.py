@@ -55,6 +55,13 @@ def test_reset_places_the_centre_of_the_car(share: float) -> None:
     assert (state.speed, state.yaw_rate, state.lateral_speed, state.roll, state.pitch) == (0.0,) * 5
 
 
+@pytest.mark.parametrize("steering", [-1.0, 0.0, 1.0])
+def test_the_smallest_throttle_above_the_dead_band_moves_it_even_at_full_lock(steering: float) -> None:
+    first_count = math.ceil(P.throttle_dead_band * P.throttle_pulse_steps) / P.throttle_pulse_steps
+    states = list(drive(standing(), 200, steering, first_count))
+    assert math.hypot(states[-1].speed, states[-1].lateral_speed) > 0.3
+
+
 def test_the_steady_speed_balances_motor_and_rolling_resistance() -> None:
     """stall (duty - v / free) = c m g."""
     throttle = 0.4

@@ -55,6 +55,13 @@ def test_siblings_that_are_right_equally_often_are_not_believed(tmp_path: Path) 
     assert "with a:One in 4 and with b:Two in 4: too few or too mixed" in first.believe
 
 
+def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
+    config = CONFIG.model_copy(update={"twin": None})
+    first = first_screen(with_outcomes(tmp_path, config, {"a:One": {0, 1}, "b:Two": {1}}))
+
+    assert "only drives on a twin or on your car can say" in first.believe and first.command == "ds real propose ."
+
+
 @pytest.mark.parametrize(
     ("failing", "where", "said", "command"),
     [

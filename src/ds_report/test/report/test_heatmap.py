@@ -47,6 +47,8 @@ def test_a_cell_stands_where_its_features_say_and_an_empty_one_is_not_zero() -> 
     zero = draw_map(make_map(MapId.merged(), {(2, 15): (0.0, 0.0)}), "probability", bounds=BOUNDS)
     assert len(pixels_of(zero, rgb(PASS))) > 500
     assert len(pixels_of(zero, EMPTY)) == len(grey)
+    quality = draw_map(make_map(MapId.merged(), {(2, 15): (0.0, 1.0)}), "quality_loss", bounds=BOUNDS)
+    assert len(pixels_of(quality, rgb(FAIL))) > 500
 
 
 def test_excluded_tests_are_written_beside_and_in_cells_of_their_own() -> None:

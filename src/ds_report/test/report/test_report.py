@@ -282,6 +282,13 @@ def test_the_headline_names_the_bend_from_which_roads_fail() -> None:
     )
 
 
+def test_the_headline_names_turns_where_they_separate_better() -> None:
+    few = [(0.1 + 0.01 * (k % 7), 2, False) for k in range(20)]
+    many = [(0.1 + 0.01 * (k % 7), 5, True) for k in range(8)]
+    text = where_it_fails(DriverName("net"), outcomes(*few, *many))
+    assert "net fails on roads with 5 turns or more: 8 of 8 such roads failed, and none of the 20 others." in text
+
+
 def under(made: RoadOutcomes, name: str, values: list[float]) -> RoadOutcomes:
     """The same roads, each with its own value of a condition."""
     pairs = zip(made.tests, values, strict=True)
@@ -365,6 +372,14 @@ def test_a_road_fails_where_the_twin_fails_or_else_where_every_sibling_does() ->
     assert road_outcomes(data).failed == (True, False) and road_outcomes(data).where == "the twin n:T"
     alone = replace(data, config=CampaignConfig(siblings=[SimulatorName("n:A"), SimulatorName("n:B")], twin=None))
     assert road_outcomes(alone).failed == (False, True) and road_outcomes(alone).where == "every sibling"
+
+
+def test_limits_say_what_was_tested_and_what_was_not() -> None:
+    found = summarise(driven(CampaignConfig()), results(driven(CampaignConfig()))[0], [])
+    only = road(0)
+    assert f"Tested: 1 road with {only.turns_count} turns" in found.limits
+    assert f"{1 / only.curvature:.1f} m radius" in found.limits and "traffic" in found.limits
+    assert "Only the shape of the road varied" in found.limits
 
 
 def test_limits_name_the_conditions_that_were_tested() -> None:
