@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from tests.command_line import ds
 
-from ds_analysis.common.next_campaign import GENTLE, WINDING, proposal
 from ds_cli.output import Result
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig, parse_config, read_config
+from ds_report.first_screen import GENTLE, WINDING, proposal
 from ds_sim import BULLET
 
 SMALL = {"population": 4, "iterations": 8, "runs": 1}
@@ -46,8 +46,8 @@ def test_other_roads_are_proposed_where_everything_comes_out_alike(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, tally: Any, before: CampaignConfig, words: str, angles: Any
 ) -> None:
     found = proposal(tally, before)
-    assert found is not None and words in found.sentence
-    after = pasted(found.command, tmp_path, monkeypatch)
+    assert found is not None and words in found[0]
+    after = pasted(found[1], tmp_path, monkeypatch)
     assert (after.search.min_angle, after.search.max_angle) == angles
     assert after.search.conditions == {} and after.simulators == before.simulators
 
@@ -56,14 +56,14 @@ def test_two_siblings_without_a_twin_stay_so(tmp_path: Path, monkeypatch: pytest
     before = parse_config({"driver": "autopilot", "twin": "none", "search": SMALL}, "here")
     found = proposal(FAIL, before)
     assert found is not None
-    after = pasted(found.command, tmp_path, monkeypatch)
+    after = pasted(found[1], tmp_path, monkeypatch)
     assert (after.siblings, after.twin) == (before.siblings, None)
 
 
 def test_at_the_ends_of_the_range_something_else_is_proposed() -> None:
     hard, easy = proposal(PASS, config(min_angle=WINDING[0])), proposal(FAIL, config(min_angle=10, max_angle=60))
-    assert hard is not None and hard.command.startswith("ds sensitivity --driver autopilot --sims bullet,donkey")
-    assert easy is not None and easy.command.startswith("ds drive --sim bullet --driver autopilot")
+    assert hard is not None and hard[1].startswith("ds sensitivity --driver autopilot --sims bullet,donkey")
+    assert easy is not None and easy[1].startswith("ds drive --sim bullet --driver autopilot")
 
 
 def test_nothing_is_proposed_where_tests_differ_or_nothing_was_driven() -> None:

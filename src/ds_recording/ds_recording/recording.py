@@ -64,12 +64,7 @@ class Views:
     centre: str
 
 
-def read_views(
-    path: Path,
-    reading: Reading,
-    odometry: str | None = None,
-    centre: str = "yellow",
-) -> Views:
+def read_views(path: Path, reading: Reading, odometry: str | None = None, centre: str = "yellow") -> Views:
     """Read the longest stretch without gaps, or the first `MOST_FRAMES` of it; for `odometry` see `read_sources`.
 
     Raises:

@@ -4,24 +4,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_analysis.paper.campaign_evaluation import (
+    CORRELATIONS,
     correlations_of,
     network_of,
     paired_differences_of,
     tables_of,
-    write_correlations,
 )
-from ds_base import atomic_files as whole_files
+from ds_base.atomic_files import write_json
 from ds_base.progress import logger_of
 from ds_base.table import read_tables, write_tables
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
-from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
+from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.store.store import Store
 from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
 
@@ -33,14 +33,6 @@ _RENAMED_TABLES = {"rq1_variants": "rq1_robustness_checks"}
 """Name of a table of RQ1 in earlier versions -> present name."""
 NOT_MADE = -1
 """Recorded as the number of executions of a result that is missing or incomplete."""
-
-
-def write_json(folder: Path, maps: Mapping[MapId, FeatureMap]) -> None:
-    """Write `maps/<name>.json` and `maps/maps.json` of a campaign folder."""
-    out, document = folder / "maps", to_json(maps)
-    for name, content in document.items():
-        whole_files.write_json(out / f"{label_of(name)}.json", content)
-    whole_files.write_json(out / "maps.json", document)
 
 
 def write_all(
@@ -80,13 +72,14 @@ def write_all(
     for stage in STAGES:
         store.set_result(stage, NOT_MADE)
     listener.stage("maps")
-    write_json(folder, maps)
+    for file, content in {**to_json(maps), "maps": to_json(maps)}.items():
+        write_json(folder / "maps" / f"{label_of(file)}.json", content)
     write_maps(maps, folder / "maps")
     further_maps = []
     for axes in data.config.further_axes:
         out, further = folder / "maps" / "_by_".join(axes), maps_of(data, features=axes)
         write_maps(further, out)
-        whole_files.write_json(out / "maps.json", to_json(further))
+        write_json(out / "maps.json", to_json(further))
         further_maps.append(further_map(axes, further))
     store.set_result("maps", count)
     mapped = time.monotonic()
@@ -94,7 +87,7 @@ def write_all(
     correlations = correlations_of(data.config, maps)
     differences = paired_differences_of(data.config, maps)
     tables = [*tables_of(data.config, maps, correlations, differences), *merge_tables(folder, data)]
-    write_correlations(folder, correlations)
+    write_json(folder / CORRELATIONS, [one.document() for one in correlations])
     siblings = sibling_section(data)
     excluded = [excluded_table(data)] if data.excluded else []
     write_tables([*tables, *(siblings.tables if siblings else ()), *excluded], folder / "evaluation")

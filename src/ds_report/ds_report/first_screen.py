@@ -7,8 +7,11 @@ Rules, fixed before they were applied to any campaign:
 2. Where siblings disagree, a sibling is to be believed if it agrees with the twin in more of these tests than chance
    allows the best of the siblings (`ds_analysis.common.selection`). Without a twin, nobody can say. If siblings never
    disagree, or there is only one, the failures of the twin tell what their agreement is worth. A scenario counts once.
-3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests
-   (`ds_analysis.common.next_campaign`); without a twin, drives of a car; otherwise train on the failures.
+3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests; without
+   a twin, drives of a car; otherwise train on the failures.
+4. Other tests. Everything passes: more winding roads; on winding roads already, find the conditions that break the
+   network. Everything fails: the same roads without conditions if there are any; else gentler roads; on gentle roads
+   already, look at one drive.
 """
 
 from __future__ import annotations
@@ -19,15 +22,23 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ds_analysis.common.next_campaign import proposal
 from ds_analysis.common.selection import ALPHA, p_of_leads
 from ds_analysis.common.statistics import families_of
 from ds_base.words import count, listed
+from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
+from ds_orchestrator.campaign.template import SIZES
 from ds_orchestrator.store.model import Test
 from ds_report.camera_pictures import worst_first
 from ds_report.findings import NOTHING_DRIVEN, road_outcomes, where_it_fails
 from ds_sim.registry import SimulatorName
+
+WINDING = (200, 360)
+"""Smallest and largest maximum angle of hard roads, degrees; chosen: the upper half of what `generate` can turn."""
+GENTLE = (20, 60)
+"""The same of gentle roads; chosen: 60 is the tutorial's, whose bends are wider than 20 m."""
+NO_TWIN = "none"
+"""In the place of the twin, for `ds test --sims`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +153,52 @@ def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
     return (
         "Train it on the roads on which it failed, and test it again on new ones. This writes those roads:",
         shlex.join(("ds", "campaign", "roads", folder, "--failed", "--out", "failures.json")),
+    )
+
+
+def proposal(tally: Mapping[str, tuple[int, int]], config: CampaignConfig) -> tuple[str, str] | None:
+    """Propose harder or gentler tests, and the command; None if nothing was driven, or not all tests end alike.
+
+    `tally` has failures and tests of a finished campaign for each simulator.
+    """
+    failures, tests = (sum(column) for column in zip(*tally.values(), strict=True)) if tally else (0, 0)
+    where = ", ".join(name for name, (_, of) in tally.items() if of)
+    search = config.search
+    if not tests or 0 < failures < tests:
+        return None
+    if not failures:
+        passed = f"All {tests} drives on {where} pass, so they show no limit of {config.driver}"
+        if search.min_angle < WINDING[0]:
+            return (f"{passed}: test more winding roads.", _campaign("harder", config, WINDING))
+        return (
+            f"{passed}, even on winding roads: find the conditions that break it.",
+            f"ds sensitivity --driver {shlex.quote(str(config.driver))} "
+            f"--sims {shlex.quote(','.join(config.simulators))} --out sensitivity",
+        )
+    failed = (
+        f"All {tests} drives on {where} fail, so they do not show what {config.driver} can do. If `ds check` finds it "
+        "connected correctly"
+    )
+    if search.conditions or not config.conditions.is_default:
+        angles = (search.min_angle, search.max_angle)
+        return (f"{failed}, leave out the conditions.", _campaign("gentler", config, angles))
+    if search.max_angle > GENTLE[1]:
+        return (f"{failed}, test gentler roads.", _campaign("gentler", config, GENTLE))
+    return (
+        f"{failed}, look at one drive, its camera and its commands: even gentle roads are too hard.",
+        f"ds drive --sim {shlex.quote(config.siblings[0])} --driver {shlex.quote(str(config.driver))} "
+        f"--seed 1 --max-angle {GENTLE[0]}",
+    )
+
+
+def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int]) -> str:
+    """The command that runs a campaign like the given one, but for its roads and conditions."""
+    own = (config.search.population, config.search.iterations, config.search.runs)
+    size = next((n for n, s in SIZES.items() if (s.population, s.iterations, s.runs) == own), "small")
+    names = [*config.siblings, config.twin or NO_TWIN] if len(config.siblings) > 1 else config.simulators
+    return (
+        f"ds test {shlex.quote(str(config.driver))} --sims {shlex.quote(','.join(names))} "
+        f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]} --out {name}"
     )
 
 

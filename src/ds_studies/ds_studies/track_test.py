@@ -256,13 +256,7 @@ def _driven(
     drives, undecided = {}, {}
     for driver in dict.fromkeys((test.driver, AUTOPILOT)):
         # A folder of drives belongs to its driver, car and roads.
-        what = [
-            str(driver),
-            *names,
-            drive.sha256,
-            read_words(test.located / SETTINGS),
-            *(one.test_id for one in tests),
-        ]
+        what = [str(driver), *names, drive.sha256, read_words(test.located / SETTINGS), *(one.test_id for one in tests)]
         place = test.out / "drives" / hashlib.sha256("\n".join(what).encode()).hexdigest()[:12]
         chosen = replace(settings, driver=driver, siblings=names, twin=None)
         LOG.info("%s drives", driver)

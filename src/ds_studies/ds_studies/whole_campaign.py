@@ -85,11 +85,7 @@ def run_campaign(
     settings = config.drive_settings(cluster=cluster, attach=attach)
     preflight(settings)
     prepare_folder(folder)
-    with (
-        locked(folder),
-        closing(store_of(folder, config)) as store,
-        LiveFile(folder, listener or Listener()) as live,
-    ):
+    with locked(folder), closing(store_of(folder, config)) as store, LiveFile(folder, listener or Listener()) as live:
         settings = record_provenance(store, settings, folder)
         keep_engine(folder, config)
         enter_folder(folder / "bags")

@@ -214,8 +214,7 @@ def _worst_first(drives: Sequence[PairedDrive]) -> list[PairedDrive]:
     for drive in drives:
         spread[drive.test.name] = spread.get(drive.test.name, 0) + (drive.change == "newly fails")
     return sorted(
-        drives,
-        key=lambda d: (order[d.change], -spread[d.test.name], d.margin_change, d.test.name, d.simulator),
+        drives, key=lambda d: (order[d.change], -spread[d.test.name], d.margin_change, d.test.name, d.simulator)
     )
 
 

@@ -31,11 +31,7 @@ BEGINS = 0.5
 LET_GO = 0.25
 """Time at the end with less than half of the peak's steering, from which a driver has let go, s; chosen: 1.7 m."""
 _STEP = 0.5
-_HABITS = {
-    "constant": "always steers the same",
-    "saturated": "is at full lock half of the time",
-    "crawls": "crawls",
-}
+_HABITS = {"constant": "always steers the same", "saturated": "is at full lock half of the time", "crawls": "crawls"}
 
 
 class Reason(NamedTuple):

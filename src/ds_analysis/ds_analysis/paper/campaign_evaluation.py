@@ -21,7 +21,6 @@ from ds_analysis.paper.paper_tables import (
     paired_difference_table,
     robustness_table,
 )
-from ds_base.atomic_files import write_json
 from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError, read_file
 from ds_base.installation import ds_command
@@ -44,12 +43,6 @@ def correlations_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) ->
 def paired_differences_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[PairedDifference]:
     """Compute the paired differences between the merged map and each sibling's; empty without a twin."""
     return paired_differences(maps, config.siblings, config.twin) if config.twin else []
-
-
-def write_correlations(folder: Path, correlations: Sequence[Correlation]) -> None:
-    """Write `maps/correlations.json` of a campaign folder."""
-    rows = [correlation.document() for correlation in correlations]
-    write_json(folder / CORRELATIONS, rows)
 
 
 def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]:

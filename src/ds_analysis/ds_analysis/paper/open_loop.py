@@ -141,12 +141,7 @@ def write_answers(path: Path, answers: Iterable[Answers]) -> None:
 
 
 def predict(
-    data: Path,
-    network: DriverName,
-    progress: Progress,
-    *,
-    images: int | None = None,
-    trusted: Collection[str] = (),
+    data: Path, network: DriverName, progress: Progress, *, images: int | None = None, trusted: Collection[str] = ()
 ) -> dict[str, Answers]:
     """Run a network over a data set (`ds_driver.data.dataset`), one image at a time as in closed loop.
 

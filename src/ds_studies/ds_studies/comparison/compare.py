@@ -229,13 +229,7 @@ def compare(
 
 
 def compare_until_sure(
-    tests: GivenTests,
-    reference: Network,
-    candidate: Network,
-    *,
-    source: str,
-    out: Path,
-    callbacks: Callbacks,
+    tests: GivenTests, reference: Network, candidate: Network, *, source: str, out: Path, callbacks: Callbacks
 ) -> Comparison:
     """Compare two networks on random roads, some more at a time, until the answer is sure or no road is left.
 
@@ -245,14 +239,7 @@ def compare_until_sure(
     for last in [*range(BATCH, roads, BATCH), roads]:
         some = replace(tests, work={name: of[:last] for name, of in tests.work.items()})
         comparison = compare(
-            [some],
-            reference,
-            candidate,
-            origin="random",
-            source=source,
-            out=out,
-            callbacks=callbacks,
-            sequential=True,
+            [some], reference, candidate, origin="random", source=source, out=out, callbacks=callbacks, sequential=True
         )
         if is_sure(comparison) or last == roads:
             break
