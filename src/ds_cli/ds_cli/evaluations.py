@@ -23,42 +23,6 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 
-def evaluation(
-    folder: Path,
-    *,
-    data: Path | None,
-    images: int | None,
-    out: Path | None,
-    everything: bool,
-    trusted: Collection[str] = (),
-) -> Result:
-    """The tables of a campaign: RQ2 and RQ3, which operator suits it, and RQ1 if there is a data set."""
-    from ds_analysis.paper.campaign_contents import maps_of
-    from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
-    from ds_analysis.paper.open_loop import OpenLoopError
-    from ds_base.table import keep_tables
-    from ds_orchestrator.campaign.folder import read_folder
-    from ds_report.build import RQ1
-    from ds_report.sections import merge_tables, sibling_section
-
-    campaign = read_folder(folder)
-    config, maps = campaign.config, maps_of(campaign)
-    cases = merge_tables(folder, campaign)
-    if config.twin is None and (data is not None or not cases):
-        raise OpenLoopError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
-    tables: list[Table] = []
-    if data is not None and config.twin is not None:
-        from ds_driver.networks.received_driver import received_driver
-
-        received_driver(config.driver, confirmed=trusted)
-        tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
-        keep_tables(tables, folder / RQ1)
-    tables += [*tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps)), *cases]
-    tables += siblings.tables if (siblings := sibling_section(campaign)) else []
-    following = ds_command("report", folder)
-    return tables_result(tables, out or folder / "evaluation", following, everything=everything)
-
-
 def _offline_tables(
     data: Path,
     driver: DriverName,
@@ -139,20 +103,42 @@ def evaluate_command(
 
     Example: ds evaluate out
     """
-    if folder is not None:
-        if options := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
-            raise typer.BadParameter(f"--{options[0]} is the campaign's: leave it out, or leave out {folder}")
-        from ds_base.folder_files import locked, make_folder
-
-        if out is not None:
-            make_folder(out)
-        with locked(folder) if out is None or data is not None else nullcontext():
-            result = evaluation(folder, data=data, images=images, out=out, everything=everything, trusted=trust or [])
-    elif data is None:
-        raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
-    else:
+    trusted = trust or []
+    if folder is None:
+        if data is None:
+            raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
         names = None if siblings is None else [SimulatorName(name) for name in siblings.split(",")]
         network = driver_named(driver or "dave2")
-        tables = _offline_tables(data, network, names, twin or SimulatorName("donkey"), images, trust or [])
-        result = tables_result(tables, out, ds_command("test", network), everything=everything)
+        tables = _offline_tables(data, network, names, twin or SimulatorName("donkey"), images, trusted)
+        answer(tables_result(tables, out, ds_command("test", network), everything=everything), as_json)
+        return
+    if options := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
+        raise typer.BadParameter(f"--{options[0]} is the campaign's: leave it out, or leave out {folder}")
+    from ds_analysis.paper.campaign_contents import maps_of
+    from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
+    from ds_analysis.paper.open_loop import OpenLoopError
+    from ds_base.folder_files import locked, make_folder
+    from ds_base.table import keep_tables
+    from ds_driver.networks.received_driver import received_driver
+    from ds_orchestrator.campaign.folder import read_folder
+    from ds_report.build import RQ1
+    from ds_report.sections import merge_tables, sibling_section
+
+    if out is not None:
+        make_folder(out)
+    with locked(folder) if out is None or data is not None else nullcontext():
+        campaign = read_folder(folder)
+        config, maps = campaign.config, maps_of(campaign)
+        cases = merge_tables(folder, campaign)
+        if config.twin is None and (data is not None or not cases):
+            raise OpenLoopError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
+        tables = []
+        if data is not None and config.twin is not None:
+            received_driver(config.driver, confirmed=trusted)
+            tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
+            keep_tables(tables, folder / RQ1)
+        tables += [*tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps)), *cases]
+        tables += section.tables if (section := sibling_section(campaign)) else []
+        following = ds_command("report", folder)
+        result = tables_result(tables, out or folder / "evaluation", following, everything=everything)
     answer(result, as_json)

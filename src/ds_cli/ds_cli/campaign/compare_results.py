@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from ds_analysis.comparison.analysis import Comparison
     from ds_analysis.comparison.ci_results import Criteria
     from ds_report.comparison_page import Grid
-    from ds_studies.suite.suite_file import Suite
 
 FailOn = Annotated[
     Literal["failure", "regression", "worse"] | None,
@@ -62,13 +61,6 @@ def unmet_by(criteria: Criteria, comparison: Comparison) -> list[str]:
         newly_failing=len(comparison.newly_failing),
         worse=[row.simulator for row in comparison.simulators if row.verdict == "worse"],
     )
-
-
-def lost_by(criteria: Criteria, comparison: Comparison, suite: Suite) -> bool:
-    """True if a criterion can no longer be met, whatever the outcomes of the remaining tests of a suite."""
-    tests = {name: sum(name in one.outcomes for one in suite.tests) for name in suite.simulators}
-    tally = {name: (failures, tests[name]) for name, (failures, _) in comparison.tally().items()}
-    return bool(criteria.unmet(tally, newly_failing=len(comparison.newly_failing)))
 
 
 def check_writable(*paths: Path | None) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -49,20 +48,11 @@ if TYPE_CHECKING:
     from ds_orchestrator.engines.cluster import ClusterOptions
     from ds_studies.whole_campaign import CampaignOutcome
 
-DRIVER, SIMULATORS, SIZE = "dave2", "bullet,softbody,donkey", "small"
-"""What `ds test` takes if it is not told otherwise."""
+SIMULATORS = "bullet,softbody,donkey"
+"""Those of `ds test` if it is not told otherwise."""
 
-SimulatorsOfTemplate = Annotated[
-    str,
-    typer.Option(help=f"Siblings, then the twin, separated by commas: of {', '.join(registry.SIMULATORS)}; or none."),
-]
-SizeOfTemplate = Annotated[str, typer.Option(help="Search: small, medium or paper.")]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Only say how many drives, how long here and how much disk, from one drive.")
-]
-SensitivityFolder = Annotated[
-    Path | None,
-    typer.Option(metavar="DIR", help="Search the two most sensitive conditions of this `ds sensitivity --out`, too."),
 ]
 
 app = typer.Typer()
@@ -161,29 +151,6 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
     return config
 
 
-def _template_of(
-    driver: str,
-    sims: str,
-    size: str,
-    sensitivity: Path | None,
-    file: Path,
-    angles: Mapping[str, int],
-    seed: int,
-) -> str:
-    """A commented configuration for a file; the driver and the simulators exist."""
-    from ds_orchestrator.campaign.config import rebase_paths
-    from ds_orchestrator.campaign.template import template
-    from ds_orchestrator.engines.preflight import check_driver
-    from ds_studies.sensitivity.ranges import read_ranges
-
-    names = simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
-    check_driver(driver_named(driver), names)
-    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
-    named = rebase_paths({"driver": driver, "siblings": siblings, "twin": twin}, Path(), file.parent)
-    ranges = read_ranges(sensitivity) if sensitivity else None
-    return template(**named, size=size, ranges=ranges, angles=angles, seed=seed)
-
-
 @app.command("test")
 def search_command(
     network: Annotated[
@@ -192,9 +159,19 @@ def search_command(
             help="Network: a name, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
         ),
     ],
-    sims: SimulatorsOfTemplate = SIMULATORS,
-    size: SizeOfTemplate = SIZE,
-    sensitivity: SensitivityFolder = None,
+    sims: Annotated[
+        str,
+        typer.Option(
+            help=f"Siblings, then the twin, separated by commas: of {', '.join(registry.SIMULATORS)}; or none."
+        ),
+    ] = SIMULATORS,
+    size: Annotated[str, typer.Option(help="Search: small, medium or paper.")] = "small",
+    sensitivity: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Search the two most sensitive conditions of this `ds sensitivity --out`, too."
+        ),
+    ] = None,
     min_angle: Annotated[
         int | None, typer.Option(min=1, max=360, help="Degrees; larger: more winding roads, such as 200.")
     ] = None,
@@ -227,15 +204,21 @@ def search_command(
     from ds_base.atomic_files import write_whole
     from ds_base.bounded_file import read_words
     from ds_base.folder_files import make_folder
-    from ds_orchestrator.campaign.config import ConfigError, read_config
+    from ds_orchestrator.campaign.config import ConfigError, read_config, rebase_paths
+    from ds_orchestrator.campaign.template import template
+    from ds_orchestrator.engines.preflight import check_driver
+    from ds_studies.sensitivity.ranges import read_ranges
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    limits = {"min_angle": min_angle, "max_angle": max_angle}
-    angles = {name: angle for name, angle in limits.items() if angle is not None}
+    names = simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
+    check_driver(driver_named(network), names)
+    siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
     folder = out or Path(f"{label_of_driver(network)}_test")
+    named = rebase_paths({"driver": network, "siblings": siblings, "twin": twin}, Path(), folder)
+    ranges = read_ranges(sensitivity) if sensitivity else None
+    text = template(**named, size=size, ranges=ranges, min_angle=min_angle, max_angle=max_angle, seed=seed)
     file = folder / "campaign.yaml"
-    text = _template_of(network, sims, size, sensitivity, file, angles, seed)
     make_folder(folder)
     if file.exists() and read_words(file) != text:
         raise ConfigError(f"{folder} holds another test: choose another --out")
@@ -243,7 +226,7 @@ def search_command(
     config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
     if dry_run:
         following = ds_command("campaign", "run", file, "--out", folder, "--engine", config.engine)
-        end(_dry_run(config, folder, cluster_of(None), following), as_json)
+        end(_dry_run(config, folder, None, following), as_json)
     else:
         end(judged(campaign(config, folder, staged=True), folder, criteria, junit), as_json)
 
@@ -315,7 +298,7 @@ def campaign_resume_command(
     )
 
 
-def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions, following: str) -> Result:
+def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions | None, following: str) -> Result:
     """Forecast a campaign from one drive on every simulator; nothing is written."""
     from ds_orchestrator.campaign.forecast import measure
     from ds_orchestrator.engines.preflight import preflight

@@ -18,53 +18,13 @@ from ds_cli.output import Result, answer, say
 from ds_cli.prediction.predict import TestsFolder
 
 if TYPE_CHECKING:
-    from ds_analysis.common.outcome_table import OutcomeTable
     from ds_analysis.prediction.car import CarPrediction
-    from ds_analysis.real.records import RealDrive
 
 app = typer.Typer()
 real_app = typer.Typer(help="Propose, record and use a few drives on a real car.", no_args_is_help=True)
 app.add_typer(real_app, name="real")
 
 Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
-
-
-def _recorded(
-    path: Path,
-    table: OutcomeTable,
-    scale: float,
-    test: str | None,
-    outcome: str | None,
-    topic: str | None,
-    *,
-    who: str | None,
-    when: str | None,
-) -> RealDrive:
-    """The drive that a bag or tub recorded; the arguments are those of `ds real record`."""
-    from ds_analysis.common.outcome_table import RoadTable
-    from ds_analysis.real.records import RecordError, drive_of
-    from ds_recording.real_drive import read_recording
-
-    which = f"{path}: which test is it? expected --test with one of "
-    if not isinstance(table, RoadTable):
-        raise RecordError(f"{which}a CSV, as these tests have no roads")
-    if test is None or test not in table.test_ids:
-        raise RecordError(f"{which}{', '.join(sorted(table.test_ids)[:6])}")
-    road = table.roads[table.test_ids.index(test)]
-    recorded = read_recording(path, road, scale=scale, topic=topic)
-    outcome = outcome or recorded.outcome(road.lane_width / 2)
-    if outcome is None:
-        driven = "" if recorded.share is None else f" after {recorded.share:.0%} of the road"
-        raise RecordError(f"{path}: the recording tells no verdict{driven}: expected --outcome, such as completed")
-    values = {
-        "test_id": test,
-        "outcome": outcome,
-        "who": who or "",
-        "when": when or recorded.when,
-        "max_lateral_position": "" if recorded.lateral is None else str(recorded.lateral / scale),
-        "note": "",
-    }
-    return drive_of(values, {test: road.lane_width / 2}, scale, path.name)
 
 
 def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
@@ -234,15 +194,44 @@ def record_command(
     from ds_analysis.common.outcome_table import RoadTable
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.real.proposal import SCALE, read_proposed
-    from ds_analysis.real.records import added, read_csv, read_drives, read_recorded, write_drives
+    from ds_analysis.real.records import (
+        RecordError,
+        added,
+        drive_of,
+        read_csv,
+        read_drives,
+        read_recorded,
+        write_drives,
+    )
     from ds_base.folder_files import locked
-    from ds_recording.real_drive import is_recording
+    from ds_recording.real_drive import is_recording, read_recording
 
     with locked(folder):
         table, proposed = read_table(folder).as_population(), read_proposed(folder)
         used_scale = proposed.scale or (scale or SCALE if isinstance(table, RoadTable) else 1.0)
         if is_recording(file):
-            new = [_recorded(file, table, used_scale, test, outcome, topic, who=who, when=when)]
+            which = f"{file}: which test is it? expected --test with one of "
+            if not isinstance(table, RoadTable):
+                raise RecordError(f"{which}a CSV, as these tests have no roads")
+            if test is None or test not in table.test_ids:
+                raise RecordError(f"{which}{', '.join(sorted(table.test_ids)[:6])}")
+            road = table.roads[table.test_ids.index(test)]
+            seen = read_recording(file, road, scale=used_scale, topic=topic)
+            verdict = outcome or seen.outcome(road.lane_width / 2)
+            if verdict is None:
+                driven = "" if seen.share is None else f" after {seen.share:.0%} of the road"
+                raise RecordError(
+                    f"{file}: the recording tells no verdict{driven}: expected --outcome, such as completed"
+                )
+            values = {
+                "test_id": test,
+                "outcome": verdict,
+                "who": who or "",
+                "when": when or seen.when,
+                "max_lateral_position": "" if seen.lateral is None else str(seen.lateral / used_scale),
+                "note": "",
+            }
+            new = [drive_of(values, {test: road.lane_width / 2}, used_scale, file.name)]
         else:
             limits = dict(zip(table.test_ids, map(float, table.limits[:, 0]), strict=True))
             new = read_csv(file, limits, scale=used_scale, who=who, when=when)

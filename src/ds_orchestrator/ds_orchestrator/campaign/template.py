@@ -35,34 +35,28 @@ def template(
     twin: SimulatorName | None,
     size: str,
     ranges: Mapping[str, tuple[float, float]] | None = None,
-    angles: Mapping[str, int] | None = None,
+    min_angle: int | None = None,
+    max_angle: int | None = None,
     seed: int = 1,
 ) -> str:
     """Write a configuration as YAML, with a comment on every key.
 
-    Args:
-        driver: name of the driver.
-        siblings: simulators that act as siblings.
-        twin: simulator that acts as the twin, or None.
-        size: one of `SIZES`.
-        ranges: conditions to search, the most sensitive one first; those after `MOST_SEARCHED` become comments.
-        angles: `min_angle` and `max_angle` of the search, where they are not to be the defaults.
-        seed: of the campaign.
+    Of the conditions to search, the most sensitive ones first, those after `MOST_SEARCHED` become comments. Angles are
+    those of the size where they are not given.
 
     Raises:
         ConfigError: the size is unknown, the angles are in the wrong order, or the simulators do not make a campaign.
     """
     if size not in SIZES:
         raise ConfigError(f"size {size!r:.60}: expected one of {', '.join(SIZES)}")
-    search, limits = SIZES[size], angles or {}
-    largest = limits.get("max_angle", search.max_angle)
-    smallest = limits.get("min_angle", min(search.min_angle, largest))
+    search = SIZES[size]
+    largest = max_angle or search.max_angle
     text = _TEXT.format(
         driver=_scalar(driver),
         siblings=f"[{', '.join(map(_scalar, siblings))}]",
         twin=_scalar(twin or "none"),
         population=search.population,
-        min_angle=smallest,
+        min_angle=min_angle or min(search.min_angle, largest),
         max_angle=largest,
         conditions=_conditions(ranges or {}),
         iterations=search.iterations,
