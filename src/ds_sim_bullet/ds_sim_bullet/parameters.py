@@ -22,97 +22,68 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class BulletParameters:
-    """Parameters of the car, its suspension, steering, tyres and motor, and settings of the engine.
+    """Parameters of the car, its suspension, steering, tyres and motor, and settings of the engine."""
 
-    Attributes:
-        length: m; sheet.
-        width: m; sheet.
-        height: m; sheet.
-        wheelbase: m; sheet.
-        track: distance between the wheels of an axle, m; sheet: mean of 1.452 front and 1.425 rear.
-        mass: kg; sheet: kerb weight, which includes the driver by the European definition.
-        unsprung_mass: unsprung mass of one corner, kg; Gillespie ch. 5: 13 to 15% of the sprung mass.
-        wheel_mass: mass of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel.
-        front_share: share of the static load on the front axle, 0 to 1; sheet (rear motor): 45 to 55.
-        centre_of_mass_height: height of the sprung mass's centre, m; chosen: 0.36 of the car's height (Gillespie: 0.35
-            to 0.4), because the battery is under the floor.
-        ground_clearance: clearance under the body, m; chosen: typical of the class, 0.12 to 0.15.
-
-        ride_frequency: natural frequency of the body on its springs, Hz; Gillespie ch. 5: 1 to 1.5, the stiffer end for
-            a light car.
-        damping_ratio: damping ratio of that mode; Gillespie ch. 5: 0.2 to 0.4.
-        front_anti_roll: force of the front bar per difference of travel, N/m; chosen: together with the rear bar it
-            gives 5.7 degrees of roll per g, within the 5 to 7 of small cars (Gillespie ch. 6).
-        rear_anti_roll: the same at the rear, N/m; chosen: softer than at the front, as the rear carries more load.
-        travel: suspension travel up and down to the bump stops, m; chosen: 0.07, of the class's 0.06 to 0.08.
-        stop_stiffness: stiffness of the rubber bump stops, N/m; chosen: eight times the springs.
-
-        wheel_radius: m; sheet: 165/65 R15 (0.298) in front and 185/60 R15 (0.301) at the rear.
-        wheel_spin_inertia: inertia of a wheel about its axle, kg m^2; chosen: a 15 kg wheel with 0.75 of its mass at
-            the rim.
-        rotor_inertia: inertia of the motor at one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
-        friction: friction coefficient of a tyre on dry asphalt; Gillespie ch. 10: 0.8 to 0.9, sliding to peak.
-        rolling_resistance: force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
-
-        max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; sheet: a turning circle of
-            8.6 m from kerb to kerb gives the rear axle's centre a radius of 2.79 m.
-        steering_rate: largest rate of the mean angle, rad/s; chosen: 60 degrees/s, a quick electric power steering
-            (900 degrees/s at a steering wheel geared 15 to 1).
-        steering_torque: largest torque about one kingpin, N m; chosen: more than the tyres can resist.
-
-        drive_force: force at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 to 4 s under the paper's
-            equation 2, an economy map of a motor that could give 4.9 kN (sheet: 160 N m).
-        max_speed: speed at which the motor's limiter sets in, m/s; paper 4.2.4: 30 km/h.
-        limiter_band: speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
-        regenerative_force: braking force at the tyres without throttle, N; chosen: 2.2 m/s^2, a strong one-pedal mode
-            (UN R13-H requires brake lights above 1.3).
-        fade_speed: speed below which regeneration fades out, m/s; chosen: walking pace, 5 km/h, where such motors stop
-            generating.
-        neutral_throttle: throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal
-            maps use about the first fifth for braking.
-
-        substeps: physics substeps per step of 1/20 s; chosen: 12 (240 Hz); for the reason see `BulletVehicle`.
-        solver_iterations: iterations of projected Gauss-Seidel per substep; chosen: Bullet's default of 50.
-    """
-
-    length: float = 3.615
-    width: float = 1.646
-    height: float = 1.541
-    wheelbase: float = 2.492
-    track: float = 1.44
-    mass: float = 1208.0
-    unsprung_mass: float = 35.0
-    wheel_mass: float = 15.0
-    front_share: float = 0.45
+    length: float = 3.615  # m; sheet
+    width: float = 1.646  # m; sheet
+    height: float = 1.541  # m; sheet
+    wheelbase: float = 2.492  # m; sheet
+    track: float = 1.44  # distance between the wheels of an axle, m; sheet: mean of 1.452 front and 1.425 rear
+    mass: float = 1208.0  # kg; sheet: kerb weight, which includes the driver by the European definition
+    unsprung_mass: float = 35.0  # unsprung mass of one corner, kg; Gillespie ch. 5: 13 to 15% of the sprung mass.
+    wheel_mass: float = 15.0  # mass of one wheel with tyre, part of the unsprung mass, kg; chosen: steel 15-inch wheel
+    front_share: float = 0.45  # share of the static load on the front axle, 0 to 1; sheet (rear motor): 45 to 55
+    # Height of the sprung mass's centre, m; chosen: 0.36 of the car's height (Gillespie: 0.35 to 0.4), because the
+    # battery is under the floor.
     centre_of_mass_height: float = 0.55
-    ground_clearance: float = 0.13
+    ground_clearance: float = 0.13  # clearance under the body, m; chosen: typical of the class, 0.12 to 0.15
 
+    # Natural frequency of the body on its springs, Hz; Gillespie ch. 5: 1 to 1.5, the stiffer end for a light car.
     ride_frequency: float = 1.4
-    damping_ratio: float = 0.3
+    damping_ratio: float = 0.3  # damping ratio of that mode; Gillespie ch. 5: 0.2 to 0.4.
+    # Force of the front bar per difference of travel, N/m; chosen: together with the rear bar it gives 5.7 degrees of
+    # roll per g, within the 5 to 7 of small cars (Gillespie ch. 6).
     front_anti_roll: float = 7000.0
+    # The same at the rear, N/m; chosen: softer than at the front, as the rear carries more load.
     rear_anti_roll: float = 3000.0
+    # Suspension travel up and down to the bump stops, m; chosen: 0.07, of the class's 0.06 to 0.08.
     travel: float = 0.07
-    stop_stiffness: float = 160e3
+    stop_stiffness: float = 160e3  # stiffness of the rubber bump stops, N/m; chosen: eight times the springs
 
-    wheel_radius: float = 0.30
+    wheel_radius: float = 0.30  # m; sheet: 165/65 R15 (0.298) in front and 185/60 R15 (0.301) at the rear
+    # Inertia of a wheel about its axle, kg m^2; chosen: a 15 kg wheel with 0.75 of its mass at the rim.
     wheel_spin_inertia: float = 0.9
+    # Inertia of the motor at one rear wheel, kg m^2; chosen: 0.02 kg m^2 geared 9 to 1, halved.
     rotor_inertia: float = 0.8
+    # Friction coefficient of a tyre on dry asphalt; Gillespie ch. 10: 0.8 to 0.9, sliding to peak.
     friction: float = 0.9
-    rolling_resistance: float = 0.013
+    rolling_resistance: float = 0.013  # force over load; Gillespie ch. 4: 0.012 to 0.015 for radial tyres on asphalt.
 
+    # Mean angle of the front wheels for |steering| = 1, rad; sheet: a turning circle of 8.6 m from kerb to kerb gives
+    # the rear axle's centre a radius of 2.79 m.
     max_steering_angle: float = math.radians(41.8)
+    # Largest rate of the mean angle, rad/s; chosen: 60 degrees/s, a quick electric power steering (900 degrees/s at a
+    # steering wheel geared 15 to 1).
     steering_rate: float = math.radians(60.0)
-    steering_torque: float = 2000.0
+    steering_torque: float = 2000.0  # largest torque about one kingpin, N m; chosen: more than the tyres can resist
 
+    # Force at the tyres at full throttle, N; chosen: 0 to 20 km/h in 3 to 4 s under the paper's equation 2, an economy
+    # map of a motor that could give 4.9 kN (sheet: 160 N m).
     drive_force: float = 2700.0
-    max_speed: float = 30.0 / 3.6
+    max_speed: float = 30.0 / 3.6  # speed at which the motor's limiter sets in, m/s; paper 4.2.4: 30 km/h
+    # Speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
     limiter_band: float = 3.0 / 3.6
+    # Braking force at the tyres without throttle, N; chosen: 2.2 m/s^2, a strong one-pedal mode (UN R13-H requires
+    # brake lights above 1.3).
     regenerative_force: float = 2650.0
+    # Speed below which regeneration fades out, m/s; chosen: walking pace, 5 km/h, where such motors stop generating.
     fade_speed: float = 5.0 / 3.6
+    # Throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal maps use about the first
+    # fifth for braking.
     neutral_throttle: float = 0.2
 
-    substeps: int = 12
-    solver_iterations: int = 50
+    substeps: int = 12  # physics substeps per step of 1/20 s; chosen: 12 (240 Hz); for the reason see `BulletVehicle`
+    solver_iterations: int = 50  # iterations of projected Gauss-Seidel per substep; chosen: Bullet's default of 50
 
     def __post_init__(self) -> None:
         check_ranges(self, _LIMITS)

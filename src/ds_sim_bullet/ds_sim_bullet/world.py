@@ -127,19 +127,12 @@ def _text(*values: float) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Car:
-    """PyBullet's ids of the car and its joints; one joint per corner in the order of `CORNERS`.
+    """PyBullet's ids of the car and its joints; one joint per corner in the order of `CORNERS`."""
 
-    Attributes:
-        body: id of the multibody.
-        guides: joints of the four hubs, positive up (compression).
-        steering: joints of the two front knuckles, positive left.
-        spins: joints of the four wheels, positive forward.
-    """
-
-    body: int
-    guides: tuple[int, ...]
-    steering: tuple[int, ...]
-    spins: tuple[int, ...]
+    body: int  # id of the multibody
+    guides: tuple[int, ...]  # joints of the four hubs, positive up (compression)
+    steering: tuple[int, ...]  # joints of the two front knuckles, positive left
+    spins: tuple[int, ...]  # joints of the four wheels, positive forward
 
 
 def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: float, yaw: float) -> Car:

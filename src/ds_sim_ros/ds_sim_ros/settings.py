@@ -66,33 +66,25 @@ class _Strict(BaseModel):
 
 
 class VehicleSettings(_Strict):
-    """The vehicle; lengths in m.
-
-    Attributes:
-        max_steering_angle: angle of the front wheels at |steering| = 1, rad.
-        centre_ahead: distance from the point whose pose the odometry gives to the vehicle's centre, m, ahead positive.
-    """
+    """The vehicle; lengths in m."""
 
     length: Length
     width: Length
     wheelbase: Length
-    max_steering_angle: Angle
+    max_steering_angle: Angle  # angle of the front wheels at |steering| = 1, rad
+    # Distance from the point whose pose the odometry gives to the vehicle's centre, m, ahead positive.
     centre_ahead: Finite = 0.0
 
 
 class CommandSettings(_Strict):
-    """How the vehicle is commanded.
+    """How the vehicle is commanded."""
 
-    Attributes:
-        topic: topic of the commands.
-        type: this project's message, or a key of `ds_driver.control.other_stacks.KINDS`.
-        acceleration: at full throttle, see `speed_after`, m/s^2; chosen as in `examples/bicycle.py`, a small car.
-        drag: see `speed_after`, 1/s; chosen there, too: a top speed of 36 km/h.
-    """
-
-    topic: RosName
+    topic: RosName  # topic of the commands
+    # This project's message, or a key of `ds_driver.control.other_stacks.KINDS`.
     type: Literal["twist", "twist_stamped", "ackermann", "servo", "autoware", "drive_command"]
+    # At full throttle, see `speed_after`, m/s^2; chosen as in `examples/bicycle.py`, a small car.
     acceleration: Annotated[float, Field(gt=0.0, le=100.0)] = 3.0
+    # See `speed_after`, 1/s; chosen there, too: a top speed of 36 km/h.
     drag: Annotated[float, Field(gt=0.0, le=10.0)] = 0.3
 
     def speed_after(self, speed: float, throttle: float) -> float:
@@ -106,23 +98,15 @@ class CommandSettings(_Strict):
 
 
 class RoadSettings(_Strict):
-    """How a road gets into the simulator: by a service, by a file, or not at all because the track is fixed.
+    """How a road gets into the simulator: by a service, by a file, or not at all because the track is fixed."""
 
-    Attributes:
-        service: name of a service of the type ds_interfaces/srv/LoadRoad.
-        file: file that is written before `reload` is called, inside the description's folder.
-        reload: name of a service of the type std_srvs/srv/Trigger.
-        centre_line: file with the track, relative to the description's folder.
-        lane_width: width of each lane of the track of a CSV file, m; if None, the file's, or 4 m.
-        lane: driven lane of the track; the file's, or the right one, if None.
-    """
-
-    service: RosName | None = None
-    file: WrittenName | None = None
-    reload: RosName | None = None
-    centre_line: FileName | None = None
+    service: RosName | None = None  # name of a service of the type ds_interfaces/srv/LoadRoad
+    file: WrittenName | None = None  # file that is written before `reload` is called, inside the description's folder
+    reload: RosName | None = None  # name of a service of the type std_srvs/srv/Trigger
+    centre_line: FileName | None = None  # file with the track, relative to the description's folder
+    # Width of each lane of the track of a CSV file, m; if None, the file's, or 4 m.
     lane_width: Annotated[float, Field(ge=1.0, le=20.0)] | None = None
-    lane: Side | None = None
+    lane: Side | None = None  # driven lane of the track; the file's, or the right one, if None
 
     @model_validator(mode="after")
     def _one_way(self) -> RoadSettings:
@@ -184,36 +168,24 @@ class AutopilotSettings(_Strict):
 
 
 class RosSettings(_Strict):
-    """Description of a simulator.
-
-    Attributes:
-        image: topic of the type sensor_msgs/msg/Image.
-        odometry: topic of the type nav_msgs/msg/Odometry.
-        origin: pose of the road frame in the frame of the odometry's pose.
-        reset: service that puts the vehicle to the start, of the type std_srvs/srv/Trigger or
-            simulation_interfaces/srv/ResetSimulation; None if loading the road does that.
-        time: steps; None for real time.
-        timeout: limit of each wait, s.
-        domain: ROS domain of the simulator; None for the user's.
-        camera: geometry of the camera; None if it is not known.
-        crop_top: image rows at the top, of 160, that a network does not see.
-        crop_bottom: image rows at the bottom.
-    """
+    """Description of a simulator."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_.-]{0,49}$")]
     vehicle: VehicleSettings
-    image: RosName
-    odometry: RosName
-    origin: OriginSettings = OriginSettings()
+    image: RosName  # topic of the type sensor_msgs/msg/Image
+    odometry: RosName  # topic of the type nav_msgs/msg/Odometry
+    origin: OriginSettings = OriginSettings()  # pose of the road frame in the frame of the odometry's pose
     command: CommandSettings
     road: RoadSettings
+    # Service that puts the vehicle to the start, of the type std_srvs/srv/Trigger or
+    # simulation_interfaces/srv/ResetSimulation; None if loading the road does that.
     reset: RosName | None = None
-    time: Annotated[StepSettings | None, BeforeValidator(_stepped)]
-    timeout: Annotated[float, Field(ge=0.1, le=600.0)] = 5.0
-    domain: Annotated[int, Field(ge=0, le=232)] | None = None
-    camera: CameraSettings | None = None
-    crop_top: Annotated[int, Field(ge=0)] = 60
-    crop_bottom: Annotated[int, Field(ge=0)] = 0
+    time: Annotated[StepSettings | None, BeforeValidator(_stepped)]  # steps; None for real time.
+    timeout: Annotated[float, Field(ge=0.1, le=600.0)] = 5.0  # limit of each wait, s
+    domain: Annotated[int, Field(ge=0, le=232)] | None = None  # ROS domain of the simulator; None for the user's
+    camera: CameraSettings | None = None  # geometry of the camera; None if it is not known
+    crop_top: Annotated[int, Field(ge=0)] = 60  # image rows at the top, of 160, that a network does not see
+    crop_bottom: Annotated[int, Field(ge=0)] = 0  # image rows at the bottom
     autopilot: AutopilotSettings = AutopilotSettings()
 
     @model_validator(mode="after")

@@ -46,18 +46,12 @@ class Beam(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Blueprint:
-    """Frame at rest.
+    """Frame at rest."""
 
-    Attributes:
-        positions: (n, 2) positions of the nodes, m; the four wheels first.
-        masses: (n,) masses of the nodes, kg.
-        beams: beams between the nodes; their rest lengths follow from `positions`.
-        corners: front left, front right, rear left, rear right.
-    """
-
-    positions: NDArray[np.float64]
-    masses: NDArray[np.float64]
-    beams: tuple[Beam, ...]
+    positions: NDArray[np.float64]  # (n, 2) positions of the nodes, m; the four wheels first
+    masses: NDArray[np.float64]  # (n,) masses of the nodes, kg
+    beams: tuple[Beam, ...]  # beams between the nodes; their rest lengths follow from `positions`
+    # Front left, front right, rear left, rear right.
     corners: tuple[CornerNodes, CornerNodes, CornerNodes, CornerNodes]
 
 

@@ -19,15 +19,10 @@ from ds_sim_softbody.wheel import Wheel
 
 @dataclass(kw_only=True, slots=True)
 class Actuators:
-    """Steering rack with a limited rate; electric motor that drives the rear axle through an open differential.
+    """Steering rack with a limited rate; electric motor that drives the rear axle through an open differential."""
 
-    Attributes:
-        angle: mean angle of the front wheels set by the rack, rad, left positive.
-        torque: torque at each of the two rear wheels, N m.
-    """
-
-    angle: float = 0.0
-    torque: float = 0.0
+    angle: float = 0.0  # mean angle of the front wheels set by the rack, rad, left positive
+    torque: float = 0.0  # torque at each of the two rear wheels, N m
 
 
 def steer(actuators: Actuators, p: SoftbodyParameters, steering: float, dt: float) -> tuple[float, float]:
@@ -61,30 +56,18 @@ class Attitude:
 
     Load that springs and dampers do not carry reaches the wheels instantly, through the arms and the unsprung masses;
     in steady state the loads are those of the whole mass at the height of its centre.
-
-    Attributes:
-        roll_lever: sprung mass times its height above the roll axis, kg m.
-        roll_stiffness: N m/rad.
-        roll_damping: N m s/rad.
-        pitch_lever: sprung mass times its height, kg m.
-        pitch_stiffness: N m/rad.
-        pitch_damping: N m s/rad.
-        roll: rad.
-        roll_rate: rad/s.
-        pitch: rad.
-        pitch_rate: rad/s.
     """
 
-    roll_lever: float
-    roll_stiffness: float
-    roll_damping: float
-    pitch_lever: float
-    pitch_stiffness: float
-    pitch_damping: float
-    roll: float = 0.0
-    roll_rate: float = 0.0
-    pitch: float = 0.0
-    pitch_rate: float = 0.0
+    roll_lever: float  # sprung mass times its height above the roll axis, kg m
+    roll_stiffness: float  # N m/rad
+    roll_damping: float  # N m s/rad
+    pitch_lever: float  # sprung mass times its height, kg m
+    pitch_stiffness: float  # N m/rad
+    pitch_damping: float  # N m s/rad
+    roll: float = 0.0  # rad
+    roll_rate: float = 0.0  # rad/s
+    pitch: float = 0.0  # rad
+    pitch_rate: float = 0.0  # rad/s
 
     @classmethod
     def at_rest(cls, p: SoftbodyParameters) -> Attitude:

@@ -26,52 +26,29 @@ class Wheel:
     the relaxation length, which yields the slip at any speed, including zero, without dividing by speed: a standing
     tyre is a spring with a damper. The brush formula converts the deflection to a force within the friction circle;
     beyond full sliding the deflection grows no further.
-
-    Attributes:
-        node: node of the wheel.
-        fore: node of the frame's bush ahead of its axis.
-        aft: node of the frame's bush behind its axis.
-        static_load: N.
-        cornering_stiffness: cornering stiffness over load, 1/rad.
-        toe_per_shift: angle by which the wheel turns left when it shifts left against its bushes, rad/m.
-        spin_inertia: inertia about the axle, including what is geared to it, kg m^2.
-        rest: distance of the wheel to the left of the midpoint of its bushes without force, m.
-        torque: torque of the motor, N m.
-        spin: angular velocity about the axle, forward positive, rad/s.
-        load: vertical load, N.
-        along: deflection of the carcass along the wheel, m.
-        across: deflection of the carcass across the wheel, m.
-        stiffness_along: stiffness of the carcass under this load, N/m.
-        stiffness_across: the same, N/m.
-        grip: largest force of the tyre under this load, N.
-        resistance: moment of rolling resistance under this load, N m.
-        steering_cos: cosine of the steering angle.
-        steering_sin: sine of the steering angle.
-        heading_x: unit vector in the direction of the wheel.
-        heading_y: the same.
     """
 
-    node: int
-    fore: int
-    aft: int
-    static_load: float
-    cornering_stiffness: float
-    toe_per_shift: float
-    spin_inertia: float
-    rest: float = 0.0
-    torque: float = 0.0
-    spin: float = 0.0
-    load: float = 0.0
-    along: float = 0.0
-    across: float = 0.0
-    stiffness_along: float = 0.0
-    stiffness_across: float = 0.0
-    grip: float = 0.0
-    resistance: float = 0.0
-    steering_cos: float = 1.0
-    steering_sin: float = 0.0
-    heading_x: float = 1.0
-    heading_y: float = 0.0
+    node: int  # node of the wheel
+    fore: int  # node of the frame's bush ahead of its axis
+    aft: int  # node of the frame's bush behind its axis
+    static_load: float  # N
+    cornering_stiffness: float  # cornering stiffness over load, 1/rad
+    toe_per_shift: float  # angle by which the wheel turns left when it shifts left against its bushes, rad/m
+    spin_inertia: float  # inertia about the axle, including what is geared to it, kg m^2
+    rest: float = 0.0  # distance of the wheel to the left of the midpoint of its bushes without force, m
+    torque: float = 0.0  # torque of the motor, N m
+    spin: float = 0.0  # angular velocity about the axle, forward positive, rad/s
+    load: float = 0.0  # vertical load, N
+    along: float = 0.0  # deflection of the carcass along the wheel, m
+    across: float = 0.0  # deflection of the carcass across the wheel, m
+    stiffness_along: float = 0.0  # stiffness of the carcass under this load, N/m
+    stiffness_across: float = 0.0  # the same, N/m
+    grip: float = 0.0  # largest force of the tyre under this load, N
+    resistance: float = 0.0  # moment of rolling resistance under this load, N m
+    steering_cos: float = 1.0  # cosine of the steering angle
+    steering_sin: float = 0.0  # sine of the steering angle
+    heading_x: float = 1.0  # unit vector in the direction of the wheel
+    heading_y: float = 0.0  # the same
 
 
 def hypot(x: float, y: float) -> float:

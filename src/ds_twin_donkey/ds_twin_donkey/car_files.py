@@ -58,10 +58,7 @@ class Start:
 
 
 def read_start(path: Path) -> Start:
-    """Read where a fit starts; the file's content tells its kind.
-
-    ParameterFileError, in one line: none of these files, or a value that no car has.
-    """
+    """Read where a fit starts, from a file whose content tells its kind; ParameterFileError if none does."""
     notes: list[str] = []
     try:
         content = read_regular(path, DEFAULT_LIMITS.size)

@@ -33,45 +33,25 @@ MAX_SLIP = 1.5
 
 
 class CarState(NamedTuple):
-    """State of the car at a frame; SI units of the model car.
+    """State of the car at a frame; SI units of the model car."""
 
-    Attributes:
-        x: position of the centre of mass, m.
-        y: position of the centre of mass, m.
-        yaw: rad, counter-clockwise.
-        speed: forward, of the centre of mass, m/s.
-        lateral_speed: to the left, of the centre of mass, m/s.
-        yaw_rate: rad/s.
-        roll: rad, right side down positive.
-        roll_rate: rad/s.
-        pitch: rad, nose down positive.
-        pitch_rate: rad/s.
-        slip_front_left: tangent of the current slip angle.
-        slip_front_right: the same.
-        slip_rear_left: the same.
-        slip_rear_right: the same.
-        servo: current position of the servo as an angle at the wheels, rad, left positive.
-        steering_angle: mean angle of the front wheels after play, rad, left positive.
-        duty: duty of the motor after the lag of the speed controller, 0 to 1.
-    """
-
-    x: float = 0.0
-    y: float = 0.0
-    yaw: float = 0.0
-    speed: float = 0.0
-    lateral_speed: float = 0.0
-    yaw_rate: float = 0.0
-    roll: float = 0.0
-    roll_rate: float = 0.0
-    pitch: float = 0.0
-    pitch_rate: float = 0.0
-    slip_front_left: float = 0.0
-    slip_front_right: float = 0.0
-    slip_rear_left: float = 0.0
-    slip_rear_right: float = 0.0
-    servo: float = 0.0
-    steering_angle: float = 0.0
-    duty: float = 0.0
+    x: float = 0.0  # position of the centre of mass, m
+    y: float = 0.0  # position of the centre of mass, m
+    yaw: float = 0.0  # rad, counter-clockwise
+    speed: float = 0.0  # forward, of the centre of mass, m/s
+    lateral_speed: float = 0.0  # to the left, of the centre of mass, m/s
+    yaw_rate: float = 0.0  # rad/s
+    roll: float = 0.0  # rad, right side down positive
+    roll_rate: float = 0.0  # rad/s
+    pitch: float = 0.0  # rad, nose down positive
+    pitch_rate: float = 0.0  # rad/s
+    slip_front_left: float = 0.0  # tangent of the current slip angle
+    slip_front_right: float = 0.0  # the same
+    slip_rear_left: float = 0.0  # the same
+    slip_rear_right: float = 0.0  # the same
+    servo: float = 0.0  # current position of the servo as an angle at the wheels, rad, left positive
+    steering_angle: float = 0.0  # mean angle of the front wheels after play, rad, left positive
+    duty: float = 0.0  # duty of the motor after the lag of the speed controller, 0 to 1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -80,10 +60,6 @@ class Constants:
 
     Distances are those from the centre of mass to an axle, m, loads the static ones of a wheel, N, damping and
     stiffness those of the leaning body, N m s/rad and N m/rad.
-
-    Attributes:
-        breakaway: force below which friction holds a standing car, N.
-        motor_gain: share of the way to a new duty that the motor covers in a substep.
     """
 
     step: float
@@ -95,8 +71,8 @@ class Constants:
     pitch_damping: float
     roll_stiffness: float
     pitch_stiffness: float
-    breakaway: float
-    motor_gain: float
+    breakaway: float  # force below which friction holds a standing car, N
+    motor_gain: float  # share of the way to a new duty that the motor covers in a substep
 
     @classmethod
     def of(cls, p: DonkeyParameters, step: float) -> Constants:

@@ -67,23 +67,14 @@ class FitSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Estimate of a fitted parameter.
+    """Estimate of a fitted parameter."""
 
-    Attributes:
-        name: name of the parameter.
-        unit: unit; "1" if dimensionless.
-        value: fitted value, or the start if not determined.
-        low: lower end of the 95% interval; NaN if not determined.
-        high: upper end of the 95% interval; NaN if not determined.
-        start: value from which the fit started.
-    """
-
-    name: str
-    unit: str
-    value: float
-    low: float
-    high: float
-    start: float
+    name: str  # name of the parameter
+    unit: str  # unit; "1" if dimensionless
+    value: float  # fitted value, or the start if not determined
+    low: float  # lower end of the 95% interval; NaN if not determined
+    high: float  # upper end of the 95% interval; NaN if not determined
+    start: float  # value from which the fit started
 
     @property
     def determined(self) -> bool:

@@ -24,20 +24,14 @@ MAX_STATE = 2**24
 
 @dataclass(frozen=True, kw_only=True)
 class FitState:
-    """What a fit knows after a round, from 1 on, of a phase from 1 to 3, which may be settled.
-
-    Attributes:
-        theta: scaled parameters, (parameters,).
-        eta: initial states, (windows, 7).
-        sigma: noise of each channel, (5,).
-    """
+    """What a fit knows after a round, from 1 on, of a phase from 1 to 3, which may be settled."""
 
     phase: int
     round: int
     settled: bool
-    theta: Array
-    eta: Array
-    sigma: Array
+    theta: Array  # scaled parameters, (parameters,)
+    eta: Array  # initial states, (windows, 7)
+    sigma: Array  # noise of each channel, (5,)
 
 
 class Kept:

@@ -48,17 +48,11 @@ class LogError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class Drive:
-    """Part of a log without gaps.
+    """Part of a log without gaps."""
 
-    Attributes:
-        commands: (n, 2) steering and throttle; row i is applied at frame i and held until frame i + 1.
-        measured: (n, 5) measurements, columns as `CHANNELS`, model metres; NaN where the log has no value.
-        from_rest: True if the car stood still with neutral commands before the first row.
-    """
-
-    commands: Array
-    measured: Array
-    from_rest: bool
+    commands: Array  # (n, 2) steering and throttle; row i is applied at frame i and held until frame i + 1
+    measured: Array  # (n, 5) measurements, columns as `CHANNELS`, model metres; NaN where the log has no value
+    from_rest: bool  # True if the car stood still with neutral commands before the first row
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,112 +25,81 @@ GRAVITY = 9.81
 
 @dataclass(frozen=True, kw_only=True)
 class DonkeyParameters:
-    """Parameters of the car, its tyres, steering servo and motor; lengths in model metres.
+    """Parameters of the car, its tyres, steering servo and motor; lengths in model metres."""
 
-    Attributes:
-        wheelbase: m; chassis (0.174), 2.78 road metres.
-        track: distance between the wheels of an axle, m; chassis (0.13 to 0.14).
-        mass: mass of the whole car, kg; chosen: chassis 0.9; computer, power bank, plate and cage 0.5.
-        front_share: share of the static load on the front axle, 0 to 1; chosen: battery and plate are in the
-            middle.
-        yaw_inertia: kg m^2; a uniform box of 0.28 x 0.18 m with this mass.
-        centre_of_mass_height: m; F1TENTH has 0.074 at 1:10, 0.046 at 1:16; chosen 0.05 for the plate and
-            the cage.
-        roll_inertia: inertia about the roll axis on the ground, kg m^2; box of 0.18 x 0.10 m at that height.
-        pitch_inertia: inertia about the pitch axis on the ground, kg m^2; box of 0.28 x 0.10 m at that height.
-        roll_frequency: undamped natural frequency, Hz; chosen: short stiff springs under a small car.
-        pitch_frequency: undamped natural frequency, Hz; chosen as above.
-        body_damping: damping ratio of the roll and pitch modes; chosen: oil dampers of the chassis.
-        roll_front_share: share of the roll stiffness on the front axle, 0 to 1; chosen: equal springs.
-
-        friction: peak tyre force over load; chosen: rubber on a smooth floor has 0.8 to 0.9 (F1TENTH 1.05 on
-            asphalt).
-        shape: shape factor C of the Magic Formula for lateral force; Pacejka, Tire and Vehicle Dynamics, ch. 4: 1.3.
-        front_stiffness: slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 4.718.
-        rear_stiffness: slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 5.4562.
-        load_sensitivity: relative loss of friction per relative increase of load; chosen: low end of road tyres
-            (0.05 to 0.2).
-        relaxation_length: m; Pacejka ch. 7: of the order of the wheel's radius (0.0315), less for a stiff
-            carcass.
-        carcass_damping: time constant of the carcass as a spring with a damper, s; chosen: oscillations then decay in
-            about two cycles, as in rubber.
-        rolling_resistance: force over load of tyres and gears with the motor off; chosen: a deceleration of 2.4 road
-            m/s^2, the upper end of tyres on a hard floor (0.01 to 0.015).
-        ackermann: share of the exact Ackermann geometry, 0 parallel to 1 exact; chosen: typical linkage of
-            the chassis.
-
-        max_steering_angle: mean angle of the front wheels for |steering| = 1, rad; 35 degrees: the stock
-            linkage gives 25 to 30 and a longer servo horn 35 to 38 (template's own model: 45).
-        steering_trim: angle of the wheels with the servo centred, rad, left positive; 0: trimmed with
-            `calibrate`.
-        steering_pulse_steps: pulse counts from centre to lock; template, (460 - 290) / 2.
-        servo_rate: largest rate of the wheels, rad/s; Hitec HS-311 data sheet: 60 degrees of the horn in 0.15 to
-            0.19 s without load (5.5 to 7 rad/s), times a linkage ratio of about 0.8.
-        servo_lag: time constant of the servo's position loop, s; chosen: one and a half pulse periods at 60 Hz.
-        servo_backlash: total play of gears, servo saver and linkage at the wheels, rad; chosen: 1 degree.
-        command_delay: delay from command to pulse, s; chosen: half a 50 ms drive loop and one 16.7 ms pulse
-            period.
-
-        throttle_pulse_steps: pulse counts from stop to full; template, 500 - 370.
-        throttle_dead_band: throttle below which the speed controller outputs nothing; chosen: a neutral range of 6%,
-            as car controllers have, with the stop pulse calibrated towards its edge (template's MIN_THROTTLE:
-            0.1). With a wider one, a car that stops with steering near 1 would not start again.
-        start_duty: duty just above the dead band; chosen: the car then runs at the template's MIN_SPEED,
-            0.1 m/s.
-        full_duty: duty at throttle 1; chosen: calibrated so that full throttle suits a 30 km/h road at
-            1:16.
-        free_speed: speed of the car at duty 1 without friction, m/s; chassis (25 to 30 km/h).
-        stall_force: force at the tyres at duty 1 and standstill, N; chosen: 380-size motor, 0.07 N m, geared 6.6
-            to 1, wheels of 31.5 mm (template's WHEEL_RADIUS), efficiency 0.7.
-        drag_brake: braking while the throttle is in the dead band, as a share of that of the shorted motor;
-            chosen: the lowest setting of speed controllers, 5 to 10%.
-        motor_lag: time constant from pulse to motor voltage, s; chosen: the speed controller's soft start.
-        rotating_mass: inertia of wheels, gears and rotor as equivalent mass at the tyres, kg; a 380-size rotor of
-            18 g cm^2 geared as above (0.08) and four wheels of 35 g (0.07).
-        drive_front_share: share of the drive force on the front axle, 0 to 1; chassis: shaft drive, equal
-            differentials.
-    """
-
-    wheelbase: float = 0.174
-    track: float = 0.135
-    mass: float = 1.4
+    wheelbase: float = 0.174  # m; chassis (0.174), 2.78 road metres
+    track: float = 0.135  # distance between the wheels of an axle, m; chassis (0.13 to 0.14)
+    mass: float = 1.4  # mass of the whole car, kg; chosen: chassis 0.9; computer, power bank, plate and cage 0.5
+    # Share of the static load on the front axle, 0 to 1; chosen: battery and plate are in the middle.
     front_share: float = 0.5
-    yaw_inertia: float = 0.0129
+    yaw_inertia: float = 0.0129  # kg m^2; a uniform box of 0.28 x 0.18 m with this mass
+    # m; F1TENTH has 0.074 at 1:10, 0.046 at 1:16; chosen 0.05 for the plate and the cage.
     centre_of_mass_height: float = 0.05
+    # Inertia about the roll axis on the ground, kg m^2; box of 0.18 x 0.10 m at that height.
     roll_inertia: float = 0.0084
+    # Inertia about the pitch axis on the ground, kg m^2; box of 0.28 x 0.10 m at that height.
     pitch_inertia: float = 0.0138
-    roll_frequency: float = 5.0
-    pitch_frequency: float = 5.0
-    body_damping: float = 0.35
-    roll_front_share: float = 0.5
+    roll_frequency: float = 5.0  # undamped natural frequency, Hz; chosen: short stiff springs under a small car
+    pitch_frequency: float = 5.0  # undamped natural frequency, Hz; chosen as above
+    body_damping: float = 0.35  # damping ratio of the roll and pitch modes; chosen: oil dampers of the chassis
+    roll_front_share: float = 0.5  # share of the roll stiffness on the front axle, 0 to 1; chosen: equal springs
 
+    # Peak tyre force over load; chosen: rubber on a smooth floor has 0.8 to 0.9 (F1TENTH 1.05 on asphalt).
     friction: float = 0.85
+    # Shape factor C of the Magic Formula for lateral force; Pacejka, Tire and Vehicle Dynamics, ch. 4: 1.3.
     shape: float = 1.3
-    front_stiffness: float = 4.95
-    rear_stiffness: float = 5.72
+    front_stiffness: float = 4.95  # slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 4.718
+    rear_stiffness: float = 5.72  # slip stiffness over load, 1/rad; F1TENTH, 1.0489 x 5.4562
+    # Relative loss of friction per relative increase of load; chosen: low end of road tyres (0.05 to 0.2).
     load_sensitivity: float = 0.05
+    # m; Pacejka ch. 7: of the order of the wheel's radius (0.0315), less for a stiff carcass.
     relaxation_length: float = 0.02
+    # Time constant of the carcass as a spring with a damper, s; chosen: oscillations then decay in about two cycles, as
+    # in rubber.
     carcass_damping: float = 0.012
+    # Force over load of tyres and gears with the motor off; chosen: a deceleration of 2.4 road m/s^2, the upper end of
+    # tyres on a hard floor (0.01 to 0.015).
     rolling_resistance: float = 0.015
+    # Share of the exact Ackermann geometry, 0 parallel to 1 exact; chosen: typical linkage of the chassis.
     ackermann: float = 0.6
 
+    # Mean angle of the front wheels for |steering| = 1, rad; 35 degrees: the stock linkage gives 25 to 30 and a longer
+    # servo horn 35 to 38 (template's own model: 45).
     max_steering_angle: float = math.radians(35.0)
+    # Angle of the wheels with the servo centred, rad, left positive; 0: trimmed with `calibrate`.
     steering_trim: float = 0.0
-    steering_pulse_steps: int = 85
+    steering_pulse_steps: int = 85  # pulse counts from centre to lock; template, (460 - 290) / 2
+    # Largest rate of the wheels, rad/s; Hitec HS-311 data sheet: 60 degrees of the horn in 0.15 to 0.19 s without load
+    # (5.5 to 7 rad/s), times a linkage ratio of about 0.8.
     servo_rate: float = 4.8
+    # Time constant of the servo's position loop, s; chosen: one and a half pulse periods at 60 Hz.
     servo_lag: float = 0.025
+    # Total play of gears, servo saver and linkage at the wheels, rad; chosen: 1 degree.
     servo_backlash: float = math.radians(1.0)
+    # Delay from command to pulse, s; chosen: half a 50 ms drive loop and one 16.7 ms pulse period.
     command_delay: float = 0.042
 
-    throttle_pulse_steps: int = 130
+    throttle_pulse_steps: int = 130  # pulse counts from stop to full; template, 500 - 370
+    # Throttle below which the speed controller outputs nothing; chosen: a neutral range of 6%, as car controllers have,
+    # with the stop pulse calibrated towards its edge (template's MIN_THROTTLE: 0.1). With a wider one, a car that stops
+    # with steering near 1 would not start again.
     throttle_dead_band: float = 0.04
+    # Duty just above the dead band; chosen: the car then runs at the template's MIN_SPEED, 0.1 m/s.
     start_duty: float = 0.0325
+    # Duty at throttle 1; chosen: calibrated so that full throttle suits a 30 km/h road at 1:16.
     full_duty: float = 0.19
-    free_speed: float = 8.0
+    free_speed: float = 8.0  # speed of the car at duty 1 without friction, m/s; chassis (25 to 30 km/h)
+    # Force at the tyres at duty 1 and standstill, N; chosen: 380-size motor, 0.07 N m, geared 6.6 to 1, wheels of 31.5
+    # mm (template's WHEEL_RADIUS), efficiency 0.7.
     stall_force: float = 10.3
+    # Braking while the throttle is in the dead band, as a share of that of the shorted motor; chosen: the lowest
+    # setting of speed controllers, 5 to 10%.
     drag_brake: float = 0.05
-    motor_lag: float = 0.12
+    motor_lag: float = 0.12  # time constant from pulse to motor voltage, s; chosen: the speed controller's soft start
+    # Inertia of wheels, gears and rotor as equivalent mass at the tyres, kg; a 380-size rotor of 18 g cm^2 geared as
+    # above (0.08) and four wheels of 35 g (0.07).
     rotating_mass: float = 0.15
+    # Share of the drive force on the front axle, 0 to 1; chassis: shaft drive, equal differentials.
     drive_front_share: float = 0.5
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ TEXTURE_SIZE = 512
 
 @dataclass(frozen=True)
 class Textures:
-    """Textures of one look, uint8 RGBA."""
+    """Textures of one look, (TEXTURE_SIZE, TEXTURE_SIZE, 4) uint8 RGBA: grass, its pyramid and mean, and asphalt."""
 
     grass: tuple[NDArray[np.uint8], ...]
     asphalt: NDArray[np.uint8]

@@ -90,19 +90,13 @@ MOST_TEXELS = 16_384
 
 @dataclass(frozen=True)
 class AlongRoad:
-    """Textures whose columns run along the road; full where a piece covers it. All but the patches have one row.
+    """Textures whose columns run along the road; full where a piece covers it. All but the patches have one row."""
 
-    Attributes:
-        frame: distance along the road at which the textures start, m, and the inverse of their length, 1/m.
-        bare: no paint on the left, centre and right line.
-        repaired: patches; rows from the left border of the road to the right one.
-        shaded: shadows across the road.
-    """
-
+    # Distance along the road at which the textures start, m, and the inverse of their length, 1/m.
     frame: tuple[float, float]
-    bare: Any
-    repaired: Any
-    shaded: Any
+    bare: Any  # no paint on the left, centre and right line
+    repaired: Any  # patches; rows from the left border of the road to the right one
+    shaded: Any  # shadows across the road
 
 
 def along_road(course: Course, conditions: Conditions, rng: np.random.Generator) -> AlongRoad:

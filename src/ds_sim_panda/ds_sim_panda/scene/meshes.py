@@ -59,23 +59,14 @@ def strip_triangles(rows: int, columns: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Course:
-    """Centre line of a road with a straight lead at either end, relative to `origin`.
+    """Centre line of a road with a straight lead at either end, relative to `origin`."""
 
-    Attributes:
-        origin: corner of the road's bounding box in the road frame, (2,), m.
-        points: (n, 2), m.
-        right: unit vectors to the right of each point, (n, 2).
-        along: distance along the line from the road's first point, (n,), m.
-        half_width: distance of either border, m.
-        two_lanes: whether there is a centre line.
-    """
-
-    origin: NDArray[np.float64]
-    points: NDArray[np.float64]
-    right: NDArray[np.float64]
-    along: NDArray[np.float64]
-    half_width: float
-    two_lanes: bool
+    origin: NDArray[np.float64]  # corner of the road's bounding box in the road frame, (2,), m
+    points: NDArray[np.float64]  # (n, 2), m
+    right: NDArray[np.float64]  # unit vectors to the right of each point, (n, 2)
+    along: NDArray[np.float64]  # distance along the line from the road's first point, (n,), m
+    half_width: float  # distance of either border, m
+    two_lanes: bool  # whether there is a centre line
 
 
 def course_of(road: Road) -> Course:

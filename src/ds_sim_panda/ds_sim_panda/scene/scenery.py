@@ -16,19 +16,12 @@ from ds_sim_panda.scene.meshes import Course
 
 @dataclass(frozen=True)
 class Things:
-    """Things of one kind.
+    """Things of one kind."""
 
-    Attributes:
-        position: (n, 2), relative to the course's origin, m.
-        size: half length, half width and height, (n, 3), m.
-        yaw: (n,), rad.
-        tint: brightness relative to the material, (n,).
-    """
-
-    position: NDArray[np.float64]
-    size: NDArray[np.float64]
-    yaw: NDArray[np.float64]
-    tint: NDArray[np.float64]
+    position: NDArray[np.float64]  # (n, 2), relative to the course's origin, m
+    size: NDArray[np.float64]  # half length, half width and height, (n, 3), m
+    yaw: NDArray[np.float64]  # (n,), rad
+    tint: NDArray[np.float64]  # brightness relative to the material, (n,)
 
     @property
     def reach(self) -> NDArray[np.float64]:

@@ -21,17 +21,11 @@ Direction = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Daylight:
-    """Light of sun and sky; together they give level ground a luminance of 1.
+    """Light of sun and sky; together they give level ground a luminance of 1."""
 
-    Attributes:
-        towards_sun: where the sun stands.
-        sun: light on a surface that faces the sun, without the sky's, linear RGB.
-        sky: light of the sky on level ground, which is all that a shadow receives, linear RGB.
-    """
-
-    towards_sun: Direction
-    sun: Linear
-    sky: Linear
+    towards_sun: Direction  # where the sun stands
+    sun: Linear  # light on a surface that faces the sun, without the sky's, linear RGB
+    sky: Linear  # light of the sky on level ground, which is all that a shadow receives, linear RGB
 
     @property
     def sun_on_ground(self) -> NDArray[np.float64]:

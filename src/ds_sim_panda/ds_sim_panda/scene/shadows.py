@@ -25,15 +25,10 @@ _BORDER = 8
 
 @dataclass(frozen=True)
 class Shadows:
-    """Map of shadows.
+    """Map of shadows."""
 
-    Attributes:
-        texture: 1 in full shadow of what stands beside the road; in a second channel, if any, in one of conditions.
-        frame: x and y of its corner, m, and its scale, 1/m.
-    """
-
-    texture: Any
-    frame: tuple[float, float, float]
+    texture: Any  # 1 in full shadow of what stands beside the road; in a second channel, if any, in one of conditions
+    frame: tuple[float, float, float]  # x and y of its corner, m, and its scale, 1/m
 
 
 def cast_shadows(solids: Any, course: Course, towards_sun: Direction, along: AlongRoad | None = None) -> Shadows:

@@ -27,23 +27,14 @@ DIAGONAL = math.sqrt(2.0)
 
 @dataclass(frozen=True)
 class Solid:
-    """A shape.
+    """A shape."""
 
-    Attributes:
-        position: (n, 3).
-        normal: unit vectors, (n, 3).
-        texture: coordinates and layer, (n, 3).
-        reflectance: (n, 3) linear RGB.
-        softness: how far sunlight reaches round it, (n,); see `Daylight.on`.
-        triangles: (m, 3).
-    """
-
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    texture: NDArray[np.float64]
-    reflectance: NDArray[np.float64]
-    softness: NDArray[np.float64]
-    triangles: NDArray[np.int64]
+    position: NDArray[np.float64]  # (n, 3)
+    normal: NDArray[np.float64]  # unit vectors, (n, 3)
+    texture: NDArray[np.float64]  # coordinates and layer, (n, 3)
+    reflectance: NDArray[np.float64]  # (n, 3) linear RGB
+    softness: NDArray[np.float64]  # how far sunlight reaches round it, (n,); see `Daylight.on`
+    triangles: NDArray[np.int64]  # (m, 3)
 
 
 @cache

@@ -26,40 +26,32 @@ class MultiBodyParameters:
     The steering has the published limits of angle and rate: 0.4 rad/s suffices for the training roads. The published
     input is the acceleration that the drive asks for, turned into torques at the wheels; the tyres have no rolling
     resistance.
-
-    Attributes:
-        parameter_set: number of the published set, see `published.CARS`; chosen: 1, a Ford Escort, a compact car with
-            front-wheel drive, which neither siblings nor twin have.
-        slip_side_force: side force of a tyre by its longitudinal slip, over its load (`r_vy1`). Published are -0.0278,
-            of one tyre, for all wheels, with which the car strays 0.8 m over 200 m of straight road; chosen: 0, as
-            tyres on both sides of a car mirror each other.
-
-        drive_acceleration: acceleration at full throttle, m/s^2; chosen: 0 to 20 km/h in 3 s under the paper's
-            equation 2.
-        max_speed: speed at which the limiter sets in, m/s; paper 4.2.4: 30 km/h.
-        limiter_band: speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
-        regenerative_deceleration: deceleration without throttle, m/s^2; chosen: 0.2 g, that of Nissan's e-Pedal.
-        fade_speed: speed below which that fades out, m/s; chosen: walking pace, 5 km/h.
-        neutral_throttle: throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal maps
-            use about the first fifth for braking.
-
-        substeps: least number of substeps per step of 1/20 s; chosen: 10, so that one takes at most 5 ms.
-        stable_step: largest substep times the rate of the fastest tyre mode, which divides substeps the further the
-            slower the car is; chosen: 1.5, half of Runge-Kutta's limit of 2.79, as the load of a wheel can nearly
-            double. Halving both moves the car by at most 0.1 mm on a road.
     """
 
+    # Number of the published set, see `published.CARS`; chosen: 1, a Ford Escort, a compact car with front-wheel drive,
+    # which neither siblings nor twin have.
     parameter_set: int = 1
+    # Side force of a tyre by its longitudinal slip, over its load (`r_vy1`). Published are -0.0278, of one tyre, for
+    # all wheels, with which the car strays 0.8 m over 200 m of straight road; chosen: 0, as tyres on both sides of a
+    # car mirror each other.
     slip_side_force: float = 0.0
 
+    # Acceleration at full throttle, m/s^2; chosen: 0 to 20 km/h in 3 s under the paper's equation 2.
     drive_acceleration: float = 2.5
-    max_speed: float = 30.0 / 3.6
+    max_speed: float = 30.0 / 3.6  # speed at which the limiter sets in, m/s; paper 4.2.4: 30 km/h
+    # Speed range over which the limiter reduces the drive to zero, m/s; chosen: a tenth of the speed.
     limiter_band: float = 3.0 / 3.6
+    # Deceleration without throttle, m/s^2; chosen: 0.2 g, that of Nissan's e-Pedal.
     regenerative_deceleration: float = 0.2 * GRAVITY
-    fade_speed: float = 5.0 / 3.6
+    fade_speed: float = 5.0 / 3.6  # speed below which that fades out, m/s; chosen: walking pace, 5 km/h
+    # Throttle that neither drives nor brakes above the fade speed, 0 to 1; chosen: one-pedal maps use about the first
+    # fifth for braking.
     neutral_throttle: float = 0.2
 
-    substeps: int = 10
+    substeps: int = 10  # least number of substeps per step of 1/20 s; chosen: 10, so that one takes at most 5 ms
+    # Largest substep times the rate of the fastest tyre mode, which divides substeps the further the slower the car is;
+    # chosen: 1.5, half of Runge-Kutta's limit of 2.79, as the load of a wheel can nearly double. Halving both moves the
+    # car by at most 0.1 mm on a road.
     stable_step: float = 1.5
 
     def __post_init__(self) -> None:
