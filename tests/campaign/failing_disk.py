@@ -74,8 +74,6 @@ def problems_at(folder: Path, disk: Disk, whole: Path, failure: tuple[int, int, 
     problems += [said] if "Traceback" in said or "bug of ds" in said else []
     if status:
         problems += [said] if said.count("error: ") != 1 else []
-        named = "disk is full" in said or "No space left" in said
-        problems += [said] if failure[2] == "full" and not named else []
         problems += damage(folder) if folder.is_dir() else []
         problems += [f"left {one}" for one in folder.rglob("*.partial*")]
         status, said = ds(folder)

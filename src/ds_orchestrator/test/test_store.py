@@ -6,6 +6,9 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 
+import pytest
+
+from ds_base.folder_files import StoreError
 from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store, seconds_of
 from ds_road import Road
@@ -30,3 +33,12 @@ def test_a_stored_road_keeps_its_lane_its_width_and_its_form(tmp_path: Path) -> 
         for test in tests:
             store.add_test(test)
         assert store.tests() == tests
+
+
+def test_a_full_disk_is_said_and_what_was_stored_stays(tmp_path: Path) -> None:
+    with closing(Store(tmp_path / "campaign.sqlite", config="{}")) as store:
+        store.note("kept", "1")
+        store._file.ask("PRAGMA max_page_count=1")  # which SQLite raises to the present size
+        with pytest.raises(StoreError, match="cannot grow, the disk is full: make room, and give the same command ag"):
+            store.note("long", "x" * 100_000)
+        assert store.notes().keys() == {"config", "kept"}
