@@ -206,58 +206,54 @@ def check_robustness(
     unions = [maps[MapId.union(sibling)] for sibling in siblings]
     compared, truth = [*unions, maps[MapId.merged()]], maps[MapId.twin(twin)]
     checks = []
+
+    def add(
+        what: str,
+        m: FeatureMap,
+        against: FeatureMap,
+        value: str,
+        values: tuple[Array, Array] | None = None,
+        curve: Callable[[Array, Array], float] | None = None,
+    ) -> None:
+        """Compare by values of both maps, those of the cells that both fill if None."""
+        predicted, of_against = values or paired_values(m, against, value)
+        r, p, _ = pearson_or_reason(predicted, of_against, value)
+        auc = curve(predicted, of_against) if curve is not None and has_both_outcomes(of_against) else None
+        cells = len(predicted)
+        checks.append(
+            RobustnessCheck(what=what, map=m.id, against=against.id, value=value, cells=cells, r=r, p=p, auc=auc)
+        )
+
     for value, m in product(QUESTIONS, compared):
-        checks.append(_check("all cells of the bounds, empty ones as -2 (maxitwo)", *_filled(m, truth, value)))
+        add("all cells of the bounds, empty ones as -2 (maxitwo)", m, truth, value, _filled(m, truth, value))
     for value, m in product(QUESTIONS, compared):
-        values, against = paired_values(m, truth, value)
-        both = (values > 0) & (against > 0)
-        checks.append(_check("only cells above 0 in both (maxitwo)", m, truth, value, values[both], against[both]))
+        predicted, failures = paired_values(m, truth, value)
+        both = (predicted > 0) & (failures > 0)
+        add("only cells above 0 in both (maxitwo)", m, truth, value, (predicted[both], failures[both]))
     for value, m in product(QUESTIONS, compared):
-        checks.append(_check("AUC of ROC (maxitwo)", m, truth, value, *paired_values(m, truth, value), curve=auc_roc))
+        add("AUC of ROC (maxitwo)", m, truth, value, curve=auc_roc)
     for value, m in product(QUESTIONS, compared):
-        what = "AUC-PRC by trapezoids"
-        checks.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc_by_trapezoids))
+        add("AUC-PRC by trapezoids", m, truth, value, curve=auc_prc_by_trapezoids)
     for m in compared:
-        values, against = paired_values(m, truth, "pooled_quality_loss")
-        what = "quality as mean over a union's tests (maxitwo)"
-        checks.append(_check(what, m, truth, "quality_loss", values, against, curve=auc_prc))
+        pooled = paired_values(m, truth, "pooled_quality_loss")
+        add("quality as mean over a union's tests (maxitwo)", m, truth, "quality_loss", pooled, auc_prc)
     for value, sibling in product(QUESTIONS, siblings):
-        m, against_own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]
-        what = "a sibling's own search, without migration (maxitwo)"
-        checks.append(_check(what, m, against_own, value, *paired_values(m, against_own, value), curve=auc_prc))
+        own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]
+        add("a sibling's own search, without migration (maxitwo)", *own, value, curve=auc_prc)
     if len(unions) > 1:
         for value, operator in product(QUESTIONS, OPERATORS):
             m = merge(MapId.merged(), unions, probability=operator, quality_loss=operator)
-            what = f"merged by {operator.replace('_', ' ')}"
-            checks.append(_check(what, m, truth, value, *paired_values(m, truth, value), curve=auc_prc))
+            add(f"merged by {operator.replace('_', ' ')}", m, truth, value, curve=auc_prc)
     for one, other in combinations(unions, 2):
-        checks.append(
-            _check("sibling against sibling (maxitwo)", one, other, "probability", *paired_values(one, other))
-        )
+        add("sibling against sibling (maxitwo)", one, other, "probability")
     return checks
 
 
-def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[FeatureMap, FeatureMap, str, Array, Array]:
-    """Fill both maps over their common bounds, with `EMPTY` in cells without tests."""
+def _filled(m: FeatureMap, truth: FeatureMap, value: str) -> tuple[Array, Array]:
+    """Values of both maps over their common bounds, `EMPTY` in cells without tests."""
     filled = set(m.cells) | set(truth.cells)
     axes = [range(min(axis), max(axis) + 1) for axis in zip(*filled, strict=True)]
     cells = list(product(*axes)) if filled else []
     values = [EMPTY if cell not in m.cells else float(getattr(m.cells[cell], value)) for cell in cells]
     against = [EMPTY if cell not in truth.cells else truth.cells[cell].probability for cell in cells]
-    return m, truth, value, np.array(values, np.float64), np.array(against, np.float64)
-
-
-def _check(
-    what: str,
-    m: FeatureMap,
-    against: FeatureMap,
-    value: str,
-    predicted: Array,
-    truth: Array,
-    *,
-    curve: Callable[[Array, Array], float] | None = None,
-) -> RobustnessCheck:
-    r, p, _ = pearson_or_reason(predicted, truth, value)
-    auc = curve(predicted, truth) if curve is not None and has_both_outcomes(truth) else None
-    numbers = {"cells": len(predicted), "r": r, "p": p, "auc": auc}
-    return RobustnessCheck(what=what, map=m.id, against=against.id, value=value, **numbers)  # type: ignore[arg-type]
+    return np.array(values, np.float64), np.array(against, np.float64)

@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from ds_analysis.common.statistics import Array, caution_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference, RobustnessCheck
@@ -16,28 +15,16 @@ from ds_sim.registry import SimulatorName
 Kind = Literal["sim", "real"]
 
 
-@dataclass(frozen=True)
-class PaperRow:
-    """One row of the tables of RQ2 and RQ3.
-
-    Attributes:
-        r: Pearson correlation with the twin's failure probability.
-        p: p-value of r; the paper gives most as powers of ten.
-    """
+class PaperRow(NamedTuple):
+    """Row of the tables of RQ2 and RQ3: Pearson's r, its p-value, mostly as a power of ten, and AUC-PRC."""
 
     r: float
     p: float
     auc: float
 
 
-@dataclass(frozen=True)
-class PaperErrors:
-    """One row of the table of RQ1.
-
-    Attributes:
-        distance: Wasserstein distance of the error densities.
-        p: p-value of the Wilcoxon test.
-    """
+class PaperErrors(NamedTuple):
+    """Row of the table of RQ1: Wasserstein distance of the error densities, and p-value of the Wilcoxon test."""
 
     distance: float
     p: float
