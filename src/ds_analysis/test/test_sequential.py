@@ -8,7 +8,7 @@ import pytest
 from compared_drives import NEW, OLD, pairs
 
 from ds_analysis.comparison.analysis import answer_of, compare_networks, is_sure
-from ds_analysis.comparison.sequential import sequential_evidence
+from ds_analysis.comparison.paired_drives import sequential_evidence
 from ds_sim.registry import SimulatorName
 
 

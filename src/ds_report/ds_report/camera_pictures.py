@@ -239,8 +239,10 @@ def camera_picture(
             image = _paired(reached.image, driver, name)
     except Exception as error:  # a missing or broken simulator must not prevent the report
         return CameraPicture(simulator=name, note=f"no picture: {' '.join(str(error).split())}")
+    lateral = reached.lane.lateral_position
+    side = "right" if lateral >= 0 else "left"
     note = (
-        f"{reached.lane.arc_length:.1f} m along the lane, {_side(reached.lane.lateral_position)} of its centre, "
+        f"{reached.lane.arc_length:.1f} m along the lane, {abs(lateral):.2f} m to the {side} of its centre, "
         f"{3.6 * reached.vehicle.speed:.0f} km/h"
     )
     if reached.lane.arc_length < CAMERA_PLACE:
@@ -257,11 +259,6 @@ def _drive_to(simulator: Simulator, scenario: Scenario) -> Observation:
             break
         latest = simulator.step(autopilot.command(latest.lane.preview_lateral_position, latest.vehicle.speed))
     return latest
-
-
-def _side(lateral_position: float) -> str:
-    """Format a lateral position: `0.42 m to the right`."""
-    return f"{abs(lateral_position):.2f} m to the {'right' if lateral_position >= 0 else 'left'}"
 
 
 def drive_pictures(

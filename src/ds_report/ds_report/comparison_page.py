@@ -34,13 +34,7 @@ class GridCell:
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Difference map of one simulator.
-
-    Attributes:
-        across: title of the axis to the right.
-        up: title of the axis upwards.
-        rows: label and cells of each row, the largest value first.
-    """
+    """Difference map of one simulator: labels, and for each row, the largest first, its label and cells."""
 
     title: str
     across: str

@@ -92,12 +92,7 @@ def merge_tables(folder: Path, data: CampaignData) -> list[Table]:
 
 @dataclass(frozen=True, kw_only=True)
 class SiblingSection:
-    """What each sibling adds, for a page.
-
-    Attributes:
-        roads: number of roads with a verdict on every simulator.
-        tables: baseline, residual correlations, information.
-    """
+    """What each sibling adds, for a page, on roads with a verdict on every simulator."""
 
     roads: int
     sentences: Sequence[str]
@@ -167,12 +162,7 @@ def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> Furt
 
 
 class ShownGroup(NamedTuple):
-    """A group of failures, for a page.
-
-    Attributes:
-        worst: the failure whose test fails on most simulators and worst, which a large campaign's page keeps.
-        address: of its replay; "" if that test is in no map.
-    """
+    """A group of failures, for a page: how many, where, the worst of them, and the address of its replay, or ""."""
 
     failures: int
     where: str

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_base.figures import WIDTH, draw_figure
 from ds_base.palette import ASPHALT, CENTRE_LINE, EDGE_LINE, FAIL, INK, SERIES
-from ds_driver.networks.driver_name import DriverName
 from ds_recording.sibling.recorded_drive import RecordedDrive
 from ds_report.pages import data_address, write_page
 from ds_sim.registry import SimulatorName
@@ -33,7 +32,7 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
         (
             f"{_start(drive, road.lane_centre[0]):.0f} to {_start(drive, road.lane_centre[-1]):.0f}",
             "left its lane" if answer.recorded[index] else "in its lane",
-            [_words(answer, key, index) for key in columns],
+            ["no verdict" if (one := answer.drives[key][index]) is None else one.outcome.words for key in columns],
         )
         for index, road in enumerate(answer.roads)
     ]
@@ -59,11 +58,6 @@ def write_track_page(path: Path, answer: TrackAnswer, drive: RecordedDrive, fact
             for place in places[:PHOTOGRAPHS]
         ],
     )
-
-
-def _words(answer: TrackAnswer, key: tuple[DriverName, SimulatorName], index: int) -> str:
-    one = answer.drives[key][index]
-    return "no verdict" if one is None else one.outcome.words
 
 
 def _short(simulator: SimulatorName) -> str:

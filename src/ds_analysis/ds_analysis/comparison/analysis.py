@@ -12,8 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ds_analysis.common.selection import ALPHA
-from ds_analysis.comparison.paired_drives import Network, PairedCounts, PairedDrive, adjusted, fewest_changes
-from ds_analysis.comparison.sequential import TOLERANCE
+from ds_analysis.comparison.paired_drives import TOLERANCE, Network, PairedCounts, PairedDrive, adjusted, fewest_changes
 from ds_base.table import p_in_words
 from ds_base.words import count
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature
@@ -242,7 +241,10 @@ def advice_of(comparison: Comparison) -> Advice:
         return "do not merge"
     if comparison.newly_failing:
         return "look first"
-    return "not decided" if comparison.left_out or _too_few(comparison) else "merge"
+    needed = fewest_changes(family_of(comparison), sequential=comparison.is_sequential)
+    passed = [row.counts.newly_fail + row.counts.both_pass for row in comparison.simulators]
+    too_few = not comparison.is_identical and any(number < needed for number in passed)
+    return "not decided" if comparison.left_out or too_few else "merge"
 
 
 def answer_of(comparison: Comparison) -> str:
@@ -266,12 +268,6 @@ def answer_of(comparison: Comparison) -> str:
         "Merge? Nothing speaks against it: no drive newly fails; "
         f"at most {max(0, math.ceil(100 * worst))} more failures in 100 such tests are compatible with that."
     )
-
-
-def _too_few(comparison: Comparison) -> bool:
-    needed = fewest_changes(family_of(comparison), sequential=comparison.is_sequential)
-    passed = [row.counts.newly_fail + row.counts.both_pass for row in comparison.simulators]
-    return not comparison.is_identical and any(number < needed for number in passed)
 
 
 def family_of(comparison: Comparison) -> int:

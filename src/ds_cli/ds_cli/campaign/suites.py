@@ -124,7 +124,7 @@ def suite_run_command(
 
     Example: ds suite run suite.json --driver next.yaml --out suite_run --fail-on regression
     """
-    from ds_analysis.comparison.sequential import BATCH
+    from ds_analysis.comparison.paired_drives import BATCH
     from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Callbacks

@@ -91,14 +91,11 @@ class CampaignView:
         grids = self._grids
         if grids is not None and not self._published.is_set():
             self._published.set()
-            self._show_maps(grids)
-
-    def _show_maps(self, grids: Grids) -> None:
-        self._legend.publish(grids.legend)
-        for name, grid in grids.grids.items():
-            if name not in self._maps:
-                self._maps[name] = self._node.create_publisher(OccupancyGrid, f"maps/{name}", self._latched)
-            self._maps[name].publish(stamped(grid, self._node.get_clock().now().to_msg()))
+            self._legend.publish(grids.legend)
+            for name, grid in grids.grids.items():
+                if name not in self._maps:
+                    self._maps[name] = self._node.create_publisher(OccupancyGrid, f"maps/{name}", self._latched)
+                self._maps[name].publish(stamped(grid, self._node.get_clock().now().to_msg()))
 
     def _report(self) -> Report:
         state, warning = self.state, self._warning()
