@@ -13,17 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import (
-    ImageRows,
-    ImageTopic,
-    JsonFlag,
-    RecordedSteering,
-    SteeringFactor,
-    Trust,
-    driver_named,
-    rows_of,
-    simulator_option,
-)
+from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, answer, end, say
 from ds_sim.registry import SimulatorName
 
@@ -50,7 +40,7 @@ def _write_video(
         recorded = read_run(bag, simulator=simulator, seed=seed, trusted=trusted)
         name = bag.facts.get("driver") or "recorded commands"
     try:
-        translate = translation_of(driver_named(name), simulator)
+        translate = translation_of(options.driver_named(name), simulator)
     except ValueError as error:  # the drive is shown without
         translate = None
         say(f"no translated images: {error}")
@@ -62,7 +52,7 @@ def _write_video(
 
 
 @bag_app.command("info")
-def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
+def info_command(folder: BagFolder, as_json: options.JsonFlag = False) -> None:
     """Describe a bag: outcome, road, versions and topics.
 
     A bag of another project is described as far as it is a rosbag2 or ROS 1 bag.
@@ -94,7 +84,7 @@ def info_command(folder: BagFolder, as_json: JsonFlag = False) -> None:
 def recover_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the bag, or its hidden partial folder.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write; DIR_recovered if left out.")] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Recover a bag whose writer was killed.
 
@@ -117,11 +107,11 @@ def recover_command(
 @bag_app.command("redrive")
 def redrive_command(
     folder: BagFolder,
-    sim: Annotated[SimulatorName | None, simulator_option("Simulator in place of the recorded one.")] = None,
+    sim: Annotated[SimulatorName | None, options.simulator_option("Simulator in place of the recorded one.")] = None,
     video: Annotated[Path | None, typer.Option(help="Video of the run to write, .mp4.")] = None,
-    trust: Trust = None,
+    trust: options.Trust = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the run, if the bag has lost it.")] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Re-simulate a recorded run and compare it with the recording, bit by bit.
 
@@ -165,17 +155,17 @@ def drive_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Bags with images, and Donkey Car tubs.")],
     driver: Annotated[str, typer.Option(help="Network: dave2, or a .safetensors or .yaml file.")] = "dave2",
     out: Annotated[Path | None, typer.Option(help="Folder for errors.png, answers.csv and summary.json.")] = None,
-    camera: ImageTopic = None,
-    steering: RecordedSteering = None,
-    factor: SteeringFactor = 1.0,
-    rows: ImageRows = None,
+    camera: options.ImageTopic = None,
+    steering: options.RecordedSteering = None,
+    factor: options.SteeringFactor = 1.0,
+    rows: options.ImageRows = None,
     truth: Annotated[
         Literal["recorded", "autopilot"],
         typer.Option(help="Reference: the recorded steering, or what the autopilot would steer."),
     ] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Images of each recording at most.")] = None,
-    trust: Trust = None,
-    as_json: JsonFlag = False,
+    trust: options.Trust = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Show recorded images to a network (open loop), and compare its steering with the recorded one.
 
@@ -194,12 +184,17 @@ def drive_command(
     from ds_report.steering_error_pictures import draw_errors
 
     reading = Reading(
-        camera=camera, steering=steering, factor=factor, rows=rows_of(rows), truth=truth, trusted=tuple(trust or ())
+        camera=camera,
+        steering=steering,
+        factor=factor,
+        rows=options.rows_of(rows),
+        truth=truth,
+        trusted=tuple(trust or ()),
     )
     recordings = [open_recording(folder, reading) for folder in folders]
     if out is not None and out.exists() and not out.is_dir():
         raise BagError(f"{out} is a file: choose another --out")
-    name = driver_named(driver)
+    name = options.driver_named(driver)
     if name == AUTOPILOT:
         raise BagError(
             "the autopilot follows the road, not images: give a network; `--truth autopilot` compares with it"

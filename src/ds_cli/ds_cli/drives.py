@@ -13,19 +13,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_base.words import duration
-from ds_cli.options import (
-    AttachFlag,
-    Backend,
-    Device,
-    DriverText,
-    JsonFlag,
-    Lane,
-    MaxAngle,
-    Simulator,
-    Wait,
-    complete_value,
-    driver_named,
-)
+from ds_cli import options
 from ds_cli.output import Interrupted, Result, end, say, warning
 from ds_sim.conditions.model import Conditions, ConditionsError
 from ds_sim.registry import SimulatorName
@@ -134,10 +122,10 @@ def _test_in(road: Path | None) -> dict[str, Any]:
 
 @app.command("drive")
 def drive_command(
-    sim: Simulator,
-    driver: DriverText = "dave2",
-    backend: Backend = "auto",
-    device: Device = "cpu",
+    sim: options.Simulator,
+    driver: options.DriverText = "dave2",
+    backend: options.Backend = "auto",
+    device: options.Device = "cpu",
     road: Annotated[
         Path | None,
         typer.Option(
@@ -151,20 +139,20 @@ def drive_command(
             min=0, max=2**32 - 1, help="Seed of the run and of a random road. If left out, as in the road file, or 0."
         ),
     ] = None,
-    max_angle: MaxAngle = 270,
-    lane: Lane = None,
+    max_angle: options.MaxAngle = 270,
+    lane: options.Lane = None,
     conditions: Annotated[
         str | None,
         typer.Option(
             help="Operating conditions, such as line_contrast=0.4,visibility=40. If left out, as in the road file.",
-            autocompletion=complete_value,
+            autocompletion=options.complete_value,
         ),
     ] = None,
     bag: Annotated[Path | None, typer.Option(help="Folder of a rosbag2 to write.")] = None,
     level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     video: Annotated[Path | None, typer.Option(help="Video of the drive to write, .mp4.")] = None,
-    attach: AttachFlag = False,
-    wait: Wait = START_WAIT,
+    attach: options.AttachFlag = False,
+    wait: options.Wait = START_WAIT,
     namespace: Annotated[str, typer.Option(help="Namespace of the simulator.")] = "/ds1",
     engine: Annotated[
         Literal["auto", "graph", "local"],
@@ -177,7 +165,7 @@ def drive_command(
         Literal["error", "failure"],
         typer.Option(help="With failure: exit with 3 if the driver fails on the road; 1 is an error."),
     ] = "error",
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Drive one road with one driver on one simulator.
 
@@ -206,7 +194,7 @@ def drive_command(
     from ds_sim.video import check_path, write_video
 
     chosen = seed if seed is not None else seed_of(road)
-    network = driver_named(driver, backend, device)
+    network = options.driver_named(driver, backend, device)
     under = conditions_in(road) if conditions is None else parse_conditions(conditions)
     way = one_road(road, chosen, max_angle, lane, own=own_road_of(sim) if road is None else None)
     scenario, used_engine = Scenario(way, under, seed=chosen), engine_here(engine, attach=attach)

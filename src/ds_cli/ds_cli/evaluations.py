@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag, Trust, driver_named, simulator_option
+from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, answer
 from ds_sim.registry import SimulatorName
 
@@ -87,13 +87,13 @@ def evaluate_command(
         str | None, typer.Option(help="Without DIR: simulators, separated by commas; all but the twin if left out.")
     ] = None,
     twin: Annotated[
-        SimulatorName | None, simulator_option("Without DIR: simulator that acts as the twin; else donkey.")
+        SimulatorName | None, options.simulator_option("Without DIR: simulator that acts as the twin; else donkey.")
     ] = None,
     images: Annotated[int | None, typer.Option(min=1, help="Images of each simulator at most.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Print the robustness checks and densities too.")] = False,
-    trust: Trust = None,
-    as_json: JsonFlag = False,
+    trust: options.Trust = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
 
@@ -108,12 +108,12 @@ def evaluate_command(
         if data is None:
             raise typer.BadParameter("nothing to evaluate: name a campaign's folder, or a data set with --data")
         names = None if siblings is None else [SimulatorName(name) for name in siblings.split(",")]
-        network = driver_named(driver or "dave2")
+        network = options.driver_named(driver or "dave2")
         tables = _offline_tables(data, network, names, twin or SimulatorName("donkey"), images, trusted)
         answer(tables_result(tables, out, ds_command("test", network), everything=everything), as_json)
         return
-    if options := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
-        raise typer.BadParameter(f"--{options[0]} is the campaign's: leave it out, or leave out {folder}")
+    if of_campaign := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
+        raise typer.BadParameter(f"--{of_campaign[0]} is the campaign's: leave it out, or leave out {folder}")
     from ds_analysis.paper.campaign_contents import maps_of
     from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
     from ds_analysis.paper.open_loop import OpenLoopError

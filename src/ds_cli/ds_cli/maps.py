@@ -14,7 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ds_base.installation import ds_command
-from ds_cli.options import Folder, JsonFlag
+from ds_cli import options
 from ds_cli.output import Result, answer
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ def _style(value: float) -> str:
 
 @app.command("maps")
 def maps_command(
-    folder: Folder,
+    folder: options.Folder,
     name: Annotated[
         str | None, typer.Option("--map", help="Map to show; every simulator's and the merged one if left out.")
     ] = None,
@@ -128,7 +128,7 @@ def maps_command(
         str | None,
         typer.Option(help="Two or three features that span the maps, separated by commas; as configured if left out."),
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Show a campaign's feature maps, or those of imported outcomes, as coloured grids.
 

@@ -13,19 +13,7 @@ from rich.table import Table
 
 from ds_base.bounded_json import read_json
 from ds_base.installation import ds_command
-from ds_cli.options import (
-    ALL,
-    ImageRows,
-    ImageTopic,
-    JsonFlag,
-    RecordedSteering,
-    Seed,
-    Simulators,
-    SteeringFactor,
-    Trust,
-    every_or_named,
-    rows_of,
-)
+from ds_cli import options
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say, say_next
 
 app = typer.Typer()
@@ -45,10 +33,10 @@ def collect_command(
         ),
     ] = None,
     mutants: Annotated[int, typer.Option(min=0, max=100, help="With --road: mutants of each road.")] = 0,
-    seed: Seed = 1,
+    seed: options.Seed = 1,
     every: Annotated[int, typer.Option(min=1, help="Keep every Nth frame.")] = 1,
     disturbance: Annotated[float, typer.Option(min=0.0, max=1.0, help="Strength of random steering pushes.")] = 0.0,
-    sims: Simulators = ALL,
+    sims: options.Simulators = options.ALL,
 ) -> None:
     """Collect labelled driving data with the autopilot.
 
@@ -58,7 +46,7 @@ def collect_command(
     from ds_driver.data.collection import CollectionPlan, collect, given_roads
     from ds_driver.data.dataset import DatasetError, write_manifest
 
-    simulators = every_or_named(sims)
+    simulators = options.every_or_named(sims)
     if (road is None and mutants) or (road is not None and roads is not None):
         raise DatasetError("expected either --roads for random roads, or --road FILE and perhaps --mutants")
     roads_to_drive = None if road is None else given_roads(road, mutants=mutants, seed=seed)
@@ -81,15 +69,15 @@ def import_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Donkey Car tubs and bags with images.")],
     out: Annotated[Path, typer.Option(help="Folder of the data set, new or existing.")],
     name: Annotated[str, typer.Option(help="Name of the car, in the place of a simulator's.")] = "car",
-    camera: ImageTopic = None,
-    steering: RecordedSteering = None,
-    factor: SteeringFactor = 1.0,
-    rows: ImageRows = None,
-    trust: Trust = None,
+    camera: options.ImageTopic = None,
+    steering: options.RecordedSteering = None,
+    factor: options.SteeringFactor = 1.0,
+    rows: options.ImageRows = None,
+    trust: options.Trust = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse a recording with an image that cannot be read.")
     ] = False,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Import recorded drives of a real car into a data set.
 
@@ -100,7 +88,9 @@ def import_command(
     from ds_base.left_out import LeftOut
     from ds_driver.data.recordings import Reading, import_recordings, open_recording
 
-    reading = Reading(camera=camera, steering=steering, factor=factor, rows=rows_of(rows), trusted=tuple(trust or ()))
+    reading = Reading(
+        camera=camera, steering=steering, factor=factor, rows=options.rows_of(rows), trusted=tuple(trust or ())
+    )
     left_out = LeftOut("images", strict)
     recordings = [open_recording(folder, reading) for folder in folders]
     imported = import_recordings(recordings, out, name, ScreenProgress(), left_out)
@@ -128,7 +118,7 @@ def train_command(
             "--from", metavar="NET", help="Continue from a shipped network or a .safetensors file: fine-tuning."
         ),
     ] = None,
-    seed: Seed = 1,
+    seed: options.Seed = 1,
     schedule: Annotated[str, typer.Option(help="Training schedule: laptop, or paper, which needs a GPU.")] = "laptop",
     epochs: Annotated[int | None, typer.Option(min=1, help="Epochs at most; the schedule's if left out.")] = None,
     images: Annotated[int | None, typer.Option(min=1, help="Images per simulator; all if left out.")] = None,
@@ -136,7 +126,7 @@ def train_command(
     weights_at: Annotated[str, typer.Option(help="Steps after which weights are written, too: 100,200,400.")] = "",
     threads: Annotated[int, typer.Option(min=1, help="CPU threads.")] = 2,
     device: Annotated[str, typer.Option(help="auto, cpu or cuda.")] = "auto",
-    trust: Trust = None,
+    trust: options.Trust = None,
 ) -> None:
     """Train one network for all simulators of a data set.
 
@@ -177,7 +167,7 @@ def _steps_of(text: str) -> tuple[int, ...]:
 
 
 @app.command("models")
-def models_command(as_json: JsonFlag = False) -> None:
+def models_command(as_json: options.JsonFlag = False) -> None:
     """List the shipped networks and their success rates.
 
     Example: ds models

@@ -108,6 +108,26 @@ Cluster = Annotated[
     ),
 ]
 
+FailOn = Annotated[
+    Literal["failure", "regression", "worse"] | None,
+    typer.Option(
+        help="Exit with 3 if any test fails (failure), if any newly fails (regression), or if the network is "
+        "significantly worse on some simulator (worse)."
+    ),
+]
+FailOnFailure = Annotated[Literal["failure"] | None, typer.Option(help="Exit with 3 if the driver fails on any test.")]
+MaxFailures = Annotated[
+    str | None,
+    typer.Option(metavar="N|P%", help="Exit with 3 if more tests fail on some simulator, such as 5% or 3."),
+]
+Junit = Annotated[Path | None, typer.Option(metavar="FILE.xml", help="JUnit XML to write.")]
+Markdown = Annotated[
+    Path | None, typer.Option(metavar="FILE.md", help="Markdown summary to write, for a pull request.")
+]
+Videos = Annotated[
+    Path | None, typer.Option(metavar="DIR", help="Folder for a video of each failed drive, ten at most.")
+]
+
 DriverText = Annotated[
     str,
     typer.Option(

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag
+from ds_cli import options
 from ds_cli.output import Result, answer, say, say_next
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def outcomes_import_command(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse a row that cannot be read, and a feature with empty cells.")
     ] = False,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Make a study of the same tests' outcomes on any simulators, to predict, propose drives and compare.
 

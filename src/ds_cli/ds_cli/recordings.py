@@ -9,18 +9,7 @@ from typing import Annotated
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.campaign.compare_results import FailOnFailure
-from ds_cli.options import (
-    Backend,
-    DriverText,
-    ImageTopic,
-    JsonFlag,
-    RecordedSteering,
-    SteeringFactor,
-    Workers,
-    driver_named,
-    with_engine_without_ros,
-)
+from ds_cli import options
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
 
 app = typer.Typer()
@@ -49,8 +38,8 @@ def recording_test_command(
     lane_width: LaneWidth,
     camera: CameraFile,
     out: Annotated[Path, typer.Option(help="Folder for the result; a stopped test is resumed.")],
-    driver: DriverText = "dave2",
-    backend: Backend = "auto",
+    driver: options.DriverText = "dave2",
+    backend: options.Backend = "auto",
     roads: Annotated[int, typer.Option(min=1, max=200, help="Roads to cut at most.")] = 20,
     crop_top: Annotated[
         int | None,
@@ -60,14 +49,14 @@ def recording_test_command(
             help="Of 160 image rows, those at the top that the network does not see; 40 for shipped ones, or 0.",
         ),
     ] = None,
-    topic: ImageTopic = None,
-    steering: RecordedSteering = None,
-    factor: SteeringFactor = 1.0,
+    topic: options.ImageTopic = None,
+    steering: options.RecordedSteering = None,
+    factor: options.SteeringFactor = 1.0,
     odometry: Odometry = None,
     centre: Centre = "yellow",
-    workers: Workers = None,
-    fail_on: FailOnFailure = None,
-    as_json: JsonFlag = False,
+    workers: options.Workers = None,
+    fail_on: options.FailOnFailure = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Test a network on the track of a recording: does it leave its lane there?
 
@@ -85,9 +74,9 @@ def recording_test_command(
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.track_test import PAGE, ROADS, Recording, TrackTest, run_track_test
 
-    network = driver_named(driver, backend)
+    network = options.driver_named(driver, backend)
     check_driver(network, [])
-    settings = with_engine_without_ros(DriveSettings(siblings=(), driver=network), workers, None, None)
+    settings = options.with_engine_without_ros(DriveSettings(siblings=(), driver=network), workers, None, None)
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     recording = Recording(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
@@ -117,12 +106,12 @@ def locate_command(
     lane_width: LaneWidth,
     out: Annotated[Path, typer.Option(help="Folder for the result.")],
     camera: CameraFile,
-    topic: ImageTopic = None,
-    steering: RecordedSteering = None,
-    factor: SteeringFactor = 1.0,
+    topic: options.ImageTopic = None,
+    steering: options.RecordedSteering = None,
+    factor: options.SteeringFactor = 1.0,
     odometry: Odometry = None,
     centre: Centre = "yellow",
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Find where the car was in every image of a recording, and the track it drove on.
 
@@ -165,7 +154,7 @@ def calibrate_command(
     squares: Annotated[str, typer.Option(help="Squares of the board along and across.")] = "8x6",
     size: Annotated[float, typer.Option(min=0.001, max=1.0, help="Side of a square, m.")] = 0.025,
     out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("camera.yaml"),
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Calibrate a camera with photographs of a chessboard, taken at the size of its recordings.
 
@@ -209,7 +198,7 @@ def recording_roads_command(
         float | None,
         typer.Option(min=1.0, help="Distance between two starts, road metres; 20 if left out, less on short tracks."),
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Cut the recorded track into roads to test.
 

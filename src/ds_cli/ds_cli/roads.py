@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag, Lane, MaxAngle, Seed
+from ds_cli import options
 from ds_cli.output import Result, answer, printed_to, say, say_next
 
 if TYPE_CHECKING:
@@ -71,9 +71,9 @@ def one_road(
 
 @road_app.command("generate")
 def road_generate_command(
-    seed: Seed = 0,
+    seed: options.Seed = 0,
     count: Annotated[int, typer.Option(min=1, max=100_000, help="Number of roads.")] = 1,
-    max_angle: MaxAngle = 270,
+    max_angle: options.MaxAngle = 270,
 ) -> None:
     """Print random roads as a JSON list.
 
@@ -90,7 +90,7 @@ def road_generate_command(
 
 @road_app.command("check")
 def road_check_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: JsonFlag = False
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: options.JsonFlag = False
 ) -> None:
     """Check every road of a file: validity, length, curvature and turns.
 
@@ -125,9 +125,9 @@ def road_show_command(
     file: Annotated[
         Path | None, typer.Argument(metavar="FILE", help="File with one road as JSON; a random one if left out.")
     ] = None,
-    seed: Seed = 0,
-    max_angle: MaxAngle = 270,
-    lane: Lane = None,
+    seed: options.Seed = 0,
+    max_angle: options.MaxAngle = 270,
+    lane: options.Lane = None,
     out: Annotated[Path, typer.Option(help="Picture to write, PNG.")] = Path("road.png"),
 ) -> None:
     """Draw a road as a PNG.
@@ -191,7 +191,7 @@ Strict = Annotated[bool, typer.Option("--strict", help="Refuse a file with a roa
 
 @road_app.command("import")
 def road_import_command(
-    files: Files, lane_width: LaneWidth = None, lane: Lane = None, scale: Scale = 1.0, strict: Strict = False
+    files: Files, lane_width: LaneWidth = None, lane: options.Lane = None, scale: Scale = 1.0, strict: Strict = False
 ) -> None:
     """Print the roads of other tools' files as a JSON list, for every verb that takes roads.
 
@@ -214,7 +214,7 @@ def road_cut_command(
     length: Annotated[float, typer.Option(min=20.0, max=900.0, help="Length of a section, m.")] = 200.0,
     every: Annotated[float, typer.Option(min=1.0, help="Distance between the starts of two sections, m.")] = 100.0,
     lane_width: LaneWidth = None,
-    lane: Lane = None,
+    lane: options.Lane = None,
     scale: Scale = 1.0,
     strict: Strict = False,
 ) -> None:
@@ -234,8 +234,8 @@ def road_cut_command(
 
 
 def _chosen(lane_width: float | None, lane: Side | None, scale: float) -> list[object]:
-    options = {"--lane-width": lane_width, "--lane": lane, "--scale": None if scale == 1.0 else scale}
-    return [word for option, value in options.items() if value is not None for word in (option, value)]
+    values = {"--lane-width": lane_width, "--lane": lane, "--scale": None if scale == 1.0 else scale}
+    return [word for option, value in values.items() if value is not None for word in (option, value)]
 
 
 def _print_roads(

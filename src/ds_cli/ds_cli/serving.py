@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.options import Lane, MaxAngle, Seed, Simulator, complete_value
+from ds_cli import options
 from ds_cli.output import say_next
 from ds_sim.registry import SimulatorName
 
@@ -21,7 +21,7 @@ app.add_typer(serve_app, name="serve")
 
 @serve_app.command("donkey")
 def serve_donkey_command(
-    sim: Simulator = SimulatorName("donkey"),
+    sim: options.Simulator = SimulatorName("donkey"),
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 for any free one.")] = 9091,
     host: Annotated[
         str, typer.Option(help="Address to listen on. Clients are not authenticated: keep to this machine.")
@@ -30,12 +30,12 @@ def serve_donkey_command(
         Path | None,
         typer.Option(help="JSON list of roads, driven one after the other; a random one if left out."),
     ] = None,
-    seed: Seed = 0,
-    max_angle: MaxAngle = 270,
-    lane: Lane = None,
+    seed: options.Seed = 0,
+    max_angle: options.MaxAngle = 270,
+    lane: options.Lane = None,
     conditions: Annotated[
         str,
-        typer.Option(help="Operating conditions, such as line_contrast=0.4.", autocompletion=complete_value),
+        typer.Option(help="Operating conditions, such as line_contrast=0.4.", autocompletion=options.complete_value),
     ] = "",
 ) -> None:
     """Serve a simulator to clients of the Donkey simulator, such as gym-donkeycar's environments.

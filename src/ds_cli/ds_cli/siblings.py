@@ -13,23 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import (
-    ALL,
-    Backend,
-    Cluster,
-    DriverText,
-    EngineName,
-    JsonFlag,
-    Lane,
-    MaxAngle,
-    Seed,
-    Simulators,
-    Workers,
-    driver_named,
-    every_or_named,
-    simulator_option,
-    with_engine_without_ros,
-)
+from ds_cli import options
 from ds_cli.output import Result, end, number, say, stopped_in
 from ds_sim.registry import SimulatorName
 
@@ -54,19 +38,19 @@ app.add_typer(siblings_app, name="siblings")
 
 @siblings_app.command("compare")
 def siblings_compare_command(
-    driver: DriverText = "dave2",
-    backend: Backend = "auto",
+    driver: options.DriverText = "dave2",
+    backend: options.Backend = "auto",
     roads: Annotated[int, typer.Option(min=1, help="Random roads.")] = 40,
     file: Annotated[
         Path | None, typer.Option(help="JSON with roads to drive instead of random ones, as of `ds campaign roads`.")
     ] = None,
-    seed: Seed = 40,
-    max_angle: MaxAngle = 270,
-    lane: Lane = None,
-    sims: Simulators = ALL,
+    seed: options.Seed = 40,
+    max_angle: options.MaxAngle = 270,
+    lane: options.Lane = None,
+    sims: options.Simulators = options.ALL,
     twin: Annotated[
         SimulatorName | None,
-        simulator_option(
+        options.simulator_option(
             "Simulator whose failures the others are to predict; donkey if it is among them, else each in turn."
         ),
     ] = None,
@@ -74,10 +58,10 @@ def siblings_compare_command(
         Path | None,
         typer.Option(help="Folder for siblings.json, tables, pictures and drives; a stopped comparison is resumed."),
     ] = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    as_json: JsonFlag = False,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Drive the same roads on several simulators: which fail where, and what each sibling adds.
 
@@ -99,12 +83,14 @@ def siblings_compare_command(
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.same_roads import drive_same_roads
 
-    network, names = driver_named(driver, backend), every_or_named(sims)
+    network, names = options.driver_named(driver, backend), options.every_or_named(sims)
     if len(names) < 2:
         raise ConfigError(f"simulators {', '.join(names)}: expected at least two, as --sims a,b")
     if twin is not None and twin not in names:
         raise ConfigError(f"twin {twin} is not among the simulators {', '.join(names)}: add it to --sims")
-    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster)
+    settings = options.with_engine_without_ros(
+        DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster
+    )
     chosen = roads_of(file, lane, count=roads, seed=seed, max_angle=max_angle)
     if out is not None:
         make_folder(out)

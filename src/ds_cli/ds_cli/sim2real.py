@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag, Simulator
+from ds_cli import options
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 from ds_sim.registry import SimulatorName
 
@@ -25,7 +25,7 @@ def train_command(
         Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
     ],
     out: Annotated[Path, typer.Option(help="Folder; a training that was stopped there is resumed.")],
-    sim: Simulator = SimulatorName("bullet"),
+    sim: options.Simulator = SimulatorName("bullet"),
     preset: Annotated[
         Literal["laptop", "fast", "paper"], typer.Option(help="Sizes and duration; paper needs a GPU.")
     ] = "laptop",
@@ -37,7 +37,7 @@ def train_command(
         list[Path] | None,
         typer.Option(metavar="DIR", help="Data set whose roads must not be among the simulated ones; repeatable."),
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Train a generator for one simulator's images.
 
@@ -92,7 +92,7 @@ def translate_command(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes for a data set; as many as processors if left out.")
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Translate the images of a data set, bag or tub; the same format out.
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag
+from ds_cli import options
 from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
 from ds_sim.conditions.text import format_3sf
 
@@ -34,7 +34,7 @@ def twin_fit_command(
         Path | None,
         typer.Option(help="What to start from: parameters, myconfig.py, or a RoboRacer car's YAML or URDF."),
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Fit the digital twin's parameters to recorded drives.
 

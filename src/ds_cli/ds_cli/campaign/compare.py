@@ -11,27 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.campaign.compare_results import (
-    FailOn,
-    Junit,
-    Markdown,
-    MaxFailures,
-    check_writable,
-    criteria_of,
-    unmet_by,
-    write_comparison,
-)
-from ds_cli.options import (
-    Backend,
-    Cluster,
-    EngineName,
-    JsonFlag,
-    Trust,
-    Workers,
-    driver_named,
-    simulators_of,
-    with_engine_without_ros,
-)
+from ds_cli import options
+from ds_cli.campaign.compare_results import check_writable, criteria_of, unmet_by, write_comparison
 from ds_cli.output import end, stopped_in
 from ds_sim.registry import SimulatorName
 
@@ -129,7 +110,7 @@ def campaign_compare_command(
         str | None, typer.Argument(metavar="B", help="Candidate: a campaign folder, or a network.")
     ] = None,
     driver: Annotated[str | None, typer.Option(help="Candidate, a network; the same as B.")] = None,
-    backend: Backend = "auto",
+    backend: options.Backend = "auto",
     out: Annotated[
         Path, typer.Option(help="Folder for drives and results; a comparison that was stopped there is resumed.")
     ] = Path("comparison"),
@@ -148,15 +129,15 @@ def campaign_compare_command(
     stop_early: Annotated[
         bool, typer.Option("--stop-early", help="For two networks: end as soon as the answer is sure.")
     ] = False,
-    fail_on: FailOn = None,
-    max_failures: MaxFailures = None,
-    junit: Junit = None,
-    markdown: Markdown = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    trust: Trust = None,
-    as_json: JsonFlag = False,
+    fail_on: options.FailOn = None,
+    max_failures: options.MaxFailures = None,
+    junit: options.Junit = None,
+    markdown: options.Markdown = None,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    trust: options.Trust = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Compare two networks on the same tests: what got worse, what got better?
 
@@ -180,8 +161,13 @@ def campaign_compare_command(
     candidate = second or str(driver)
     criteria = criteria_of(fail_on, max_failures, has_reference=True)
     check_writable(junit, markdown)
-    options = {"--roads": roads is not None, "--seed": seed is not None, "--sims": sims, "--stop-early": stop_early}
-    of_networks_alone = [name for name, is_set in options.items() if is_set]
+    only_networks = {
+        "--roads": roads is not None,
+        "--seed": seed is not None,
+        "--sims": sims,
+        "--stop-early": stop_early,
+    }
+    of_networks_alone = [name for name, is_set in only_networks.items() if is_set]
 
     def task() -> Task:
         if is_campaign(first) and of_networks_alone:
@@ -190,11 +176,11 @@ def campaign_compare_command(
             return _of_campaigns(Path(first), Path(candidate), trust or [])
         if is_campaign(candidate):
             raise ComparisonError(f"{first} is no campaign folder: give the campaign first, then the network")
-        network = driver_named(candidate, backend)
+        network = options.driver_named(candidate, backend)
         if is_campaign(first):
             return _of_campaign_and_network(Path(first), network, trust or [])
-        names = simulators_of(sims or SIMULATORS, default=sims is None)
-        return _of_networks(driver_named(first), network, names, roads or ROADS, SEED if seed is None else seed)
+        names = options.simulators_of(sims or SIMULATORS, default=sims is None)
+        return _of_networks(options.driver_named(first), network, names, roads or ROADS, SEED if seed is None else seed)
 
     if is_study(Path(first)) and is_study(Path(candidate)):
         comparison = compare_studies(Path(first), Path(candidate))
@@ -202,7 +188,7 @@ def campaign_compare_command(
     else:
         sets, networks, origin, source = task()
         for k, tests in enumerate(sets):
-            settings = with_engine_without_ros(tests.settings, workers, engine, cluster)
+            settings = options.with_engine_without_ros(tests.settings, workers, engine, cluster)
             sets[k] = replace(tests, settings=settings, reference={} if again else tests.reference)
         make_folder(out)
         callbacks = Callbacks(listen=ScreenListener)

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Options for continuous integration, pass criteria, and the files and tables of a comparison."""
+"""Pass criteria, and the files and tables of a comparison."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING
 
-import typer
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
@@ -22,33 +21,12 @@ if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
     from ds_report.comparison_page import Grid
 
-FailOn = Annotated[
-    Literal["failure", "regression", "worse"] | None,
-    typer.Option(
-        help="Exit with 3 if any test fails (failure), if any newly fails (regression), or if the network is "
-        "significantly worse on some simulator (worse)."
-    ),
-]
-FailOnFailure = Annotated[Literal["failure"] | None, typer.Option(help="Exit with 3 if the driver fails on any test.")]
-MaxFailures = Annotated[
-    str | None,
-    typer.Option(metavar="N|P%", help="Exit with 3 if more tests fail on some simulator, such as 5% or 3."),
-]
-Junit = Annotated[Path | None, typer.Option(metavar="FILE.xml", help="JUnit XML to write.")]
-Markdown = Annotated[
-    Path | None, typer.Option(metavar="FILE.md", help="Markdown summary to write, for a pull request.")
-]
-Videos = Annotated[
-    Path | None, typer.Option(metavar="DIR", help="Folder for a video of each failed drive, ten at most.")
-]
-
 
 def criteria_of(fail_on: str | None, max_failures: str | None, *, has_reference: bool) -> Criteria:
     """The pass criteria that the options describe, if they make sense."""
-    from ds_analysis.comparison.ci_results import Criteria
-    from ds_analysis.comparison.ci_results import MaxFailures as Limit
+    from ds_analysis.comparison.ci_results import Criteria, MaxFailures
 
-    limit = None if max_failures is None else Limit.parse(max_failures)
+    limit = None if max_failures is None else MaxFailures.parse(max_failures)
     criteria = Criteria(fail_on=fail_on, max_failures=limit)  # type: ignore[arg-type]
     criteria.check(has_reference=has_reference)
     return criteria

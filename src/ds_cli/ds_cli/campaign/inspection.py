@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli.options import Folder, JsonFlag, Trust, simulator_option
+from ds_cli import options
 from ds_cli.output import Result, answer, printed_to, say, say_next, warning
 from ds_sim.registry import SimulatorName
 
@@ -80,7 +80,7 @@ def status(folder: Path) -> Result:
 
 
 @campaign_app.command("status")
-def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
+def campaign_status_command(folder: options.Folder, as_json: options.JsonFlag = False) -> None:
     """Show how far a campaign is, stage by stage.
 
     Example: ds campaign status out
@@ -90,10 +90,11 @@ def campaign_status_command(folder: Folder, as_json: JsonFlag = False) -> None:
 
 @campaign_app.command("roads")
 def campaign_roads_command(
-    folder: Folder,
+    folder: options.Folder,
     failed: Annotated[bool, typer.Option("--failed", help="Only roads on which the driver failed.")] = False,
     simulator: Annotated[
-        SimulatorName | None, simulator_option("Only roads driven on this simulator; --failed then means failed there.")
+        SimulatorName | None,
+        options.simulator_option("Only roads driven on this simulator; --failed then means failed there."),
     ] = None,
     cell: Annotated[
         str | None, typer.Option(help="Only roads of this cell of the feature map, as on its axes, such as 3,0.17.")
@@ -125,7 +126,7 @@ def campaign_roads_command(
 
 
 @app.command("report")
-def report_command(folder: Folder, trust: Trust = None) -> None:
+def report_command(folder: options.Folder, trust: options.Trust = None) -> None:
     """Rebuild the report of a campaign, or write one of imported outcomes.
 
     The maps and tables of a campaign are computed again, too. Nothing is driven.
@@ -148,7 +149,7 @@ def report_command(folder: Folder, trust: Trust = None) -> None:
 
 @campaign_app.command("export")
 def campaign_export_command(
-    folder: Folder,
+    folder: options.Folder,
     out: Annotated[Path, typer.Option(help="Folder to write to, created if missing.")],
     frames: Annotated[bool, typer.Option("--frames", help="Also write every frame of every drive.")] = False,
 ) -> None:
@@ -173,11 +174,11 @@ def campaign_export_command(
 
 @app.command("watch")
 def watch_command(
-    folder: Folder,
+    folder: options.Folder,
     port: Annotated[
         int, typer.Option(min=0, max=65535, help="Port of this machine's loopback interface; 0 for any free one.")
     ] = 8760,
-    trust: Trust = None,
+    trust: options.Trust = None,
 ) -> None:
     """Show a campaign in the browser while it runs.
 

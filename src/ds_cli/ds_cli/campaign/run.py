@@ -14,31 +14,8 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_base.words import duration
-from ds_cli.campaign.compare_results import (
-    FailOnFailure,
-    Junit,
-    MaxFailures,
-    Videos,
-    check_writable,
-    criteria_of,
-)
-from ds_cli.options import (
-    AttachFlag,
-    Cluster,
-    EngineName,
-    Folder,
-    JsonFlag,
-    OutFolder,
-    Trust,
-    Workers,
-    cluster_of,
-    complete_driver,
-    driver_named,
-    label_of_driver,
-    simulators_of,
-    usual_workers,
-    with_engine,
-)
+from ds_cli import options
+from ds_cli.campaign.compare_results import check_writable, criteria_of
 from ds_cli.output import Interrupted, Result, end, say, warning
 from ds_sim import registry
 
@@ -156,7 +133,8 @@ def search_command(
     network: Annotated[
         str,
         typer.Argument(
-            help="Network: a name, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
+            help="Network: a name, a .safetensors or .yaml file, or module:Class.",
+            autocompletion=options.complete_driver,
         ),
     ],
     sims: Annotated[
@@ -182,16 +160,16 @@ def search_command(
         Path | None,
         typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there is resumed."),
     ] = None,
-    workers: Workers = None,
-    engine: EngineName = None,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the search: another one drives other roads.")
     ] = 1,
     dry_run: DryRun = False,
-    fail_on: FailOnFailure = None,
-    max_failures: MaxFailures = None,
-    junit: Junit = None,
-    as_json: JsonFlag = False,
+    fail_on: options.FailOnFailure = None,
+    max_failures: options.MaxFailures = None,
+    junit: options.Junit = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Search roads on which a network fails, and report where and why.
 
@@ -211,10 +189,10 @@ def search_command(
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    names = simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
-    check_driver(driver_named(network), names)
+    names = options.simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
+    check_driver(options.driver_named(network), names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
-    folder = out or Path(f"{label_of_driver(network)}_test")
+    folder = out or Path(f"{options.label_of_driver(network)}_test")
     named = rebase_paths({"driver": network, "siblings": siblings, "twin": twin}, Path(), folder)
     ranges = read_ranges(sensitivity) if sensitivity else None
     text = template(**named, size=size, ranges=ranges, min_angle=min_angle, max_angle=max_angle, seed=seed)
@@ -223,7 +201,7 @@ def search_command(
     if file.exists() and read_words(file) != text:
         raise ConfigError(f"{folder} holds another test: choose another --out")
     write_whole(file, text)
-    config = with_engine(read_config(file), workers or usual_workers(engine), engine or "local")
+    config = options.with_engine(read_config(file), workers or options.usual_workers(engine), engine or "local")
     if dry_run:
         following = ds_command("campaign", "run", file, "--out", folder, "--engine", config.engine)
         end(_dry_run(config, folder, None, following), as_json)
@@ -234,18 +212,18 @@ def search_command(
 @campaign_app.command("run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
-    out: OutFolder,
+    out: options.OutFolder,
     driver: Annotated[str | None, typer.Option(help="Network instead of the configuration's.")] = None,
     dry_run: DryRun = False,
-    fail_on: FailOnFailure = None,
-    max_failures: MaxFailures = None,
-    junit: Junit = None,
-    videos: Videos = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    attach: AttachFlag = False,
-    as_json: JsonFlag = False,
+    fail_on: options.FailOnFailure = None,
+    max_failures: options.MaxFailures = None,
+    junit: options.Junit = None,
+    videos: options.Videos = None,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    attach: options.AttachFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Run a campaign; resume it if the folder holds one with the same configuration.
 
@@ -258,32 +236,32 @@ def campaign_run_command(
     check_writable(junit)
     if dry_run and attach:
         raise ConfigError("--dry-run starts the engine itself: leave out --attach")
-    changed = with_engine(read_config(config), workers, engine)
+    changed = options.with_engine(read_config(config), workers, engine)
     if driver:
-        network = driver_named(driver)
+        network = options.driver_named(driver)
         check_driver(network, changed.simulators, attach=attach)
         changed = changed.model_copy(update={"driver": network})
     if dry_run:
         following = ds_command("campaign", "run", config, "--out", out)
-        end(_dry_run(changed, out, cluster_of(cluster), following), as_json)
+        end(_dry_run(changed, out, options.cluster_of(cluster), following), as_json)
     else:
-        result = campaign(changed, out, attach=attach, cluster=cluster_of(cluster))
+        result = campaign(changed, out, attach=attach, cluster=options.cluster_of(cluster))
         end(judged(result, out, criteria, junit, videos), as_json)
 
 
 @campaign_app.command("resume")
 def campaign_resume_command(
-    folder: Folder,
-    fail_on: FailOnFailure = None,
-    max_failures: MaxFailures = None,
-    junit: Junit = None,
-    videos: Videos = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    attach: AttachFlag = False,
-    trust: Trust = None,
-    as_json: JsonFlag = False,
+    folder: options.Folder,
+    fail_on: options.FailOnFailure = None,
+    max_failures: options.MaxFailures = None,
+    junit: options.Junit = None,
+    videos: options.Videos = None,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    attach: options.AttachFlag = False,
+    trust: options.Trust = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Resume a campaign that was stopped; with any engine.
 
@@ -291,9 +269,15 @@ def campaign_resume_command(
     """
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
-    changed = with_engine(stored_config(folder, trust), workers, engine)
+    changed = options.with_engine(stored_config(folder, trust), workers, engine)
     end(
-        judged(campaign(changed, folder, attach=attach, cluster=cluster_of(cluster)), folder, criteria, junit, videos),
+        judged(
+            campaign(changed, folder, attach=attach, cluster=options.cluster_of(cluster)),
+            folder,
+            criteria,
+            junit,
+            videos,
+        ),
         as_json,
     )
 

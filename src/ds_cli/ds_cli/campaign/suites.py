@@ -11,30 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
+from ds_cli import options
 from ds_cli.campaign.compare import network_named
-from ds_cli.campaign.compare_results import (
-    FailOn,
-    Junit,
-    Markdown,
-    MaxFailures,
-    Videos,
-    check_writable,
-    criteria_of,
-    unmet_by,
-    write_comparison,
-)
-from ds_cli.options import (
-    Backend,
-    Cluster,
-    DriverText,
-    EngineName,
-    Folder,
-    JsonFlag,
-    Trust,
-    Workers,
-    driver_named,
-    with_engine_without_ros,
-)
+from ds_cli.campaign.compare_results import check_writable, criteria_of, unmet_by, write_comparison
 from ds_cli.output import Result, answer, end, say, stopped_in
 
 app = typer.Typer()
@@ -46,11 +25,11 @@ SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE.json", help="Suite of 
 
 @suite_app.command("make")
 def suite_make_command(
-    folder: Folder,
+    folder: options.Folder,
     out: Annotated[Path, typer.Option(metavar="SUITE.json", help="File to write.")] = Path("suite.json"),
     tests: Annotated[int, typer.Option(min=1, max=2000, help="Largest number of tests.")] = 30,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Freeze the most informative tests of a campaign: failing ones, boundary ones, and one of every cell.
 
@@ -94,28 +73,28 @@ def suite_make_command(
 @suite_app.command("run")
 def suite_run_command(
     suite: SuiteFile,
-    driver: DriverText,
-    backend: Backend = "auto",
+    driver: options.DriverText,
+    backend: options.Backend = "auto",
     out: Annotated[
         Path, typer.Option(help="Folder for drives and results; a run that was stopped there is resumed.")
     ] = Path("suite_run"),
     stop_early: Annotated[
         bool, typer.Option("--stop-early", help="End as soon as --fail-on or --max-failures cannot be met any more.")
     ] = False,
-    fail_on: FailOn = None,
-    max_failures: MaxFailures = None,
-    junit: Junit = None,
-    markdown: Markdown = None,
-    videos: Videos = None,
+    fail_on: options.FailOn = None,
+    max_failures: options.MaxFailures = None,
+    junit: options.Junit = None,
+    markdown: options.Markdown = None,
+    videos: options.Videos = None,
     update: Annotated[
         Path | None,
         typer.Option(metavar="SUITE.json", help="Write the suite with this network's outcomes, to be expected now."),
     ] = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    trust: Trust = None,
-    as_json: JsonFlag = False,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    trust: options.Trust = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Drive a suite's tests with a network, and compare with the outcomes in the suite.
 
@@ -140,7 +119,7 @@ def suite_run_command(
         write_suite,
     )
 
-    network = driver_named(driver, backend)
+    network = options.driver_named(driver, backend)
     criteria = criteria_of(fail_on, max_failures, has_reference=True)
     if stop_early and (update is not None or (fail_on in (None, "worse") and max_failures is None)):
         raise SuiteError("--stop-early needs --fail-on failure or regression, or --max-failures, and no --update")
@@ -155,7 +134,7 @@ def suite_run_command(
         say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
         source += ", made with other code of the simulators"
     make_folder(out)
-    settings = with_engine_without_ros(settings_of_suite(tests, network), workers, engine, cluster)
+    settings = options.with_engine_without_ros(settings_of_suite(tests, network), workers, engine, cluster)
     of_simulator = {name: sum(name in one.outcomes for one in tests.tests) for name in tests.simulators}
     sizes = [*range(BATCH, len(tests.tests), BATCH)] if stop_early else []
     for last in [*sizes, len(tests.tests)]:

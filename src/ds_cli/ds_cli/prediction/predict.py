@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag, simulator_option
+from ds_cli import options
 from ds_cli.output import Result, answer, say
 from ds_sim.registry import SimulatorName
 
@@ -24,7 +24,9 @@ TestsFolder = Annotated[
 ]
 TwinName = Annotated[
     SimulatorName | None,
-    simulator_option("Simulator that plays the twin; others play the siblings. If left out, the twin of the campaign."),
+    options.simulator_option(
+        "Simulator that plays the twin; others play the siblings. If left out, the twin of the campaign."
+    ),
 ]
 MOST_SHOWN = 10
 """Rows of the table that is always shown."""
@@ -60,7 +62,7 @@ def predict_command(
     ] = 0.1,
     every_table: Annotated[bool, typer.Option("--tables", help="Show every cell, and how predictors did.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Predict where a car, or a simulator that was never driven, fails.
 

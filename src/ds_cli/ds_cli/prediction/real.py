@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import JsonFlag
+from ds_cli import options
 from ds_cli.output import Result, answer, say
 from ds_cli.prediction.predict import TestsFolder
 
@@ -89,7 +89,7 @@ def propose_command(
         bool,
         typer.Option("--spread", help="Spread tests over predicted probabilities: tells more, certifies nothing."),
     ] = False,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Draw tests to drive on the car at random, and write roads to tape out and what to set.
 
@@ -179,7 +179,7 @@ def record_command(
         bool, typer.Option("--drawn", help="Tests that were not proposed were drawn at random from all, not chosen.")
     ] = False,
     tolerated: Tolerated = 0.1,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Record outcomes of drives on the car, proposed or not, apart from simulated ones, and show what they change.
 
@@ -253,7 +253,7 @@ def update_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder for update.json, before.png, after.png; DIR/real if left out.")
     ] = None,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Show predictions before and after the recorded drives, what they certify, and whether simulators have helped.
 

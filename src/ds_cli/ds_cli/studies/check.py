@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.options import ALL, JsonFlag, Seed, Simulators, driver_named, every_or_named
+from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, end, say
 
 app = typer.Typer()
@@ -26,13 +26,13 @@ def check_command(
             help="Network: a .yaml file, an .onnx, .pt or .tflite file without one, a shipped name, or module:Class.",
         ),
     ],
-    sims: Simulators = ALL,
+    sims: options.Simulators = options.ALL,
     out: Annotated[Path, typer.Option(help="Folder for the picture, check.png.")] = Path("check"),
-    seed: Seed = 1,
+    seed: options.Seed = 1,
     seconds: Annotated[
         float, typer.Option("--time", min=1.0, help="Seconds for the whole check; a slow network gets fewer images.")
     ] = 120.0,
-    as_json: JsonFlag = False,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Show what a network sees, and say what is wrong with how it is connected.
 
@@ -59,12 +59,12 @@ def check_command(
     from ds_studies.network_check.recording import affordable, record
 
     began = time.monotonic()
-    names, file = every_or_named(sims), Path(network)
+    names, file = options.every_or_named(sims), Path(network)
     bare = file.suffix.lower() in KINDS
     forms = forms_of(file) if bare else []
     # Refuses what cannot be used before anything is driven.
     loaded = load(file, forms) if bare else None
-    pilot = loaded or load_pilot(driver_named(network))
+    pilot = loaded or load_pilot(options.driver_named(network))
     make_folder(out)
     recordings = record(names, seed, ScreenProgress(), whole=pilot.has_memory)
     pace = pace_of(pilot, recordings[0].frames[0])
@@ -82,7 +82,7 @@ def check_command(
         write_whole(Path(network), text)
         say(f"wrote {network}: its comments say what was chosen, and why")
     say(f"asking {network} about {sum(len(one.frames) for one in recordings)} images")
-    check = check_network(driver_named(network), recordings, seed, search=search, loaded=loaded)
+    check = check_network(options.driver_named(network), recordings, seed, search=search, loaded=loaded)
     picture = out / "check.png"
     write_whole(picture, png(draw_check(check, recordings)))
 

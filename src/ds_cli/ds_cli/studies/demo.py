@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from ds_cli.options import EngineName, JsonFlag, OutFolder, Workers
+from ds_cli import options
 from ds_cli.output import ScreenProgress, end, say, stopped_in
 
 DEMO_WORKERS = 2
@@ -19,10 +19,10 @@ app = typer.Typer()
 
 @app.command("demo")
 def demo_command(
-    out: OutFolder = Path("demo"),
-    workers: Workers = None,
-    engine: EngineName = None,
-    as_json: JsonFlag = False,
+    out: options.OutFolder = Path("demo"),
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """See where a shipped network fails, why, and what to do next.
 
@@ -34,7 +34,6 @@ def demo_command(
     from ds_base.folder_files import make_folder
     from ds_base.installation import ds_command
     from ds_cli.campaign.run import campaign
-    from ds_cli.options import with_engine
     from ds_report.sensitivity_page import SensitivityPage
     from ds_studies import demo
 
@@ -52,7 +51,7 @@ def demo_command(
         sensitivity = demo.measure_sensitivity(fog, place, workers, progress=ScreenProgress(), watch=page.write)
     ranges = demo.searched(sensitivity)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
-    result = campaign(with_engine(demo.campaign_config(ranges, fog["siblings"]), workers, engine), out)
+    result = campaign(options.with_engine(demo.campaign_config(ranges, fog["siblings"]), workers, engine), out)
     result.document["fog"], result.document["searched"] = fog, ranges
 
     answer = result.show

@@ -14,16 +14,7 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli.options import (
-    Cluster,
-    EngineName,
-    Folder,
-    JsonFlag,
-    Trust,
-    Workers,
-    simulator_option,
-    with_engine_without_ros,
-)
+from ds_cli import options
 from ds_cli.output import Result, end, stopped_in
 from ds_sim.registry import SimulatorName
 
@@ -32,23 +23,25 @@ app = typer.Typer()
 
 @app.command("explain")
 def explain_command(
-    folder: Folder,
+    folder: options.Folder,
     test: Annotated[
         str | None, typer.Option(help="Test that fails; one of each of the largest groups of failures if left out.")
     ] = None,
-    sim: Annotated[SimulatorName | None, simulator_option("With --test: simulator on which it fails.")] = None,
-    against: Annotated[SimulatorName | None, simulator_option("With --test: simulator on which it completes.")] = None,
+    sim: Annotated[SimulatorName | None, options.simulator_option("With --test: simulator on which it fails.")] = None,
+    against: Annotated[
+        SimulatorName | None, options.simulator_option("With --test: simulator on which it completes.")
+    ] = None,
     groups: Annotated[
         int, typer.Option(min=0, max=20, help="Largest groups of failures to explain; 0 only lists all groups.")
     ] = 3,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and drives; a stopped experiment is resumed.")
     ] = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    trust: Trust = None,
-    as_json: JsonFlag = False,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    trust: options.Trust = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Find out why tests of a campaign fail.
 
@@ -84,7 +77,7 @@ def explain_command(
     reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
     without = "local" if engine == "auto" else engine
     settings = replace(data.config.drive_settings(), driver=data.driver)
-    settings = with_engine_without_ros(settings, workers, without, cluster)
+    settings = options.with_engine_without_ros(settings, workers, without, cluster)
     with nullcontext(out) if out is not None else TemporaryDirectory(prefix="ds_explain_") as place:
         # A folder of drives belongs to its simulators, so that other experiments need another one.
         pairs = sorted(f"{one.test.test_id}-{one.fails}-{one.against}" for one in experiments)

@@ -9,21 +9,7 @@ from typing import Annotated
 import typer
 
 from ds_base.installation import ds_command
-from ds_cli.options import (
-    ALL,
-    Backend,
-    Cluster,
-    DriverText,
-    EngineName,
-    JsonFlag,
-    Seed,
-    Simulators,
-    Workers,
-    complete_condition,
-    driver_named,
-    every_or_named,
-    with_engine_without_ros,
-)
+from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, end, say, stopped_in
 from ds_sim.conditions.model import ConditionsError
 
@@ -32,14 +18,14 @@ app = typer.Typer()
 
 @app.command("sensitivity")
 def sensitivity_command(
-    driver: DriverText = "dave2",
-    backend: Backend = "auto",
-    sims: Simulators = ALL,
+    driver: options.DriverText = "dave2",
+    backend: options.Backend = "auto",
+    sims: options.Simulators = options.ALL,
     conditions: Annotated[
         str | None,
         typer.Option(
             help="Names of conditions, separated by commas; all of docs/conditions.md if left out.",
-            autocompletion=complete_condition,
+            autocompletion=options.complete_condition,
         ),
     ] = None,
     roads: Annotated[
@@ -51,14 +37,14 @@ def sensitivity_command(
     segments: Annotated[
         int, typer.Option(min=2, max=6, help="Length of the roads in segments of 25 m; 6 are the roads of a campaign.")
     ] = 4,
-    seed: Seed = 1,
+    seed: options.Seed = 1,
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis is resumed.")
     ] = None,
-    workers: Workers = None,
-    engine: EngineName = None,
-    cluster: Cluster = None,
-    as_json: JsonFlag = False,
+    workers: options.Workers = None,
+    engine: options.EngineName = None,
+    cluster: options.Cluster = None,
+    as_json: options.JsonFlag = False,
 ) -> None:
     """Find how strong each operating condition must be for a driver to fail.
 
@@ -79,13 +65,15 @@ def sensitivity_command(
     from ds_sim.camera.encodings import png
     from ds_studies.sensitivity.analysis import analyse_sensitivity
 
-    network = driver_named(driver, backend)
-    names = every_or_named(sims)
+    network = options.driver_named(driver, backend)
+    names = options.every_or_named(sims)
     if levels not in RESOLUTIONS:
         raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
     factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
 
-    settings = with_engine_without_ros(DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster)
+    settings = options.with_engine_without_ros(
+        DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster
+    )
     folder = page = None
     if out is not None:
         make_folder(out)
