@@ -124,6 +124,21 @@ def test_what_a_stopped_process_was_given_is_driven_by_another(
     assert encode_run(process.drive(drive)) == encode_run(undisturbed) and process.pid != pid
 
 
+def test_what_a_stopped_process_drives_is_no_error(worker: Processes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_process, "FRAME_TIME", 2.0)
+    process = worker()
+    drive = DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:SlowSimulator"))
+    undisturbed, pid = process.drive(drive), process.pid
+    assert pid is not None
+    with ThreadPoolExecutor(1) as pool:
+        again = pool.submit(process.drive, drive)
+        assert process._process is not None
+        while process._process._memory.read()[2] is not Phase.SIMULATING:
+            time.sleep(0.01)
+        os.kill(pid, signal.SIGSTOP)
+        assert encode_run(again.result()) == encode_run(undisturbed) and process.pid != pid
+
+
 def test_a_process_that_stops_in_the_middle_of_an_answer_loses_nothing(
     worker: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -227,7 +227,9 @@ class _Process:
             if changes != noted or not self._drives:
                 noted, since = changes, now
             elif now - since > self._limits[phase]:
-                if phase is not Phase.IDLE:
+                # Somebody may have stopped it: then nothing in it hangs.
+                stopped = os.waitid(os.P_PID, self.child.pid, os.WSTOPPED | os.WNOHANG | os.WNOWAIT)
+                if phase is not Phase.IDLE and not stopped:
                     self._blame(phase, key)
                 self.child.kill()
                 break
