@@ -43,7 +43,7 @@ ROUGH_SECONDS, ROUGH_TOTAL, ROUGH_SUBSTEPS = 3.0, 120.0, 10
 """Length of the short windows (s), their total (s), and substeps per step. Chosen: in 3 s a car 30% off does not
 diverge yet; two minutes bring it close; 10 substeps differ from 20 by a third of a millimetre, in half the time."""
 
-TYPICAL, COST = (4, 4, 8), (1.0, 2.5, 6.0)
+TYPICAL, COST = (4, 4, 8), (1.0, 2.0, 4.0)
 """Iterations of the three phases that usually suffice, and their relative duration; measured on drives of the twin."""
 
 
