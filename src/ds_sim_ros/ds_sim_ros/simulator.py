@@ -58,7 +58,6 @@ class RosWorld(Vehicle, Scene):
         self._link: Link | None = None
         self._request: tuple[Road, int] | None = None
         self._state: VehicleState | None = None
-        self._rows_of_run = self._rows
         self.latency: tuple[float, float] | None = None
 
     def choose(self, road: Road, seed: int) -> None:
@@ -93,18 +92,11 @@ class RosWorld(Vehicle, Scene):
         return self._state
 
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
-        """Do nothing but note the rows to draw: `reset` has loaded the road."""
-        self._rows_of_run = self._rows
+        """Do nothing: `reset` has loaded the road."""
 
     def image(self, state: VehicleState) -> NDArray[np.uint8]:
-        """Image at the end of the last frame, of which rows that are not asked for are zero."""
-        top, bottom = self._rows_of_run
-        if (top, bottom) == (0, self._spec.height_px):
-            return self._image
-        part = np.zeros_like(self._image)
-        part[top:bottom] = self._image[top:bottom]
-        part.setflags(write=False)
-        return part
+        """Whole image at the end of the last frame."""
+        return self._image
 
     def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
         """Whole image at the end of the last frame; the camera of another simulator cannot be put anywhere else.

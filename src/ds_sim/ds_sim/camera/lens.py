@@ -109,15 +109,9 @@ def optical_axes(spec: CameraSpec, vehicle: VehicleState) -> tuple[Axes, Vector]
     The body rotates about its centre at ground level, a common simplification of roll and pitch centres: yaw, then
     pitch, then roll (REP-103).
     """
-    yaw, pitch, roll = vehicle.yaw, vehicle.pitch, vehicle.roll
-    cy, sy, cp, sp, cr, sr = (
-        math.cos(yaw),
-        math.sin(yaw),
-        math.cos(pitch),
-        math.sin(pitch),
-        math.cos(roll),
-        math.sin(roll),
-    )
+    cy, sy = math.cos(vehicle.yaw), math.sin(vehicle.yaw)
+    cp, sp = math.cos(vehicle.pitch), math.sin(vehicle.pitch)
+    cr, sr = math.cos(vehicle.roll), math.sin(vehicle.roll)
     fx, fy, fz = cy * cp, sy * cp, -sp
     ux, uy, uz = cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr
     ahead, above = spec.forward, spec.height

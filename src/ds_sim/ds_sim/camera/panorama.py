@@ -103,18 +103,8 @@ def _add_lamps(image: NDArray[np.float64], look: Look, scale: float) -> None:
         column, row = int(rng.integers(0, turn)), image.shape[0] - _BELOW - elevation * scale
         radius = scale * (0.008 + 0.03 * math.sin(elevation))
         for wrapped in (column - turn, column, column + turn):
-            cv2.ellipse(
-                light,
-                (wrapped * 16, int(row * 16)),
-                (int(radius * 32), int(radius * 16)),
-                0.0,
-                0.0,
-                360.0,
-                1.0,
-                -1,
-                cv2.LINE_AA,
-                4,
-            )
+            centre, axes = (wrapped * 16, int(row * 16)), (int(radius * 32), int(radius * 16))
+            cv2.ellipse(light, centre, axes, 0.0, 0.0, 360.0, 1.0, -1, cv2.LINE_AA, 4)
     light = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.6))
     halo = np.asarray(cv2.GaussianBlur(light, (0, 0), 0.04 * scale))
     image += 190.0 * np.maximum(light, 0.35 * halo)[:, :, None]

@@ -114,6 +114,7 @@ class Setting:
         """Values of the uniforms of the shaders of a world with a setting."""
         c, light = self.conditions, self.daylight
         haze = parameters.HAZE + self._fog
+        horizon = (parameters.HAZE * np.array(parameters.HORIZON) + self._fog * np.array(parameters.FOG)) / haze
         own = float((np.array(parameters.ASPHALT) * parameters.LUMINANCE).sum())
         reflectance = c.pavement_reflectance or own
         # Concrete is smoother than asphalt: the brighter, the less grain.
@@ -122,13 +123,11 @@ class Setting:
         return {
             "HAZE": haze,
             "FOG_DEPTH": self._fog * parameters.FOG_TOP,
-            "HORIZON": _listed(
-                (parameters.HAZE * np.array(parameters.HORIZON) + self._fog * np.array(parameters.FOG)) / haze
-            ),
+            "HORIZON": horizon.tolist(),
             "SKYLIGHT": list(light.sky),
-            "SUNLIGHT": _listed(light.sun_on_ground),
-            "SHADE": _listed(light.shaded(c.shadow_depth)),
-            "PAVEMENT": _listed(np.array(parameters.ASPHALT) * (reflectance / own)),
+            "SUNLIGHT": light.sun_on_ground.tolist(),
+            "SHADE": light.shaded(c.shadow_depth).tolist(),
+            "PAVEMENT": (np.array(parameters.ASPHALT) * (reflectance / own)).tolist(),
             "GRAIN": grain,
             "NEW_ASPHALT": min(parameters.NEW_ASPHALT / reflectance, parameters.PATCH_CONTRAST),
             "PAINT_LEFT": c.line_contrast,
@@ -143,8 +142,3 @@ def sun_direction(conditions: Conditions) -> Direction:
     elevation = math.asin(z) if conditions.sun_elevation is None else conditions.sun_elevation
     across = math.cos(elevation)
     return across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation)
-
-
-def _listed(colour: NDArray[np.float64]) -> list[float]:
-    values: list[float] = colour.tolist()
-    return values
