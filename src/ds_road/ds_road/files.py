@@ -90,10 +90,13 @@ def road_to_json(road: Road) -> list[list[float]] | dict[str, Any]:
         >>> road_to_json(Road([(125, 0), (125, 25), (125, 50), (125, 75)], lane="left"))
         {'control_points': [[125.0, 0.0], [125.0, 25.0], [125.0, 50.0], [125.0, 75.0]], 'lane': 'left'}
     """
-    points = [list(point) for point in road.control_points]
-    if not road.sampled and not road.maxitwo_compatible and road.lane_width == LANE_WIDTH and road.lane == "right":
-        return points
-    raw: dict[str, Any] = {"road_points" if road.sampled else "control_points": points}
+    raw = road_object(road)
+    return raw["control_points"] if list(raw) == ["control_points"] else raw
+
+
+def road_object(road: Road) -> dict[str, Any]:
+    """Convert a road to a JSON object for `road_from_json`, to which further keys may be added."""
+    raw: dict[str, Any] = {"road_points" if road.sampled else "control_points": [list(p) for p in road.control_points]}
     if road.maxitwo_compatible:
         raw["maxitwo_compatible"] = True
     if road.lane_width != LANE_WIDTH:

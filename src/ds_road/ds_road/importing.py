@@ -24,7 +24,7 @@ from ds_base.left_out import LeftOut
 from ds_base.progress import logger_of
 from ds_road.centre_lines import CentreLine, in_box
 from ds_road.commonroad import WIDTH_SPREAD, constant_width, read_commonroad
-from ds_road.files import LARGEST_FILE, road_from_json, road_to_json
+from ds_road.files import LARGEST_FILE, road_from_json, road_object
 from ds_road.opendrive import MOST_ROADS, SPACING, read_opendrive
 from ds_road.road import LANE_WIDTH, MAX_POINTS, Road, RoadError, Side
 from ds_road.tracks import Track, read_track
@@ -51,8 +51,7 @@ class ImportedRoad:
 
     def to_json(self) -> dict[str, Any]:
         """JSON for `ds_road.read_roads`, with the name as `test_id`."""
-        raw = road_to_json(self.road)
-        return {**(raw if isinstance(raw, dict) else {"control_points": raw}), "test_id": self.name}
+        return road_object(self.road) | {"test_id": self.name}
 
 
 def import_roads(

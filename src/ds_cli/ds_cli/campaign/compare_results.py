@@ -135,7 +135,7 @@ def write_comparison(
 def write_roads(comparison: Comparison, folder: Path) -> dict[str, str]:
     """Write a road file for every test that newly fails, as `ds drive --road` takes it; test -> file."""
     from ds_base.atomic_files import write_whole
-    from ds_road import road_to_json
+    from ds_road.files import road_object
     from ds_sim.conditions.text import format_conditions
 
     files = {}
@@ -144,9 +144,9 @@ def write_roads(comparison: Comparison, folder: Path) -> dict[str, str]:
         if scenario is None:
             continue
         path = folder / f"{drive.test.name}.json"
-        road, conditions = road_to_json(scenario.road), format_conditions(scenario.conditions)
-        entry = {**(road if isinstance(road, dict) else {"control_points": road}), "seed": scenario.seed}
-        entry |= {"conditions": conditions} if conditions else {}
+        entry = road_object(scenario.road) | {"seed": scenario.seed}
+        if conditions := format_conditions(scenario.conditions):
+            entry["conditions"] = conditions
         write_whole(path, json.dumps([entry], allow_nan=False) + "\n")
         files[drive.test.name] = str(path)
     return files

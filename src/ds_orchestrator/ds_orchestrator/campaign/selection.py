@@ -10,7 +10,7 @@ from typing import Any
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import read_folder
 from ds_orchestrator.search.features import Cell, Feature, feature_of
-from ds_road import road_to_json
+from ds_road.files import road_object
 from ds_sim.conditions.text import format_conditions
 from ds_sim.registry import SimulatorName
 
@@ -70,10 +70,9 @@ def roads_of(
             or (failed and not any((one.test_id, name) in failures for name in counted))
         ):
             continue
-        road = road_to_json(one.road)
         roads.append(
             {
-                **(road if isinstance(road, dict) else {"control_points": road}),
+                **road_object(one.road),
                 "test_id": one.test_id,
                 "seed": one.seed,
                 "cell": dict(zip(config.features, cells[one.test_id], strict=True)) if one.test_id in cells else None,

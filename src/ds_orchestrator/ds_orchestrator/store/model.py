@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 from ds_base.bounded_file import FileError
 from ds_base.bounded_json import load_json
 from ds_orchestrator.search.features import Drive
-from ds_orchestrator.store.rows import (
-    ExecutionRow,
-    RowError,
-    TestRow,
-    pack_numbers,
-    unpack_numbers,
-    unpack_trajectory,
-)
+from ds_orchestrator.store import rows
 from ds_orchestrator.store.sqlite_file import SqliteFile
 from ds_road import road_from_json, road_to_json
 from ds_sim.conditions.text import format_conditions, parse_conditions
@@ -88,7 +81,7 @@ class DriveArrays:
 
 
 NO_DRIVE = DriveArrays(np.empty((0, 5)), np.empty(0))
-_NOT_KEPT = pack_numbers(NO_DRIVE.trajectory)
+_NOT_KEPT = rows.pack_numbers(NO_DRIVE.trajectory)
 """Frames of an execution that was restored from a table of outcomes."""
 
 
@@ -138,10 +131,10 @@ _TOLERANCE = 1e-6
 """m and s, between a stored value and the value derived from other columns."""
 
 
-def row_of(test: Test) -> TestRow:
+def row_of(test: Test) -> rows.TestRow:
     """Convert a test to the form in which the store keeps it."""
     origin, road = test.origin or NO_ORIGIN, test.road
-    return TestRow(
+    return rows.TestRow(
         test_id=test.test_id,
         sibling=origin.sibling,
         run=origin.run,
@@ -155,7 +148,7 @@ def row_of(test: Test) -> TestRow:
     )
 
 
-def test_of(row: TestRow) -> Test:
+def test_of(row: rows.TestRow) -> Test:
     """Make a test.
 
     Raises:
@@ -164,21 +157,21 @@ def test_of(row: TestRow) -> Test:
     origin = Origin(row.sibling, row.run, row.number)
     try:
         if not row.test_id.endswith(f"-{row.run}-{row.number:04d}") and origin != NO_ORIGIN:
-            raise RowError(f"test_id does not end in -{row.run}-{row.number:04d}")
+            raise rows.RowError(f"test_id does not end in -{row.run}-{row.number:04d}")
         try:
             road = road_from_json(load_json(row.road))
         except FileError:
-            raise RowError("road is not JSON") from None
+            raise rows.RowError("road is not JSON") from None
         if road.road_id != row.road_id:
-            raise RowError("road_id does not match the road")
+            raise rows.RowError("road_id does not match the road")
         road.remember(turns_count=row.turns_count, curvature=row.curvature)
         scenario = Scenario(road, _conditions_of(row.conditions), seed=row.seed)
     except ValueError as error:
-        raise RowError(f"the test {row.test_id}: {error}") from None
+        raise rows.RowError(f"the test {row.test_id}: {error}") from None
     return Test(row.test_id, scenario, None if origin == NO_ORIGIN else origin)
 
 
-def execution_of(row: ExecutionRow, file: SqliteFile) -> Execution:
+def execution_of(row: rows.ExecutionRow, file: SqliteFile) -> Execution:
     """Make an execution, whose trajectory stays in the file until it is asked for.
 
     Raises:
@@ -236,20 +229,20 @@ class StoredDrive:
 
     def read(self) -> DriveArrays:
         """Read every frame; there are none where a campaign was restored from a table of outcomes."""
-        rows = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (self.rowid,))
+        packed = self.file.read("SELECT trajectory, steering FROM executions WHERE rowid=?", (self.rowid,))
         try:
-            if not rows:
-                raise RowError("it was replaced meanwhile")
-            if rows[0][0] == _NOT_KEPT:
+            if not packed:
+                raise rows.RowError("it was replaced meanwhile")
+            if packed[0][0] == _NOT_KEPT:
                 return NO_DRIVE
-            trajectory = unpack_trajectory(rows[0][0], self.sha256, steps=self.steps)
-            steering = unpack_numbers(rows[0][1], "steering", count=self.steps)
+            trajectory = rows.unpack_trajectory(packed[0][0], self.sha256, steps=self.steps)
+            steering = rows.unpack_numbers(packed[0][1], "steering", count=self.steps)
             lateral = np.abs(trajectory[:, 4])
             if lateral.size and abs(lateral.max() - self.max_lateral_position) > _TOLERANCE:
-                raise RowError("max_lateral_position does not match the trajectory")
+                raise rows.RowError("max_lateral_position does not match the trajectory")
             if np.abs(steering).max(initial=0.0) > 1.0:
-                raise RowError("steering leaves [-1, 1]")
-        except RowError as error:
+                raise rows.RowError("steering leaves [-1, 1]")
+        except rows.RowError as error:
             raise self.file.damaged(str(_unreadable(self.test_id, self.simulator, error))) from None
         return DriveArrays(trajectory, steering)
 
@@ -259,5 +252,5 @@ def _arrays_of(drive: StoredDrive) -> DriveArrays:
     return drive.read()
 
 
-def _unreadable(test_id: str, simulator: SimulatorName, error: object) -> RowError:
-    return RowError(f"the run of {test_id:.60} on {simulator:.60} cannot be read: {error}")
+def _unreadable(test_id: str, simulator: SimulatorName, error: object) -> rows.RowError:
+    return rows.RowError(f"the run of {test_id:.60} on {simulator:.60} cannot be read: {error}")

@@ -12,23 +12,8 @@ from typing import Any
 from ds_base.bounded_json import load_json
 from ds_base.folder_files import StoreError
 from ds_base.intervals import FailureCount
+from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import Execution, Test, execution_of, row_of, test_of
-from ds_orchestrator.store.rows import (
-    BagRow,
-    DriveCount,
-    ErrorRow,
-    ExecutionRow,
-    FactRow,
-    GateRow,
-    IdRow,
-    Record,
-    ResultRow,
-    RowError,
-    SearchRow,
-    TestRow,
-    check_rows,
-    pack_numbers,
-)
 from ds_orchestrator.store.sqlite_file import SqliteFile
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.registry import SimulatorName
@@ -69,7 +54,7 @@ class Store:
     @property
     def config(self) -> str:
         """The campaign's configuration as JSON text."""
-        facts = self._rows(FactRow, "about WHERE key='config'")
+        facts = self._rows(rows.FactRow, "about WHERE key='config'")
         if not facts:
             raise self._file.damaged("it has no configuration")
         return facts[0].value
@@ -89,7 +74,7 @@ class Store:
 
     def notes(self) -> dict[str, str]:
         """Every fact about the campaign."""
-        facts = dict(self._rows(FactRow, "about ORDER BY key"))
+        facts = dict(self._rows(rows.FactRow, "about ORDER BY key"))
         for key, value in facts.items():
             if key.startswith(_SECONDS) and not re.fullmatch(r"[0-9]{1,15}(\.[0-9]+)?", value):
                 raise self._file.damaged(f"{key!r:.60} is {value!r:.60}, expected seconds")
@@ -114,7 +99,7 @@ class Store:
     def add_gate(self, test_id: str, simulator: SimulatorName, gate: Gate) -> None:
         """Store what the gates say of a test on one simulator; only a valid test can become an excluded one."""
         outcome = "" if gate.outcome is None else gate.outcome.name
-        row = GateRow(
+        row = rows.GateRow(
             test_id, simulator, gate.state.value, gate.message, outcome, gate.visible_contrast, gate.hidden_share
         )
         self._file.ask(
@@ -140,20 +125,20 @@ class Store:
                 visible_contrast=row.visible_contrast,
                 hidden_share=row.hidden_share,
             )
-            for row in self._rows(GateRow, f"gates {where} ORDER BY simulator, test_id", values)
+            for row in self._rows(rows.GateRow, f"gates {where} ORDER BY simulator, test_id", values)
         }
 
     def add_execution(self, execution: Execution) -> None:
         """Store an execution; call it after its bag is written, so that a stored execution is complete."""
-        values = {name: getattr(execution, name) for name in ExecutionRow._fields[:-1]}
-        frames = pack_numbers(execution.trajectory), pack_numbers(execution.steering)
+        values = {name: getattr(execution, name) for name in rows.ExecutionRow._fields[:-1]}
+        frames = rows.pack_numbers(execution.trajectory), rows.pack_numbers(execution.steering)
         self._insert(
             "INSERT OR REPLACE INTO executions", (*(values | {"outcome": execution.outcome.name}).values(), *frames)
         )
 
     def add_error(self, test_id: str, simulator: SimulatorName, attempt: int, outcome: Outcome, message: str) -> None:
         """Store an attempt that ended in an error."""
-        self._insert("INSERT INTO errors", ErrorRow(test_id, simulator, attempt, outcome.name, message))
+        self._insert("INSERT INTO errors", rows.ErrorRow(test_id, simulator, attempt, outcome.name, message))
 
     def take_back(self, test_ids: Sequence[str]) -> None:
         """Delete tests without an outcome except the first, which is tried again."""
@@ -168,49 +153,49 @@ class Store:
 
     def give_up(self, test_id: str) -> None:
         """Store that the search continued without the outcome of a test."""
-        self._insert("INSERT OR IGNORE INTO given_up", IdRow(test_id))
+        self._insert("INSERT OR IGNORE INTO given_up", rows.IdRow(test_id))
 
     def given_up(self) -> set[str]:
         """Tests whose search continued without their outcome; they may have one by now."""
-        return {row.test_id for row in self._rows(IdRow, "given_up")}
+        return {row.test_id for row in self._rows(rows.IdRow, "given_up")}
 
     def add_search(self, sibling: SimulatorName, run: int, method: str, seed: int) -> None:
         """Store method and seed of one run of a search."""
-        self._insert("INSERT OR IGNORE INTO searches", SearchRow(sibling, run, method, seed))
+        self._insert("INSERT OR IGNORE INTO searches", rows.SearchRow(sibling, run, method, seed))
 
-    def searches(self) -> list[SearchRow]:
+    def searches(self) -> list[rows.SearchRow]:
         """Every run of a search."""
-        return self._rows(SearchRow, "searches ORDER BY sibling, run")
+        return self._rows(rows.SearchRow, "searches ORDER BY sibling, run")
 
     def set_result(self, stage: str, executions: int) -> None:
         """Store the number of executions from which a result was computed."""
-        self._insert("INSERT OR REPLACE INTO results", ResultRow(stage, executions))
+        self._insert("INSERT OR REPLACE INTO results", rows.ResultRow(stage, executions))
 
     def results(self) -> dict[str, int]:
         """Result -> number of executions from which it was computed."""
-        return dict(self._rows(ResultRow, "results"))
+        return dict(self._rows(rows.ResultRow, "results"))
 
-    def errors(self) -> list[ErrorRow]:
+    def errors(self) -> list[rows.ErrorRow]:
         """Attempts that ended in an error."""
-        return self._rows(ErrorRow, "errors ORDER BY test_id, simulator, attempt")
+        return self._rows(rows.ErrorRow, "errors ORDER BY test_id, simulator, attempt")
 
     def _insert(self, how: str, values: Sequence[object]) -> None:
         self._file.ask(f"{how} VALUES ({','.join('?' * len(values))})", values)
 
-    def _rows(self, kind: type[Record], source: str, values: Sequence[object] = ()) -> list[Record]:
+    def _rows(self, kind: type[rows.Record], source: str, values: Sequence[object] = ()) -> list[rows.Record]:
         """Read and check rows of a table, or of a SELECT in brackets."""
-        rows = self._file.ask(f"SELECT {', '.join(kind._fields)} FROM {source}", values)
+        records = self._file.ask(f"SELECT {', '.join(kind._fields)} FROM {source}", values)
         try:
-            return check_rows(kind, rows)
-        except RowError as error:
+            return rows.check_rows(kind, records)
+        except rows.RowError as error:
             raise self._file.damaged(f"{source.split()[0].strip('(')}, {error}") from None
 
     def tests(self, *, after: int = 0) -> list[Test]:
         """Tests, ordered by sibling, run and number; only those stored after a row, see `last_rows`."""
-        rows = self._rows(TestRow, "tests WHERE rowid > ? ORDER BY sibling, run, number", (after,))
+        records = self._rows(rows.TestRow, "tests WHERE rowid > ? ORDER BY sibling, run, number", (after,))
         try:
-            return [test_of(row) for row in rows]
-        except RowError as error:
+            return [test_of(row) for row in records]
+        except rows.RowError as error:
             raise self._file.damaged(str(error)) from None
 
     def check(
@@ -269,13 +254,13 @@ class Store:
 
     def test_of_row(self, row: int) -> str | None:
         """Id of the test in a row, or None if there is none; tests that are taken back leave their rows to others."""
-        rows = self._file.ask("SELECT test_id FROM tests WHERE rowid=?", (row,))
-        return str(rows[0][0]) if rows else None
+        records = self._file.ask("SELECT test_id FROM tests WHERE rowid=?", (row,))
+        return str(records[0][0]) if records else None
 
     def latest_executions(self) -> dict[SimulatorName, str]:
         """Simulator -> test whose execution there was stored last."""
-        rows = self._file.ask("SELECT simulator, test_id, max(rowid) FROM executions GROUP BY simulator")
-        return {SimulatorName(simulator): str(test_id) for simulator, test_id, _ in rows}
+        records = self._file.ask("SELECT simulator, test_id, max(rowid) FROM executions GROUP BY simulator")
+        return {SimulatorName(simulator): str(test_id) for simulator, test_id, _ in records}
 
     def count_tests(self) -> int:
         """Number of tests."""
@@ -302,42 +287,42 @@ class Store:
             counts[row.simulator, row.outcome] += row.executions
         return counts
 
-    def _drive_counts(self) -> list[DriveCount]:
+    def _drive_counts(self) -> list[rows.DriveCount]:
         return self._rows(
-            DriveCount,
+            rows.DriveCount,
             "(SELECT sibling, run, simulator, outcome, count(*) AS executions, min(test_id) AS first FROM executions "
             "JOIN tests USING (test_id) GROUP BY sibling, run, simulator, outcome) ORDER BY simulator, first",
         )
 
     def count_excluded(self) -> dict[tuple[SimulatorName, int, SimulatorName], int]:
         """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
-        rows = self._file.ask(
+        records = self._file.ask(
             "SELECT sibling, run, simulator, count(*) FROM gates JOIN tests USING (test_id) WHERE state != ? "
             "GROUP BY sibling, run, simulator",
             (GateState.VALID.value,),
         )
         return {
-            (SimulatorName(sibling), run, SimulatorName(simulator)): count for sibling, run, simulator, count in rows
+            (SimulatorName(sibling), run, SimulatorName(simulator)): count for sibling, run, simulator, count in records
         }
 
     def count_tests_by_sibling(self) -> dict[SimulatorName, int]:
         """Sibling -> number of tests that its searches generated."""
-        rows = self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling")
-        return {SimulatorName(sibling): count for sibling, count in rows}
+        records = self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling")
+        return {SimulatorName(sibling): count for sibling, count in records}
 
     def bags(self) -> list[str]:
         """Bags of all executions, in their order."""
-        return [row.bag for row in self._rows(BagRow, "executions WHERE bag != '' ORDER BY simulator, test_id")]
+        return [row.bag for row in self._rows(rows.BagRow, "executions WHERE bag != '' ORDER BY simulator, test_id")]
 
     def count_results(self) -> int:
         """Number of executions and gates, from which maps, evaluation and report are made."""
         return self.count_executions() + int(self._file.ask("SELECT count(*) FROM gates")[0][0])
 
     def _executions(self, where: str, values: tuple[str | int, ...]) -> list[Execution]:
-        rows = self._rows(ExecutionRow, f"executions {where} ORDER BY simulator, test_id", values)
+        records = self._rows(rows.ExecutionRow, f"executions {where} ORDER BY simulator, test_id", values)
         try:
-            return [execution_of(row, self._file) for row in rows]
-        except RowError as error:
+            return [execution_of(row, self._file) for row in records]
+        except rows.RowError as error:
             raise self._file.damaged(str(error)) from None
 
     def close(self) -> None:
