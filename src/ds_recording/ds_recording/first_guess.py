@@ -170,10 +170,7 @@ def _smooth(centres: Array, directions: Array) -> Array | None:
     spline, _ = splprep(points.T, u=arcs, w=np.full(len(points), 10.0), s=len(points))
     stations = np.arange(0.0, arcs[-1], SPACING)
     line = np.stack(splev(stations, spline), axis=1)
-    ends = [
-        (line[0] - line[1]) / np.hypot(*(line[0] - line[1])),
-        (line[-1] - line[-2]) / np.hypot(*(line[-1] - line[-2])),
-    ]
+    ends = [along / np.hypot(*along) for along in (line[0] - line[1], line[-1] - line[-2])]
     behind = line[0] + np.arange(2.0, 0.0, -SPACING)[:, None] * ends[0]
     beyond = line[-1] + np.arange(SPACING, 2.0, SPACING)[:, None] * ends[1]
     return np.vstack((behind, line, beyond))

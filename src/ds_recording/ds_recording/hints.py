@@ -131,16 +131,11 @@ class _Turns:
         middle = before.shape[1] // 2
         score, turn = self._turn(before, strip)
         # What is near moves to opposite sides on the left and on the right.
-        sides = [
-            self._turn(part, other)
-            for part, other in (
-                (before[:, : middle + self._most], strip[:, : middle + self._most]),
-                (before[:, middle - self._most :], strip[:, middle - self._most :]),
-            )
-        ]
+        halves = np.s_[:, : middle + self._most], np.s_[:, middle - self._most :]
+        left, right = (self._turn(before[half], strip[half])[1] for half in halves)
         if score < LEAST_SCORE:
             return NOTHING
-        std = math.hypot(LEAST_STD, 0.5 * (sides[0][1] - sides[1][1]))
+        std = math.hypot(LEAST_STD, 0.5 * (left - right))
         return Hint(np.array([0.0, 0.0, turn]), np.array([math.inf, math.inf, std]))
 
     def _strip(self, grey: NDArray[np.uint8]) -> NDArray[np.float32]:

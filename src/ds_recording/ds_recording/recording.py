@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -94,15 +95,10 @@ def read_views(path: Path, reading: Reading, odometry: str | None = None, centre
     first, end = longest_stretch(path, seconds, total)
     kept: list[NDArray[np.uint8]] = []
     commands = []
-    place = 0
-    for frame in recording.frames():
-        if place >= end:
-            break
-        if frame.image is not None:
-            if place >= first:
-                kept.append(shrunk(frame.image))
-                commands.append([np.nan if v is None else v for v in (frame.steering, frame.throttle)])
-            place += 1
+    readable = ((frame, frame.image) for frame in recording.frames() if frame.image is not None)
+    for frame, image in islice(readable, first, end):
+        kept.append(shrunk(image))
+        commands.append([np.nan if v is None else v for v in (frame.steering, frame.throttle)])
     values = np.array(commands, dtype=np.float64)
     return Views(
         recording=recording,

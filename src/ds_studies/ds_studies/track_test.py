@@ -159,7 +159,9 @@ def run_track_test(
     write_whole(folder / SETTINGS, yaml.safe_dump(chosen))
     LOG.info("step 3 of 4: roads of the track")
     drive = read_drive(folder)
-    roads = _roads(drive, test.roads)
+    every = sections(drive, max(20.0, min(LENGTH, np.floor(SHARE * drive.lane.length))))
+    spread = np.linspace(0, len(every), min(test.roads, len(every)), endpoint=False).astype(int)
+    roads = [every[index] for index in spread]
     write_roads(roads, test.out / ROADS)
     LOG.info("step 4 of 4: %d roads are driven", len(roads))
     twin_name = f"donkey@{folder / CAR}" if twin["fitted"] else "donkey"
@@ -234,13 +236,6 @@ def _fit_twin(folder: Path, progress: Progress) -> None:
             )
     write_json(folder / TWIN, {"fitted": fitted, "cautions": cautions})
     kept.forget()
-
-
-def _roads(drive: RecordedDrive, most: int) -> list[Road]:
-    """Sections of the track, evenly spread."""
-    length = max(20.0, min(LENGTH, np.floor(SHARE * drive.lane.length)))
-    roads = sections(drive, length)
-    return [roads[index] for index in np.linspace(0, len(roads), min(most, len(roads)), endpoint=False).astype(int)]
 
 
 def _driven(

@@ -65,12 +65,7 @@ def _row(path: Path) -> dict[str, Any] | None:
         points = np.array([point[:2] for point in document.get("interpolated_points") or road_points], np.float64)
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, OverflowError):
         raise OutcomeTableError(f"{bad}: expected test_outcome and road_points") from None
-    if (
-        points.ndim != 2
-        or points.shape[1:] != (2,)
-        or len(points) < 3
-        or not np.isfinite([*road_points, *points]).all()
-    ):
+    if len(points) < 3 or points.shape[1:] != (2,) or not np.isfinite([*road_points, *points]).all():
         raise OutcomeTableError(f"{bad}: expected three or more finite road_points")
     name = hashlib.sha256(np.round(road_points, 3).tobytes()).hexdigest()[:12]
     return {"test_id": name, "failed": outcome == "FAIL", **_features(points, bad)}

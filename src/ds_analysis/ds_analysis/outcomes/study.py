@@ -435,19 +435,10 @@ def study_of(table: RoadTable) -> Study:
     for k, test in enumerate(table.test_ids):
         for column, name in enumerate(table.simulators):
             if table.states[k, column] in (State.COMPLETED, State.FAILED):
-                rows.append(
-                    (
-                        test,
-                        0,
-                        name,
-                        table.states[k, column] == State.FAILED,
-                        table.lateral[k, column],
-                        table.limits[k, column],
-                        str(table.families[k]),
-                        *table.features[k],
-                        *(getattr(table.conditions[k], name) for name in conditions.values()),
-                    )
-                )
+                failed = table.states[k, column] == State.FAILED
+                row = (test, 0, name, failed, table.lateral[k, column], table.limits[k, column], str(table.families[k]))
+                changed_here = (getattr(table.conditions[k], name) for name in conditions.values())
+                rows.append((*row, *table.features[k], *changed_here))
     frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names, *conditions])
     return Study(
         rows=frame.astype(dict.fromkeys(conditions, np.float64)),

@@ -96,13 +96,7 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
             for row in simulator_rows(config)
         ],
         "stages": [
-            {
-                "name": stage.name,
-                "done": stage.done,
-                "expected": stage.expected,
-                "failures": stage.failures,
-                "state": stage.state,
-            }
+            {name: getattr(stage, name) for name in ("name", "done", "expected", "failures", "state")}
             for stage in stages
         ],
         "axes": _axes(snapshot),

@@ -199,14 +199,15 @@ def describe(
         if not search:
             comments[part] = f"not tried, so as in {maker or 'most networks'}"
             continue
-        fits = [(_shown(one), fitted(changed(chosen, one))) for one in others]
+        names = [flow(one if len(one) > 1 else next(iter(one.values()))) for one in others]
+        fits = [(name, fitted(changed(chosen, one))) for name, one in zip(names, others, strict=True)]
         comments[part] = _why(fits, maker or "most networks" if part in conventions else "")
         undecided = [name for name, other in fits if other.unexplained * GAIN < fit.unexplained]
         if ask is not None and len(undecided) > 1:
             answer = ask(f"{QUESTIONS[part]}, which the drives do not decide", undecided, undecided[0])
             if answer not in undecided:
                 raise DriverError(f"{answer!r} was not offered: expected one of {', '.join(undecided)}")
-            chosen = changed(chosen, others[[name for name, _ in fits].index(answer)])
+            chosen = changed(chosen, others[names.index(answer)])
             comments[part] = "as you answered"
     if search and not remembers:
         chosen = best_reading(pilot.described_as(chosen), tried)[0]
@@ -267,10 +268,6 @@ def load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot
         except DriverError as error:
             problem = problem or error
     raise DriverError(f"{problem}: describe its input in {file.with_suffix('.yaml').name}")
-
-
-def _shown(values: dict[str, Any]) -> str:
-    return flow(values if len(values) > 1 else next(iter(values.values())))
 
 
 def _decides(best: Agreement, usual: Agreement, maker: bool) -> bool:
