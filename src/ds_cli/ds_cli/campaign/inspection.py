@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
+from ds_base.words import count
 from ds_cli import options
 from ds_cli.output import Result, answer, printed_to, say, say_next, warning
 from ds_sim.registry import SimulatorName
@@ -26,7 +27,7 @@ def status(folder: Path) -> Result:
     """Report how far a campaign is, stage by stage."""
     from ds_analysis.paper.campaign_contents import exclusion_counts, exclusion_lines
     from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
-    from ds_orchestrator.campaign.selection import missing_bags, missing_line
+    from ds_orchestrator.campaign.selection import missing_bags
     from ds_orchestrator.campaign.status import driver_habits, stages_of_store
 
     with closing(open_store(folder)) as store:
@@ -68,7 +69,8 @@ def status(folder: Path) -> Result:
         for line in exclusion_lines(data):
             print(line)
         if missing:
-            print(missing_line(missing))
+            are_missing = count(len(missing), "recorded bag is missing", "recorded bags are missing")
+            print(f"{are_missing}, {missing[0]} the first")
         for habit in habits:
             print(warning(str(config.driver), habit))
         if document["errors"]:
@@ -120,7 +122,7 @@ def campaign_roads_command(
     else:
         write_whole(out, text + "\n")
         print(out)
-    say(f"{len(roads)} road{'' if len(roads) == 1 else 's'}")
+    say(count(len(roads), "road"))
     kept = out or printed_to()
     say_next(ds_command("report", folder) if kept is None else ds_command("road", "check", kept))
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ds_base.installation import ds_command
-from ds_base.words import duration
+from ds_base.words import count, duration
 from ds_cli import options
 from ds_cli.campaign.compare_results import check_writable, criteria_of
 from ds_cli.output import Interrupted, Result, end, say, warning
@@ -307,7 +307,7 @@ def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions | None, 
 
     def show() -> None:
         gates = f", and {forecast.gate_drives} of the autopilot for the gates" if forecast.gate_drives else ""
-        workers = f"{config.workers} worker{'' if config.workers == 1 else 's'}"
+        workers = count(config.workers, "worker")
         print(f"{forecast.drives} drives at most{gates}, engine {settings.engine}, {workers}.")
         print(
             f"About {duration(forecast.seconds)} on this machine as it is now: "

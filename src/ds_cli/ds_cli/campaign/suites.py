@@ -20,8 +20,6 @@ app = typer.Typer()
 suite_app = typer.Typer(help="Freeze tests into a regression suite, and run it.", no_args_is_help=True)
 app.add_typer(suite_app, name="suite")
 
-SuiteFile = Annotated[Path, typer.Argument(metavar="SUITE.json", help="Suite of `ds suite make`.")]
-
 
 @suite_app.command("make")
 def suite_make_command(
@@ -72,7 +70,7 @@ def suite_make_command(
 
 @suite_app.command("run")
 def suite_run_command(
-    suite: SuiteFile,
+    suite: Annotated[Path, typer.Argument(metavar="SUITE.json", help="Suite of `ds suite make`.")],
     driver: options.DriverText,
     backend: options.Backend = "auto",
     out: Annotated[

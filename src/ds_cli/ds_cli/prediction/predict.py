@@ -22,6 +22,7 @@ app = typer.Typer()
 TestsFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder of a campaign, `ds siblings compare` or `ds outcomes import`.")
 ]
+Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
 TwinName = Annotated[
     SimulatorName | None,
     options.simulator_option(
@@ -57,9 +58,7 @@ def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result
 def predict_command(
     folder: TestsFolder,
     twin: TwinName = None,
-    tolerated: Annotated[
-        float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")
-    ] = 0.1,
+    tolerated: Tolerated = 0.1,
     every_table: Annotated[bool, typer.Option("--tables", help="Show every cell, and how predictors did.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
     as_json: options.JsonFlag = False,

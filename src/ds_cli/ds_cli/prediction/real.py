@@ -15,7 +15,7 @@ from rich.console import Console
 from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.output import Result, answer, say
-from ds_cli.prediction.predict import TestsFolder
+from ds_cli.prediction.predict import TestsFolder, Tolerated
 
 if TYPE_CHECKING:
     from ds_analysis.prediction.car import CarPrediction
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 app = typer.Typer()
 real_app = typer.Typer(help="Propose, record and use a few drives on a real car.", no_args_is_help=True)
 app.add_typer(real_app, name="real")
-
-Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
 
 
 def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:

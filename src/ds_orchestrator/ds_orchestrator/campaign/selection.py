@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -49,16 +50,12 @@ def roads_of(
         examples = ", ".join(t.test_id for t in tests[:2]) or "(it has no tests yet)"
         raise ConfigError(f"{folder} has no test {test!r}: expected an id such as {examples}")
     wanted = None if cell is None else _cell_named(cell, [feature_of(name) for name in config.features], cells)
-    outcomes: dict[str, dict[str, Any]] = {t.test_id: {} for t in tests}
-    failures: set[tuple[str, str]] = set()
+    outcomes: dict[str, dict[SimulatorName, str]] = defaultdict(dict)
     for execution in data.executions:
-        outcomes.setdefault(execution.test_id, {})[execution.simulator] = execution.outcome.name
-        if execution.outcome.is_failure:
-            failures.add((execution.test_id, execution.simulator))
-    excluded: dict[str, dict[str, str]] = {}
-    for (test_id, name), gate in data.gates.items():
-        if not gate.is_valid:
-            excluded.setdefault(test_id, {})[name] = gate.state.value
+        outcomes[execution.test_id][execution.simulator] = execution.outcome.name
+    excluded: dict[str, dict[SimulatorName, str]] = defaultdict(dict)
+    for (test_id, name), gate in data.excluded.items():
+        excluded[test_id][name] = gate.state.value
     roads = []
     for one in tests:
         driven = outcomes[one.test_id]
@@ -67,7 +64,7 @@ def roads_of(
             (test is not None and one.test_id != test)
             or (wanted is not None and cells.get(one.test_id) != wanted)
             or (simulator is not None and simulator not in driven)
-            or (failed and not any((one.test_id, name) in failures for name in counted))
+            or (failed and not any(data.failed.get((one.test_id, name)) for name in counted))
         ):
             continue
         roads.append(
@@ -107,8 +104,3 @@ def _cell_named(text: str, features: Sequence[Feature], cells: Mapping[str, Cell
 def missing_bags(campaign: Path, bags: Iterable[str]) -> list[str]:
     """List recorded bags that no longer exist, relative to the campaign folder."""
     return sorted(bag for bag in bags if bag and not (campaign / bag / "metadata.yaml").is_file())
-
-
-def missing_line(missing: Sequence[str]) -> str:
-    """Describe missing bags in one line."""
-    return f"{len(missing)} recorded bag{'s are' if len(missing) != 1 else ' is'} missing, {missing[0]} the first"
