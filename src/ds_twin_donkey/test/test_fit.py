@@ -281,6 +281,14 @@ def test_a_located_recording_is_known_by_its_table_and_refused_if_short(tmp_path
         assert read_log(tmp_path).kind == kind
 
 
+def test_poses_are_moved_to_the_car_and_back() -> None:
+    """A point 0.1 m ahead of a car at the origin that looks along y, and looks 0.2 rad to the left of it."""
+    mounting, car = Mounting(forward=0.1, yaw=0.2), np.array([[0.0, 0.0, np.pi / 2, 1.0, 0.5]])
+    pose = mounting.to_pose(car)
+    assert pose[0] == pytest.approx([0.0, 0.1, np.pi / 2 + 0.2, 1.0, 0.5])
+    assert mounting.to_car(pose) == pytest.approx(car)
+
+
 def test_a_table_of_motion_is_a_log(tmp_path: Path) -> None:
     path = tmp_path / "located.csv"
     rows = [f"{0.05 * k},{0.1 * k},0,1,0.25,0.5,{0.02 if k else ''}" for k in range(40)]

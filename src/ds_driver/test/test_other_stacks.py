@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signs, units and geometry of other stacks' messages in both directions, also for packages not installed here."""
+"""Commands of other ROS stacks: conversion between message types, and the frames that they answer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ds_driver.control.bicycle import Geometry, MotionError
-from ds_driver.control.other_stacks import KINDS, Motion, part, set_part
+from ds_driver.control.other_stacks import KINDS, Motion, StampMatcher, part, set_part
 
 CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
 
@@ -127,3 +127,53 @@ def test_a_pulse_width_is_not_taken_for_a_throttle() -> None:
 def test_an_impossible_geometry_is_refused(wheelbase: float, angle: float) -> None:
     with pytest.raises(MotionError, match="wheelbase"):
         Geometry(wheelbase, angle)
+
+
+STEP = 50_000_000
+
+
+def test_a_stamped_command_answers_its_frame_in_either_order() -> None:
+    matching: StampMatcher[str, str] = StampMatcher()
+    assert matching.frame(STEP, "a") is None
+    assert matching.command(STEP, "left") == ("a", "left")
+    assert matching.command(2 * STEP, "right") is None
+    assert matching.frame(2 * STEP, "b") == ("b", "right")
+
+
+def test_repeated_late_and_unknown_stamps_are_refused() -> None:
+    matching: StampMatcher[str, str] = StampMatcher()
+    matching.frame(STEP, "a")
+    matching.command(STEP, "left")
+    for stamp in (STEP, STEP // 2, 1_700_000_000 * 10**9):
+        with pytest.raises(KeyError):
+            matching.command(stamp, "again")
+    assert matching.frame(2 * STEP, "b") is None
+
+
+def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next() -> None:
+    matching: StampMatcher[str, str] = StampMatcher()
+    matching.frame(STEP, "a")
+    matching.frame(2 * STEP, "b")
+    assert matching.command(0, "left") == ("b", "left")
+    assert matching.command(0, "right") is None
+    assert matching.command(0, "straight") is None
+    assert matching.frame(3 * STEP, "c") == ("c", "straight")
+    assert matching.frame(4 * STEP, "d") is None
+
+
+def test_a_repeated_frame_can_be_answered_again() -> None:
+    matching: StampMatcher[str, str] = StampMatcher()
+    for _ in range(2):
+        assert matching.frame(STEP, "a") is None
+        assert matching.command(STEP, "left") == ("a", "left")
+
+
+def test_memory_is_bounded() -> None:
+    matching: StampMatcher[int, int] = StampMatcher()
+    for number in range(1, 2000):
+        matching.frame(number * STEP, number)
+    assert len(matching._frames) <= 20
+    matching = StampMatcher()
+    for number in range(1, 2000):
+        matching.command(number * STEP, number)
+    assert len(matching._early) <= 20
