@@ -216,6 +216,16 @@ def test_an_evaluation_is_short_unless_all_is_wanted(tmp_path: Path, capsys: pyt
     assert capsys.readouterr().out.count("0.500") == 2
 
 
+def test_lines_may_be_some_seconds_apart(capsys: pytest.CaptureFixture[str]) -> None:
+    now = 0.0
+    progress = ScreenProgress(lambda: now, every=3.0)
+    progress.start(10)
+    for _ in range(10):
+        now += 1.0
+        progress.advance(line="x")
+    assert [line.split(";")[0] for line in capsys.readouterr().err.splitlines()] == ["3/10 x", "6/10 x", "9/10 x"]
+
+
 def test_time_left_counts_what_this_call_did(capsys: pytest.CaptureFixture[str]) -> None:
     """Four of eight were done before; the others take 30 s each."""
     now = 0.0

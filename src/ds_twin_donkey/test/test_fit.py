@@ -16,6 +16,7 @@ from benchmarks.twin_drives import (
     random_commands,
     simulated_recording,
 )
+from progress_lines import ProgressLines
 from tubs import write_tub
 
 from ds_bags.messages import typestore
@@ -23,7 +24,7 @@ from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_report.fit_picture import draw_fit
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
-from ds_twin_donkey.fit import FitSettings, fit
+from ds_twin_donkey.fit import FitSettings, _Phases, fit
 from ds_twin_donkey.fit_state import FitState, Kept, digest_of
 from ds_twin_donkey.located import Mounting, find_mounting, fit_located, rough_start
 from ds_twin_donkey.logs import Drive, Log, LogError, drives_of, read_log
@@ -366,3 +367,16 @@ def test_a_fit_that_is_stopped_after_any_round_ends_the_same(tmp_path: Path) -> 
     assert Kept(state).begin(inputs) is None
     kept.forget()
     assert not state.exists()
+
+
+def test_a_fit_says_how_long_it_still_takes() -> None:
+    """Iterations of 2 s; those of the second phase are taken to last 2.5 times, of the third 6 times as long."""
+    told = ProgressLines()
+    phases = _Phases(told, first=1)
+    phases.begin(1, "windows")
+    for number in range(6):
+        phases.iterated(f"iteration {number}")
+    assert told.total == 4 * 1 + 4 * 2.5 + 8 * 6 and told.done == 3.875  # more than usual share what is left
+    phases.begin(2, "windows")
+    phases.iterated("iteration 0")
+    assert told.done == 6.5 and told.lines[-2:] == ["phase 2 of 3: windows", "iteration 0"]
