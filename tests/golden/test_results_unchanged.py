@@ -21,18 +21,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ds_base.atomic_files import write_json
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import Frame
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
+from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.search.algorithms import SEARCHES
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
-from ds_report.build import write_json
 from ds_road import Road
 from ds_sim.camera.lens import components, sample_rays
 from ds_sim.camera.spec import CameraSpec
-from ds_sim.registry import make_simulator
+from ds_sim.registry import label_of, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Outcome
@@ -88,8 +89,10 @@ def demo_executions() -> list[Execution]:
 
 
 def test_the_maps_have_the_same_bytes(tmp_path: Path) -> None:
-    write_json(tmp_path, build_maps(CONFIG.siblings, CONFIG.twin, demo_tests(), demo_executions(), CONFIG.map_plan()))
-    written = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (tmp_path / "maps").iterdir()}
+    maps = to_json(build_maps(CONFIG.siblings, CONFIG.twin, demo_tests(), demo_executions(), CONFIG.map_plan()))
+    for name, content in {**maps, "maps": maps}.items():
+        write_json(tmp_path / f"{label_of(name)}.json", content)
+    written = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in tmp_path.iterdir()}
     assert written == DEMO["maps_sha256"]
 
 
