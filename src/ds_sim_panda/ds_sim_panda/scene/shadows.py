@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -23,15 +22,9 @@ _BORDER = 8
 """Pixels at the map's border without shadow, as what is there goes on beyond it; chosen."""
 
 
-@dataclass(frozen=True)
-class Shadows:
-    """Map of shadows."""
-
-    texture: Any  # 1 in full shadow of what stands beside the road; in a second channel, if any, in one of conditions
-    frame: tuple[float, float, float]  # x and y of its corner, m, and its scale, 1/m
-
-
-def cast_shadows(solids: Any, course: Course, towards_sun: Direction, along: AlongRoad | None = None) -> Shadows:
+def cast_shadows(
+    solids: Any, course: Course, towards_sun: Direction, along: AlongRoad | None = None
+) -> tuple[Any, tuple[float, float, float]]:
     """Draw the shadows around a road, seen from above.
 
     Args:
@@ -39,6 +32,10 @@ def cast_shadows(solids: Any, course: Course, towards_sun: Direction, along: Alo
         course: the road.
         towards_sun: where the sun stands.
         along: where conditions put shadows across the road.
+
+    Returns:
+        Texture, 1 in full shadow of what stands beside the road, and in a second channel, if any, in one of conditions;
+        x and y of its corner, m, and its scale, 1/m.
     """
     core = panda()
     low, high = course.points.min(axis=0) - SHADOW_MARGIN, course.points.max(axis=0) + SHADOW_MARGIN
@@ -69,7 +66,7 @@ def cast_shadows(solids: Any, course: Course, towards_sun: Direction, along: Alo
         strips.set_shader_input("patches", patches())
         layers.append(_map_of(camera))
     image = layers[0] if len(layers) == 1 else np.dstack(layers)
-    return Shadows(upload("shadows", image, wrap=False), (float(low[0]), float(low[1]), 1.0 / side))
+    return upload("shadows", image, wrap=False), (float(low[0]), float(low[1]), 1.0 / side)
 
 
 def _map_of(camera: Any) -> NDArray[np.uint8]:

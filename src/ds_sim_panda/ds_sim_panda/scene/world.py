@@ -62,9 +62,9 @@ class World:
         self._road_surfaces(course, along)
         solids = core.NodePath(solid_meshes(place_scenery(course, _seed_of(road)), daylight))
         shadowed = along if setting and setting.conditions.shadow_density else None
-        shadows = cast_shadows(solids, course, daylight.towards_sun, shadowed)
-        self.root.set_shader_input("shadows", shadows.texture)
-        self.root.set_shader_input("shadow_frame", core.LVector3(*shadows.frame))
+        shadows, frame = cast_shadows(solids, course, daylight.towards_sun, shadowed)
+        self.root.set_shader_input("shadows", shadows)
+        self.root.set_shader_input("shadow_frame", core.LVector3(*frame))
         self.root.set_shader_input("patches", textures.patches())
         for name, value in (setting.shader_inputs() if setting else {}).items():
             self.root.set_shader_input(name, value if isinstance(value, float) else core.LVector3(*value))
