@@ -370,13 +370,13 @@ def test_a_fit_that_is_stopped_after_any_round_ends_the_same(tmp_path: Path) -> 
 
 
 def test_a_fit_says_how_long_it_still_takes() -> None:
-    """Iterations of 2 s; those of the second phase are taken to last 2.5 times, of the third 6 times as long."""
+    """Iterations of 2 s; those of the second phase are taken to last twice, of the third 4 times as long."""
     told = ProgressLines()
     phases = _Phases(told, first=1)
     phases.begin(1, "windows")
     for number in range(6):
         phases.iterated(f"iteration {number}")
-    assert told.total == 4 * 1 + 4 * 2.5 + 8 * 6 and told.done == 3.875  # more than usual share what is left
+    assert told.total == 4 * 1 + 4 * 2 + 8 * 4 and told.done == 3.875  # more than usual share what is left
     phases.begin(2, "windows")
     phases.iterated("iteration 0")
-    assert told.done == 6.5 and told.lines[-2:] == ["phase 2 of 3: windows", "iteration 0"]
+    assert told.done == 6.0 and told.lines[-2:] == ["phase 2 of 3: windows", "iteration 0"]
