@@ -201,17 +201,19 @@ def test_a_bag_without_images_says_what_to_do(bags: Path) -> None:
     ("encoding", "code"),
     [
         ("rgb8", None),
-        ("bgr8", cv2.COLOR_RGB2BGR),
-        ("rgba8", cv2.COLOR_RGB2RGBA),
-        ("bgra8", cv2.COLOR_RGB2BGRA),
-        ("yuv422", cv2.COLOR_RGB2YUV_UYVY),
-        ("yuv422_yuy2", cv2.COLOR_RGB2YUV_YUY2),
+        ("bgr8", "COLOR_RGB2BGR"),
+        ("rgba8", "COLOR_RGB2RGBA"),
+        ("bgra8", "COLOR_RGB2BGRA"),
+        ("yuv422", "COLOR_RGB2YUV_UYVY"),
+        ("yuv422_yuy2", "COLOR_RGB2YUV_YUY2"),
     ],
 )
-def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code: int | None) -> None:
+def test_encodings_against_opencv_s_conversion_the_other_way(encoding: str, code: str | None) -> None:
     """Rows are padded, as by some drivers; subsampled YUV is compared on an image with one colour per row."""
     picture = PICTURE if "yuv" not in encoding else np.repeat(PICTURE[:, :1], 40, axis=1)
-    raw = picture if code is None else np.asarray(cv2.cvtColor(picture, code))
+    if code is not None and not hasattr(cv2, code):
+        pytest.skip("OpenCV 4.8 converts to no subsampled YUV")
+    raw = picture if code is None else np.asarray(cv2.cvtColor(picture, getattr(cv2, code)))
     rows = raw.reshape(30, -1)
     padded = np.hstack((rows, np.zeros((30, 7), np.uint8))).reshape(-1)
     back = rgb_of(padded, encoding=encoding, height=30, width=40, step=rows.shape[1] + 7)

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,9 @@ PROBES = {
 """Digest of `probe` on the machine that recorded the runs, for each back end of the network."""
 TOLERANCE = 0.05
 """m, rad and m/s on other processors; chosen: far below what decides a verdict, far above rounding."""
+PINS = (Path(__file__).parents[2] / "requirements/project.txt").read_text().split()
+PINNED = all(f"{name}=={version(name)}" in PINS for name in ("numpy", "scipy", "opencv-python-headless"))
+"""Whether the libraries that round are those for which bytes are promised; others differ in last digits."""
 
 
 @cache
@@ -88,6 +92,7 @@ def demo_executions() -> list[Execution]:
     ]
 
 
+@pytest.mark.skipif(not PINNED, reason="bytes are promised for the versions of requirements/project.txt")
 def test_the_maps_have_the_same_bytes(tmp_path: Path) -> None:
     maps = to_json(build_maps(CONFIG.siblings, CONFIG.twin, demo_tests(), demo_executions(), CONFIG.map_plan()))
     for name, content in {**maps, "maps": maps}.items():
