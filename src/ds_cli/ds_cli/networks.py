@@ -13,8 +13,9 @@ from rich.table import Table
 
 from ds_base.bounded_json import read_json
 from ds_base.installation import ds_command
+from ds_base.words import count
 from ds_cli import options
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say, say_next
+from ds_cli.output import Result, ScreenProgress, answer, say, say_next, stopped
 
 app = typer.Typer()
 
@@ -50,14 +51,15 @@ def collect_command(
     if (road is None and mutants) or (road is not None and roads is not None):
         raise DatasetError("expected either --roads for random roads, or --road FILE and perhaps --mutants")
     roads_to_drive = None if road is None else given_roads(road, mutants=mutants, seed=seed)
-    count = (roads or 25) if roads_to_drive is None else len(roads_to_drive)
-    plan = CollectionPlan(roads=count, seed=seed, every=every, disturbance=disturbance)
-    try:
-        collect(plan, simulators, out, ScreenProgress(), roads_to_drive)
-    except KeyboardInterrupt:
+    number = (roads or 25) if roads_to_drive is None else len(roads_to_drive)
+    plan = CollectionPlan(roads=number, seed=seed, every=every, disturbance=disturbance)
+
+    def kept() -> str:
         files = [file for file in out.rglob("*.parquet") if not file.name.startswith(".")] if out.is_dir() else []
-        drives = f"{len(files)} drive{'' if len(files) == 1 else 's'}"
-        raise Interrupted(f"{drives} in {out} are kept; the same command continues" if files else "") from None
+        return f"{count(len(files), 'drive')} in {out} are kept; the same command continues" if files else ""
+
+    with stopped(kept):
+        collect(plan, simulators, out, ScreenProgress(), roads_to_drive)
     write_manifest(out, {"plan": asdict(plan), "simulators": simulators, "versions": versions()})
     counts = read_json(out / "manifest.json")["images"]
     print(f"{sum(counts.values())} images of {', '.join(simulators)} are in {out}")
@@ -132,7 +134,7 @@ def train_command(
 
     Example: ds train --data data --out trained --network dave2
     """
-    from ds_driver.training import TrainingPlan, architecture_of, schedule_of, train
+    from ds_driver.training import CHECKPOINT, TrainingPlan, architecture_of, schedule_of, train
 
     network = network or (architecture_of(start) if start else "dave2")
     chosen = schedule_of(schedule, network)
@@ -141,13 +143,9 @@ def train_command(
         without_dropout=chosen.without_dropout, images_per_simulator=images, learning_rate=learning_rate,
         weights_at=_steps_of(weights_at), threads=threads, device=device, start=start or "",
     )  # fmt: skip
-    try:
+    kept = f"the finished epochs are kept in {out}; the same command continues"
+    with stopped(lambda: kept if (out / CHECKPOINT).is_file() else ""):
         train(data, out, plan, ScreenProgress(), trusted=trust or [])
-    except KeyboardInterrupt:
-        resumed = (out / "checkpoint.pt").is_file()
-        raise Interrupted(
-            f"the finished epochs are kept in {out}; the same command continues" if resumed else ""
-        ) from None
     file = out / f"{network}.safetensors"
     print(file)
     say_next(ds_command("check", file))

@@ -9,7 +9,7 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,15 +31,19 @@ class Interrupted(Exception):
 
 
 @contextmanager
-def stopped_in(folder: Path | None) -> Iterator[None]:
-    """Turn the user's stop into `Interrupted`, which says where the finished drives are; nowhere if None."""
+def stopped(kept: Callable[[], str]) -> Iterator[None]:
+    """Turn the user's stop into `Interrupted`, which says what is kept."""
     from ds_orchestrator.campaign.executor import Stopped
 
     try:
         yield
     except (KeyboardInterrupt, Stopped):
-        kept = "" if folder is None else f"finished drives are in {folder}: the same command goes on"
-        raise Interrupted(kept) from None
+        raise Interrupted(kept()) from None
+
+
+def stopped_in(folder: Path | None) -> AbstractContextManager[None]:
+    """Turn the user's stop into `Interrupted`, which says where the finished drives are; nowhere if None."""
+    return stopped(lambda: "" if folder is None else f"finished drives are in {folder}: the same command goes on")
 
 
 @dataclass(frozen=True, kw_only=True)

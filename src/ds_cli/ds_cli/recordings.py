@@ -10,7 +10,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer, end
+from ds_cli.output import Result, ScreenProgress, answer, end, stopped
 
 app = typer.Typer()
 recording_app = typer.Typer(
@@ -69,7 +69,6 @@ def recording_test_command(
     from ds_cli.progress import ScreenListener
     from ds_driver.data.recordings import Reading
     from ds_orchestrator.campaign.engine import DriveSettings
-    from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_orchestrator.engines.preflight import check_driver
     from ds_studies.track_test import PAGE, ROADS, Recording, TrackTest, run_track_test
@@ -82,10 +81,8 @@ def recording_test_command(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
     asked = TrackTest(recording=recording, out=out, driver=network, roads=roads, crop_top=crop_top)
-    try:
+    with stopped(lambda: f"what is finished is in {out}: the same command goes on"):
         answer = run_track_test(asked, settings, Callbacks(listen=ScreenListener), lambda: ScreenProgress(every=EVERY))
-    except (KeyboardInterrupt, Stopped):
-        raise Interrupted(f"what is finished is in {out}: the same command goes on") from None
 
     def show() -> None:
         for caution in answer.cautions:
@@ -127,10 +124,8 @@ def locate_command(
     recording = Recording(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
-    try:
+    with stopped(lambda: f"what is finished is in {out}: the same command goes on"):
         located, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
-    except KeyboardInterrupt:
-        raise Interrupted(f"what is finished is in {out}: the same command goes on") from None
     document = located.about | {"out": str(out), "page": str(page)}
 
     def show() -> None:

@@ -11,7 +11,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
+from ds_cli.output import Result, ScreenProgress, answer, say, stopped
 from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
@@ -53,7 +53,8 @@ def train_command(
 
     settings = replace(PRESETS[preset], seed=seed, threads=threads, device=device)
     settings = replace(settings, epochs=epochs or settings.epochs)
-    try:
+    kept = f"the finished epochs are kept in {out}; the same command continues"
+    with stopped(lambda: kept if (out / CHECKPOINT).is_file() else ""):
         sources = read_sources(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
         match = sources.match
         for name, window, position in zip(
@@ -64,10 +65,6 @@ def train_command(
         for warning in warnings:
             say(f"warning: {warning}")
         history = train(domains, settings, out, ScreenProgress())
-    except KeyboardInterrupt:
-        kept = (out / CHECKPOINT).is_file()
-        line = f"the finished epochs are kept in {out}; the same command continues" if kept else ""
-        raise Interrupted(line) from None
     document = {
         "simulator": sim,
         "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real)},
@@ -108,10 +105,8 @@ def translate_command(
     if generator.is_dir() or str(generator) in shipped_sets():
         files = list(open_set(str(generator)).files.values())
     translators = (Translator(load_generator(file), backend) for file in files)
-    try:
+    with stopped(lambda: f"what is translated is kept in {out}; the same command continues"):
         count = sum(translate(source, out, one, ScreenProgress(), workers=workers) for one in translators)
-    except KeyboardInterrupt:
-        raise Interrupted(f"what is translated is kept in {out}; the same command continues") from None
     document = {"out": str(out), "translated": count}
     following = ds_command("train", "--data", out, "--out", "networks")
     answer(Result(document=document, show=lambda: print(out), next=following), as_json)

@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Interrupted, Result, ScreenProgress, answer, say
+from ds_cli.output import Result, ScreenProgress, answer, say, stopped
 from ds_sim.conditions.text import format_3sf
 
 MISFIT = 2.0
@@ -61,13 +61,11 @@ def twin_fit_command(
     mounting = None
     state = out.with_name(f"{out.name}.state")
     kept = Kept(state)
-    try:
+    with stopped(lambda: f"the same command goes on from {state}" if state.exists() else ""):
         if located:
             fitted, mounting = fit_located(drives, begin, settings, ScreenProgress(), kept)
         else:
             fitted = fit(drives, begin, settings, ScreenProgress(), kept)
-    except KeyboardInterrupt:
-        raise Interrupted(f"the same command goes on from {state}" if state.exists() else "") from None
     for name, ratio in fitted.misfit.items():
         if ratio > MISFIT:
             say(

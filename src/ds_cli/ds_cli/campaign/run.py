@@ -16,7 +16,7 @@ from ds_base.installation import ds_command
 from ds_base.words import count, duration
 from ds_cli import options
 from ds_cli.campaign.compare_results import check_writable, criteria_of
-from ds_cli.output import Interrupted, Result, end, say, warning
+from ds_cli.output import Result, end, say, stopped, warning
 from ds_sim import registry
 
 if TYPE_CHECKING:
@@ -46,7 +46,6 @@ def campaign(
 ) -> Result:
     """Run a campaign to its report, or resume it; staged: print a first answer from few tests, and go on."""
     from ds_cli.progress import ScreenListener
-    from ds_orchestrator.campaign.executor import Stopped
     from ds_orchestrator.campaign.folder import open_store
     from ds_orchestrator.campaign.status import driver_habits
     from ds_studies.whole_campaign import run_campaign
@@ -61,14 +60,8 @@ def campaign(
             say(f"  {line}")
         say("the test goes on, and replaces this answer")
 
-    try:
-        with listener:
-            outcome = run_campaign(
-                config, out, listener, attach=attach, cluster=cluster, first=first if staged else None
-            )
-    except (KeyboardInterrupt, Stopped):
-        resumed = (out / "campaign.sqlite").is_file()
-        raise Interrupted(_kept(out, listener.done) if resumed else "") from None
+    with stopped(lambda: _kept(out, listener.done)), listener:
+        outcome = run_campaign(config, out, listener, attach=attach, cluster=cluster, first=first if staged else None)
     say(f"finished in {duration(time.monotonic() - started)}")
     with closing(open_store(out)) as store:
         for habit in driver_habits(store):
@@ -113,6 +106,8 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
 
 
 def _kept(out: Path, done: int) -> str:
+    if not (out / "campaign.sqlite").is_file():
+        return ""
     finished = f"{done} finished execution{'s are' if done != 1 else ' is'} kept; " if done else ""
     return f"{finished}`{ds_command('campaign', 'resume', out)}` continues"
 
