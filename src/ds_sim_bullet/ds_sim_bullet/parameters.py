@@ -138,12 +138,7 @@ class BulletParameters:
         return 2.0 * self.damping_ratio * math.sqrt(self.spring_stiffness(front=front) * sprung)
 
     def drive_torque(self, throttle: float, speed: float) -> float:
-        """Motor torque on each rear wheel, N m, positive forward.
-
-        Args:
-            throttle: 0 to 1.
-            speed: speed of the motor, expressed as m/s at the tyres.
-        """
+        """Motor torque on each rear wheel, N m, positive forward, at a throttle and the speed of its tyres, m/s."""
         fade = min(max(speed / self.fade_speed, 0.0), 1.0)
         neutral = self.neutral_throttle * fade
         if throttle >= neutral:

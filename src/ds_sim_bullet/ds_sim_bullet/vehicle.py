@@ -32,12 +32,7 @@ class Suspension:
         self._bars = (p.front_anti_roll, p.rear_anti_roll)
 
     def forces(self, guides: Sequence[tuple[float, ...]]) -> list[float]:
-        """Force on each hub, N, positive up.
-
-        Args:
-            guides: joint states of the guides as PyBullet reports them: position (m) and velocity (m/s) first,
-                positive up (compression).
-        """
+        """Force on each hub, N, positive up; PyBullet's state of a guide begins with position, m, and velocity."""
         forces = []
         for (load, stiffness, damping), guide in zip(self._corners, guides, strict=True):
             position, velocity = guide[0], guide[1]

@@ -40,11 +40,10 @@ class OdometryReader:
         self._yaw, self._ground = yaw, float(message.pose.pose.position.z)
 
     def state(self, message: Any, steering: float) -> VehicleState:
-        """Convert a message; yaws continue the ones before, also beyond a full circle.
+        """Convert a nav_msgs/Odometry; yaws continue the ones before, also beyond a full circle.
 
-        Args:
-            message: nav_msgs/Odometry, with the twist in the vehicle's frame, as REP-105 has it.
-            steering: last command; an odometry has no angle of the wheels, so the one asked for is reported.
+        Its twist is in the vehicle's frame, as REP-105 has it. It has no angle of the wheels: the one that the last
+        command asked for is reported.
 
         Raises:
             SimulatorError: a value is not finite, or the orientation is no unit quaternion.

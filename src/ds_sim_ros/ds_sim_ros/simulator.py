@@ -61,11 +61,7 @@ class RosWorld(Vehicle, Scene):
         self.latency: tuple[float, float] | None = None
 
     def choose(self, road: Road, seed: int) -> None:
-        """Set road and seed of the next run.
-
-        Raises:
-            ds_road.RoadError: the track is fixed, and the road is another one.
-        """
+        """Set road and seed of the next run; RoadError if the track is fixed, and the road another one."""
         if self.track is not None:
             check_is_track(road, self.track, self._settings.name)
         self._request = road, seed
@@ -99,11 +95,7 @@ class RosWorld(Vehicle, Scene):
         return self._image
 
     def still(self, state: VehicleState, rng: np.random.Generator | None = None) -> NDArray[np.uint8]:
-        """Whole image at the end of the last frame; the camera of another simulator cannot be put anywhere else.
-
-        Raises:
-            SimulatorError: the pose is another one.
-        """
+        """Whole image at the end of the last frame; SimulatorError for another pose, where no camera can be put."""
         if state != self._state:
             raise SimulatorError(f"{self._settings.name} shows only what its vehicle sees now: drive there")
         return self._image

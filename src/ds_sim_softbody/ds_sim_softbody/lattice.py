@@ -130,13 +130,7 @@ class RigidMotion(NamedTuple):
 
 
 class Lattice:
-    """Frame in motion.
-
-    Args:
-        plan: frame at rest.
-        nodes: (n, 4) array that `read` fills: positions of the nodes, m, and velocities, m/s; as x, y, x, y.
-        iterations: solver iterations per substep.
-    """
+    """Frame in motion, whose `read` fills nodes, (n, 4): positions, m, and velocities, m/s; as x, y, x, y."""
 
     def __init__(self, plan: Blueprint, nodes: NDArray[np.float64], *, iterations: int) -> None:
         self.nodes = nodes

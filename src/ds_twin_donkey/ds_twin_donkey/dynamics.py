@@ -109,11 +109,7 @@ CAR = np.dtype(
 
 
 class CarModel:
-    """Advances a car by whole steps; stateless, holds only constants derived from the parameters.
-
-    Args:
-        parameters: parameters of the car.
-        substeps: substeps per step.
+    """Advances a car by whole steps of some substeps; stateless, holds only constants derived from the parameters.
 
     Attributes:
         frames_kept: number of commands that a step needs, up to that of its own frame.
@@ -134,11 +130,9 @@ class CarModel:
         self._advance = load("ds_twin_donkey.advance", *[c_void_p] * 2, c_int64, *[c_void_p] * 2, c_int64)
 
     def run(self, state: ArrayLike, commands: ArrayLike) -> NDArray[np.float64]:
-        """Return the states from the given one on, (steps + 1, 17), columns as in `CarState`.
+        """Return the states from a given one on, (steps + 1, 17), columns as in `CarState`.
 
-        Args:
-            state: state at the start of the first step.
-            commands: steering and throttle by frames, (steps + `frames_kept` - 1, 2), that of the last step last.
+        Commands are steering and throttle by frames, (steps + `frames_kept` - 1, 2), that of the last step last.
         """
         rows = np.ascontiguousarray(commands, np.float64)
         states = np.empty((len(rows) - self.frames_kept + 2, len(CarState._fields)))

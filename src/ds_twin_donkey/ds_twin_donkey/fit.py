@@ -49,20 +49,13 @@ TYPICAL, COST = (4, 4, 8), (1.0, 2.0, 4.0)
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings:
-    """Settings of a fit.
+    """Settings of a fit."""
 
-    Attributes:
-        window_seconds: length of a window, s; longer ones separate slow effects, but the model must be accurate for as
-            long.
-        max_seconds: total length of all windows, evenly spread over the drives, s; bounds time and memory.
-        max_evaluations: largest number of evaluations of all residuals per round.
-        names: parameters to fit, a subset of `FITTED`.
-    """
-
+    # Length of a window, s; longer ones separate slow effects, but the model must be accurate for as long.
     window_seconds: float = 10.0
-    max_seconds: float = 600.0
-    max_evaluations: int = 40
-    names: tuple[str, ...] = tuple(FITTED)
+    max_seconds: float = 600.0  # total length of all windows, evenly spread over the drives, s; bounds time and memory
+    max_evaluations: int = 40  # largest number of evaluations of all residuals per round
+    names: tuple[str, ...] = tuple(FITTED)  # parameters to fit, a subset of `FITTED`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,25 +85,16 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True)
 class Fit:
-    """Result of a fit.
+    """Result of a fit."""
 
-    Attributes:
-        parameters: parameters of the car, fitted and held ones.
-        estimates: one per parameter to fit.
-        rms: root mean square of the residuals per channel, in its unit; NaN where nothing was measured.
-        noise: white noise of the drives per channel, in its unit; NaN where nothing was measured.
-        windows: number of windows used.
-        measured: (windows, frames, 5) measurements, columns as `logs.CHANNELS`.
-        fitted: (windows, frames, 5) simulated values.
-    """
-
-    parameters: DonkeyParameters
-    estimates: tuple[Estimate, ...]
+    parameters: DonkeyParameters  # parameters of the car, fitted and held ones
+    estimates: tuple[Estimate, ...]  # one per parameter to fit
+    # Root mean square of the residuals per channel, in its unit; NaN where nothing was measured.
     rms: Mapping[str, float]
-    noise: Mapping[str, float]
-    windows: int
-    measured: Array
-    fitted: Array
+    noise: Mapping[str, float]  # white noise of the drives per channel, in its unit; NaN where nothing was measured
+    windows: int  # number of windows used
+    measured: Array  # (windows, frames, 5) measurements, columns as `logs.CHANNELS`
+    fitted: Array  # (windows, frames, 5) simulated values
 
     @property
     def misfit(self) -> dict[str, float]:

@@ -35,15 +35,10 @@ than its heading is uncertain."""
 
 @dataclass(frozen=True, kw_only=True)
 class Mounting:
-    """Where the poses of a recording are, seen from the car.
+    """Where the poses of a recording are, seen from the car."""
 
-    Attributes:
-        forward: distance of the poses' point ahead of the car's centre, m.
-        yaw: direction of the poses, left of the car's, rad.
-    """
-
-    forward: float = 0.0
-    yaw: float = 0.0
+    forward: float = 0.0  # distance of the poses' point ahead of the car's centre, m
+    yaw: float = 0.0  # direction of the poses, left of the car's, rad
 
     def to_car(self, poses: Array) -> Array:
         """Convert x, y and yaw of the poses' point, in the first columns of (..., n), to those of the car's centre."""

@@ -57,19 +57,12 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Log:
-    """One recorded log.
+    """One recorded log."""
 
-    Attributes:
-        name: name of the file or folder.
-        kind: `bag`, `tub`, `table`, or `located` for a table that `ds recording locate` wrote.
-        sha256: SHA-256 over the files that were read, one after the other.
-        drives: parts without gaps.
-    """
-
-    name: str
-    kind: str
-    sha256: str
-    drives: tuple[Drive, ...]
+    name: str  # name of the file or folder
+    kind: str  # `bag`, `tub`, `table`, or `located` for a table that `ds recording locate` wrote
+    sha256: str  # SHA-256 over the files that were read, one after the other
+    drives: tuple[Drive, ...]  # parts without gaps
 
     @property
     def seconds(self) -> float:

@@ -124,11 +124,7 @@ class DonkeyParameters:
         )
 
     def changed(self, **values: float) -> DonkeyParameters:
-        """Copy with some values changed.
-
-        Raises:
-            ValueError: a parameter does not exist, or a value is out of range.
-        """
+        """Copy with some values changed; ValueError if one does not exist or is out of range."""
         names = {field.name for field in dataclasses.fields(self)}
         for name in values:
             if name not in names:

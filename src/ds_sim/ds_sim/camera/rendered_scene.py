@@ -31,16 +31,10 @@ class RenderedScene(Scene):
     The world belongs to the road: the same road always looks alike, whatever the seed of the run, which conditions and
     the sensor's noise alone use.
 
-    Args:
-        camera: camera and its mounting.
-
     Attributes:
         conditions: conditions that the scene realises.
         haze: colour into which distant things fade by `Optics`; None where the renderer draws haze itself.
-        only: properties that the camera must have, as the scene draws no other.
-
-    Raises:
-        ValueError: the camera has another property.
+        only: properties that the camera must have, or it is refused by a ValueError, as the scene draws no other.
     """
 
     conditions: ClassVar[frozenset[str]] = CAMERA_CONDITIONS

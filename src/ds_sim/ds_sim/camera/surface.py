@@ -59,19 +59,12 @@ _Points = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Strip:
-    """Road, or a stretch of it, relative to a raster's corner.
+    """Road, or a stretch of it, relative to a raster's corner."""
 
-    Attributes:
-        centre: centre line, (n, 2), m.
-        across: unit vectors to the right, (n, 2).
-        half_width: m.
-        two_lanes: whether there is a centre line.
-    """
-
-    centre: _Points
-    across: _Points
-    half_width: float
-    two_lanes: bool
+    centre: _Points  # centre line, (n, 2), m
+    across: _Points  # unit vectors to the right, (n, 2)
+    half_width: float  # m
+    two_lanes: bool  # whether there is a centre line
 
     def part(self, rows: slice) -> Strip:
         """A stretch of it."""
@@ -86,17 +79,11 @@ class Strip:
 
 @dataclass(frozen=True)
 class Canvas:
-    """What may be drawn on.
+    """What may be drawn on."""
 
-    Attributes:
-        raster: (rows, columns, 4) uint8.
-        mask: (rows, columns) uint8 of zeros, to which it returns.
-        boxes: parts of both.
-    """
-
-    raster: NDArray[np.uint8]
-    mask: NDArray[np.uint8]
-    boxes: list[Box]
+    raster: NDArray[np.uint8]  # (rows, columns, 4) uint8
+    mask: NDArray[np.uint8]  # (rows, columns) uint8 of zeros, to which it returns
+    boxes: list[Box]  # parts of both
 
     def masked(self) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], Box]]:
         """Parts under the mask as linear light (rows, columns, 3), to be changed in place, and the mask, 0 to 1.

@@ -60,11 +60,7 @@ _NEAR = 0.015
 def in_words(name: str, low: float, high: float | None = None, side: Side = "") -> str:
     """Say a value of a condition, or a range of values, as a driver would, with the code name in brackets.
 
-    Args:
-        name: of the condition.
-        low: the value, or the smallest one.
-        high: the largest value of a range.
-        side: which values beside a single one are meant.
+    The side says which values beside a single one are meant.
 
     Examples:
         >>> in_words("line_cover", 0.259, side="or more")

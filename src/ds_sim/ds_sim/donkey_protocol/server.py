@@ -38,15 +38,15 @@ class ServerError(InputError):
 
 
 class DonkeyServer:
-    """Serves a simulator to clients of the Donkey protocol.
+    """Serves a simulator to clients of the Donkey protocol; what each drives are `tests`, from the first road on.
 
     Args:
         simulator: name known to `ds_sim.registry`.
-        tests: what each client drives, from the first road on.
+        tests: what each client drives.
         patience: s of wall-clock time that a client may take for a whole message, or for reading an answer.
         most_clients: connected at the same time.
-        greeting_delay: s from a connection to the first message.
-        yields_after: s without a complete message after which a client gives its place to a new one.
+        greeting_delay: see `GREETING_DELAY`.
+        yields_after: see `YIELDS_AFTER`.
     """
 
     def __init__(

@@ -45,9 +45,7 @@ class Diagnostics:
 class AnswerDiagnostics:
     """Publishes how many frames a driver answers and refuses, and its latency from a frame to its command.
 
-    Args:
-        node: the driver's node.
-        idle: level without frames: OK for a driver of simulators, which wait for goals.
+    Without frames the level is `idle`: OK for a driver of simulators, which wait for goals.
     """
 
     def __init__(self, node: Node, idle: bytes = OK) -> None:

@@ -78,12 +78,7 @@ class LoadedRoad:
 class GoalServer:
     """Action server that accepts every goal, and aborts a refused one at once, as a rejection cannot carry a reason.
 
-    Args:
-        node: node that owns the server.
-        kind: type of the action.
-        name: its name.
-        begin: begins what a goal asks for or raises RequestRefused; calls `close` when it has ended.
-        on_cancel: called when a goal is cancelled.
+    `begin` begins what a goal asks for or raises RequestRefused; `close` is called when that has ended.
     """
 
     def __init__(

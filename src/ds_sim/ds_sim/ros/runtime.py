@@ -37,12 +37,9 @@ class Stop:
     """Handler of SIGINT and SIGTERM in the main thread.
 
     A signal ends the process at once while its nodes are being made; later it is only noted, so that no callback ends
-    halfway. A process that is still busy after a while, in a library or in a simulator that hangs, is ended. All with
-    status 0: being stopped is no error, and `ros2 launch` reports `process has died` for any other.
-
-    Args:
-        grace: time to end by itself, s.
-        last_words: called when it has passed.
+    halfway. A process that is still busy after a grace, s, in a library or in a simulator that hangs, says its last
+    words and is ended. All with status 0: being stopped is no error, and `ros2 launch` reports `process has died` for
+    any other.
 
     Attributes:
         making: whether the nodes are being made.

@@ -44,7 +44,6 @@ class PandaScene(RenderedScene):
     """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze; for a pinhole camera.
 
     Raises:
-        ValueError: the camera has a property that this scene does not draw.
         ImportError: Panda3D is not installed.
         SimulatorError: EGL or Mesa's software renderer is missing.
     """

@@ -33,11 +33,9 @@ class Daylight:
         return np.array(self.sun) * self.towards_sun[2]
 
     def on(self, normals: NDArray[np.float64], *, softness: float | NDArray[np.float64] = 0.0) -> NDArray[np.float64]:
-        """Light on unshaded surfaces, (..., 3) linear RGB.
+        """Light on unshaded surfaces with unit vectors (..., 3), (..., 3) linear RGB.
 
-        Args:
-            normals: unit vectors, (..., 3).
-            softness: how far sunlight reaches round a body, 0 (a solid) to 1; leaves let light through.
+        Softness is how far sunlight reaches round a body, 0 (a solid) to 1; leaves let light through.
         """
         facing = np.maximum(((normals * self.towards_sun).sum(axis=-1) + softness) / (1.0 + softness), 0.0)
         # A surface sees a share of (1 + n_z) / 2 of the sky; the ground returns a tenth of the light to the rest.

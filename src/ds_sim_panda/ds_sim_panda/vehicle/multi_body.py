@@ -21,9 +21,6 @@ class MultiBodyVehicle(Vehicle):
     """Car with 29 states on an infinite plane.
 
     The model runs in the car's axes at the start, so that a run does not depend on where it starts.
-
-    Raises:
-        ImportError: Numba or the package of the model is not installed.
     """
 
     conditions = VEHICLE_CONDITIONS

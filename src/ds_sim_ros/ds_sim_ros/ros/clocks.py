@@ -59,11 +59,7 @@ class Topics:
         return arrived[0], arrived[1]
 
     def settled(self, is_settled: Callable[[Received, Received], bool], poll: float, after: str) -> Pair:
-        """Newest messages once they fulfil a condition, looked at every so often, or when time is up.
-
-        Raises:
-            SimulatorError: none came.
-        """
+        """Newest messages once they fulfil a condition, looked at every so often, or when time is up."""
         deadline, newest = self.deadline, None
         while time.monotonic() < deadline:
             time.sleep(poll)

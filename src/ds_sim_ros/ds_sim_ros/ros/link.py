@@ -109,12 +109,7 @@ class Link:
     def advance(self, command: Command, speed: float) -> Pair:
         """Send a command, pass one frame, and return the odometry and the image of its end.
 
-        Args:
-            command: of the driver.
-            speed: that its throttle asks for, m/s, for messages that carry a speed.
-
-        Raises:
-            SimulatorError: the simulator does not do it within the limits.
+        The speed, m/s, is what the throttle asks for, for messages that carry one.
         """
         self._send(command, speed)
         return self._clock.advance()
