@@ -89,9 +89,7 @@ def plan_pictures(
         strips: largest number of tests with strips.
         replays: largest number of pictures in all replays.
     """
-    driven = {e.test_id for e in executions}
-    placed = [test for test in tests if test.test_id in driven and test.test_id in cells]
-    ranked = worst_first(placed, executions)
+    ranked = worst_first((test for test in tests if test.test_id in cells), executions)
     of_test: dict[str, list[Execution]] = {}
     for execution in executions:
         if len(execution.trajectory):
@@ -113,7 +111,7 @@ def plan_pictures(
         frames[execution.test_id, execution.simulator] = chosen
     replayed = sum((e.test_id, e.simulator) in frames for e in failed)
 
-    told = telling_tests(placed, executions, cells, most=strips)
+    told = telling_tests(tests, executions, cells, most=strips)
     for test in told:
         for execution in of_test.get(test.test_id, []):
             frames.setdefault((execution.test_id, execution.simulator), [])
@@ -127,13 +125,13 @@ def plan_pictures(
 
 
 def worst_first(tests: Iterable[Test], executions: Sequence[Execution]) -> list[str]:
-    """Sort tests: those that fail on more simulators first, then those that come closer to the lane's edge on any."""
+    """Sort driven tests: first those that fail on more simulators, then those that come closer to the lane's edge."""
     failures: dict[str, int] = {}
     nearest: dict[str, float] = {}
     for execution in executions:
         failures[execution.test_id] = failures.get(execution.test_id, 0) + execution.outcome.is_failure
         nearest[execution.test_id] = min(nearest.get(execution.test_id, np.inf), execution.fitness)
-    ids = (test.test_id for test in tests)
+    ids = (test.test_id for test in tests if test.test_id in failures)
     return sorted(ids, key=lambda test_id: (-failures[test_id], nearest[test_id], test_id))
 
 
@@ -141,8 +139,7 @@ def telling_tests(
     tests: Sequence[Test], executions: Sequence[Execution], cells: Mapping[str, Cell], *, most: int = DRIVEN_TESTS
 ) -> list[Test]:
     """Select the most informative tests, in the campaign's order: the worst of every cell, then others that failed."""
-    driven = {e.test_id for e in executions}
-    ranked = worst_first((t for t in tests if t.test_id in driven and t.test_id in cells), executions)
+    ranked = worst_first((test for test in tests if test.test_id in cells), executions)
     worst: dict[Cell, str] = {}
     for test_id in ranked:
         worst.setdefault(cells[test_id], test_id)

@@ -70,13 +70,12 @@ def first_screen(data: CampaignData, folder: str = ".", where: str = "") -> Firs
         where = where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN
     data = data.distinct
     failed = data.failed
-    driven = [test for test in data.tests if any(name in failed for name in _keys(test, data.config.simulators))]
     return FirstScreen(
         where=where,
         believe=_believe(data, failed),
         next=step,
         command=command,
-        worst=next(iter(worst_first(driven, data.executions)), ""),
+        worst=next(iter(worst_first(data.tests, data.verdicts)), ""),
     )
 
 

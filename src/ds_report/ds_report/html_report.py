@@ -138,9 +138,7 @@ def _shown(data: CampaignData) -> CampaignData:
     """Keep the worst tests of a large campaign, in its order."""
     if len(data.tests) <= SHOWN_TESTS:
         return data
-    driven = {execution.test_id for execution in data.executions}
-    ranked = worst_first((test for test in data.tests if test.test_id in driven), data.executions)
-    kept = set(ranked[:SHOWN_TESTS])
+    kept = set(worst_first(data.tests, data.executions)[:SHOWN_TESTS])
     return replace(
         data,
         tests=tuple(test for test in data.tests if test.test_id in kept),

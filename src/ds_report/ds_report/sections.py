@@ -192,9 +192,7 @@ def failure_section(data: CampaignData) -> FailureSection | None:
         sentences = [f"No way of failing clearly leads: in {first[0]} the driver {first[1]}, {second}."]
     if len(reasons) < failed:
         sentences[0] += f" Read from the records of {len(reasons)} of {failed} failures."
-    failing = {reason.test_id for reason in reasons}
-    order = worst_first((test for test in data.tests if test.test_id in failing), data.executions)
-    rank = {test_id: k for k, test_id in enumerate(order)}
+    rank = {test_id: k for k, test_id in enumerate(worst_first(data.tests, data.executions))}
     shown = []
     for group in list(groups.values())[:MOST_GROUPS]:
         worst = min(group, key=lambda reason: rank[reason.test_id])

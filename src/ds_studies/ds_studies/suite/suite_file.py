@@ -217,11 +217,10 @@ def select(data: CampaignData, *, most: int) -> dict[str, list[Reason]]:
     margins: dict[str, list[float]] = {}
     failures: dict[str, int] = {}
     for test in data.tests:
-        runs = [done.get((test.test_id, name)) for name in names]
-        runs_there = [run for run in runs if run is not None]
-        if len(runs_there) == len(names):
-            margins[test.test_id] = [run.fitness for run in runs_there]
-            failures[test.test_id] = sum(run.outcome.is_failure for run in runs_there)
+        runs = [done[key] for name in names if (key := (test.test_id, name)) in done]
+        if len(runs) == len(names):
+            margins[test.test_id] = [run.fitness for run in runs]
+            failures[test.test_id] = sum(run.outcome.is_failure for run in runs)
     failing = sorted((i for i in margins if failures[i]), key=lambda i: (-failures[i], min(margins[i]), i))
     boundary = sorted(margins, key=lambda i: (min(map(abs, margins[i])), i))
     worst_first = sorted(margins, key=lambda i: (min(margins[i]), i))
