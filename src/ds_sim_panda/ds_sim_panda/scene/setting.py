@@ -11,6 +11,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim.camera.optics import KOSCHMIEDER
 from ds_sim.conditions.model import Conditions
 from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.parameters import Linear
@@ -105,7 +106,7 @@ class Setting:
         self.rng = rng
         self.sky = clear_daylight(sun_direction(conditions))
         # Air is never clearer than this world's own.
-        self._fog = max(parameters.KOSCHMIEDER / conditions.visibility - parameters.HAZE, 0.0)
+        self._fog = max(KOSCHMIEDER / conditions.visibility - parameters.HAZE, 0.0)
         self.daylight = self.sky.behind(self._fog * parameters.FOG_TOP)
 
     def shader_inputs(self) -> dict[str, float | Sequence[float]]:
