@@ -174,11 +174,7 @@ class Recovered:
 
 
 def unfinished_file(path: Path) -> Path:
-    """Find the MCAP file that a killed writer left behind, given a bag's intended path, its hidden folder, or the file.
-
-    Raises:
-        BagError: there is no such file, or the bag is whole.
-    """
+    """Find the MCAP file of a killed writer, given a bag's intended path, its hidden folder, or the file."""
     if path.is_file():
         return path
     for folder in (

@@ -39,11 +39,7 @@ def partial_path(folder: Path) -> Path:
 
 
 def plain_name(name: object) -> str:
-    """Check the name of a file that was read from a file, before it becomes part of a path.
-
-    Raises:
-        BagError: it is not a plain, visible name: it could lead out of the folder that it belongs in.
-    """
+    """Check a file's name that was read from a file before it becomes part of a path, which it could lead astray."""
     plain = isinstance(name, str) and name.isprintable() and not set(name) & {"/", "\\"}
     if isinstance(name, str) and plain and name and name[0] != "." and len(name.encode()) <= LONGEST_NAME:
         return name
@@ -104,11 +100,7 @@ class Opening:
             _current.reset(token)
 
     def count(self, size: int) -> None:
-        """Count decompressed bytes.
-
-        Raises:
-            TooLargeError: more than the limit.
-        """
+        """Count decompressed bytes, or raise `TooLargeError`."""
         self.left -= size
         if self.left < 0:
             raise self.too_much()
@@ -129,11 +121,7 @@ def current_opening() -> Opening:
 
 
 def regular_file(path: Path) -> Path:
-    """The path, if it is a regular file or a link to one: opening a FIFO would wait, reading a device never ends.
-
-    Raises:
-        BagError: it is something else, or not there.
-    """
+    """The path, if it is a regular file or a link to one: opening a FIFO would wait, reading a device never ends."""
     try:
         if stat.S_ISREG(path.stat().st_mode):
             return path
@@ -148,9 +136,6 @@ def parse_metadata(text: str) -> Any:
     """Parse the text of a `metadata.yaml`; kept, as `rosbags` parses it once more.
 
     A storage that is not named, as by `ros2 bag reindex` of Humble, is the one of the files' names.
-
-    Raises:
-        FileError: it is not YAML, or beyond `MAX_METADATA`.
     """
     metadata = load_yaml(text, limits=MAX_METADATA)
     information = metadata.get("rosbag2_bagfile_information") if isinstance(metadata, dict) else None
@@ -163,11 +148,7 @@ def parse_metadata(text: str) -> Any:
 
 
 def bag_information(folder: Path) -> dict[str, Any]:
-    """What `metadata.yaml` says, with the types that every reader of it relies on.
-
-    Raises:
-        BagError: there is none, or it is not as rosbag2 writes it.
-    """
+    """What `metadata.yaml` says, with the types that every reader of it relies on, or a `BagError`."""
     path = regular_file(folder / "metadata.yaml")
     try:
         information = parse_metadata(read_regular(path, MAX_METADATA.size).decode())

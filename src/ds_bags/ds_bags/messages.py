@@ -22,11 +22,7 @@ _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
 
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
-    """Message types of Jazzy and of `ds_interfaces`, the latter read from their installed definitions.
-
-    Raises:
-        InputError: the workspace's messages are not on AMENT_PREFIX_PATH.
-    """
+    """Message types of Jazzy and of `ds_interfaces`, the latter read from their installed definitions."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for share in share_folders("ds_interfaces"):
         folder = share / "msg"

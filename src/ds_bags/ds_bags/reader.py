@@ -166,11 +166,7 @@ class BagReader:
             raise self._damaged(error) from None
 
     def stamp(self, connection: Connection, raw: bytes) -> int:
-        """Stamp in the header of a serialised message, ns, without deserialising the rest; 0 without a header.
-
-        Raises:
-            BagError: the bytes do not match the type of the topic.
-        """
+        """Stamp in a serialised message's header, ns, without deserialising the rest, or 0; errors as in `message`."""
         fields = dict(self._reader.typestore.fielddefs[connection.msgtype][1])
         if "header" not in fields:
             return 0
@@ -185,11 +181,7 @@ class BagReader:
         return int(seconds) * 10**9 + int(nanoseconds)
 
     def decoded(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, Any]]:
-        """Iterate over the deserialised messages of topics as `messages` does: topic, time in ns, and message.
-
-        Raises:
-            BagError: the file is damaged, or the bytes do not match the type of the topic.
-        """
+        """Iterate over topic, time in ns, and deserialised message as `messages` does; errors as in `message`, too."""
         for connection, time, raw in self.messages(connections):
             yield connection, time, self.message(connection, raw)
 

@@ -83,11 +83,7 @@ def _images(bag: BagReader, recorded: RecordedRun) -> Iterator[Any]:
 
 
 def _image_difference(bag: BagReader, observation: Observation, recorded: Any) -> str:
-    """Describe the difference between two images, or return "" if they are equal; JPEGs are compared as files.
-
-    Raises:
-        BagError: the recorded image is malformed.
-    """
+    """Describe the difference between two images, or return "" if they are equal; JPEGs are compared as files."""
     try:
         if hasattr(recorded, "format"):
             from ds_sim.camera.encodings import jpeg

@@ -31,11 +31,7 @@ def load_json(text: str | bytes) -> Any:
 
 
 def read_json(path: Path, largest: int = LARGEST_FILE) -> Any:
-    """Read a file; arguments as in `read_regular`, errors as in `load_json`, too.
-
-    Raises:
-        OSError: it cannot be opened.
-    """
+    """Read a file; arguments and errors as in `read_regular`, errors as in `load_json`, too."""
     return load_json(read_regular(path, largest))
 
 

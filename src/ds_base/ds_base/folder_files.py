@@ -66,11 +66,7 @@ def read_file(folder: Path, name: str | PurePath, largest: int = LARGEST_FILE) -
 
 
 def check_name(folder: Path) -> None:
-    """Refuse a folder whose name is no text, which no report or page could show.
-
-    Raises:
-        StoreError: the name is not UTF-8.
-    """
+    """Refuse a folder whose name is no UTF-8 text, which no report or page could show."""
     try:
         str(folder).encode()
     except UnicodeEncodeError:
@@ -78,11 +74,7 @@ def check_name(folder: Path) -> None:
 
 
 def check_inside(path: Path) -> None:
-    """Refuse a path below a folder that `check_folder` has checked, in which a folder is a link by now.
-
-    Raises:
-        StoreError: it names the link.
-    """
+    """Refuse a path below a folder that `check_folder` has checked, in which a folder is a link by now."""
     parents = list(path.absolute().parents)
     below = max((k for k, parent in enumerate(parents) if parent in _entered), default=0)
     for parent in parents[:below]:

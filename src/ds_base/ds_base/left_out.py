@@ -28,11 +28,7 @@ class LeftOut:
     items: list[tuple[str, str]] = field(default_factory=list)
 
     def add(self, name: str, error: DsError | str, kind: type[DsError] = DsError) -> None:
-        """Leave an item out.
-
-        Raises:
-            DsError: the error, if none may be left out.
-        """
+        """Leave an item out, or raise its error if none may be left out."""
         if self.strict:
             raise error if isinstance(error, DsError) else kind(error)
         self.items.append((name, " ".join(str(error).split())))

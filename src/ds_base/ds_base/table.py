@@ -197,11 +197,7 @@ def keep_tables(tables: Sequence[Table], path: Path) -> None:
 
 
 def read_tables(path: Path) -> list[Table]:
-    """Read what `keep_tables` wrote; empty if there is no such file.
-
-    Raises:
-        TableError: the file does not hold tables.
-    """
+    """Read what `keep_tables` wrote, or raise `TableError`; empty if there is no such file."""
     try:
         tables = _KEPT.validate_json(read_regular(path, follow_links=False))
         if any(len(row) != len(table.columns) for table in tables for row in table.rows):

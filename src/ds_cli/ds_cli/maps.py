@@ -26,11 +26,7 @@ app = typer.Typer()
 
 
 def axes_named(text: str) -> list[str]:
-    """Features in a text, separated by commas.
-
-    Raises:
-        ds_orchestrator.search.features.FeatureError: one is unknown, or there are not two or three different ones.
-    """
+    """Two or three different features in a text, separated by commas."""
     from ds_base.extension import confirm, is_extension
     from ds_orchestrator.search.features import FeatureError, base_of, feature_of
 

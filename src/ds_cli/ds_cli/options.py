@@ -178,9 +178,6 @@ def simulators_of(text: str, *, default: bool = False) -> list[SimulatorName]:
     """Parse simulator names separated by commas, and check that each can be made.
 
     Where nobody asked for these (`default`), those whose libraries are not installed are left out, with a line.
-
-    Raises:
-        ds_sim.registry.UnknownSimulatorError: a name stands for no simulator, or is given twice.
     """
     from ds_cli.output import say
     from ds_sim.registry import UnknownSimulatorError, make_simulator, with_libraries

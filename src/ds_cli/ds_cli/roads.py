@@ -29,11 +29,7 @@ app.add_typer(road_app, name="road")
 def roads_of(
     file: Path | None, lane: Side | None, *, count: int = 1, seed: int = 0, max_angle: int = 270
 ) -> list[Road]:
-    """The roads of a file, or random ones, in a lane if one is given.
-
-    Raises:
-        ds_road.RoadError: there are none, or one cannot be driven.
-    """
+    """The roads of a file, or random ones, in a lane if one is given; each can be driven."""
     import ds_road
     from ds_driver.data.collection import unseen_roads
 
@@ -50,11 +46,7 @@ def roads_of(
 def one_road(
     file: Path | None, seed: int, max_angle: int, lane: Side | None = None, *, own: Road | None = None
 ) -> Road:
-    """The road of a file that holds one, or a random one; `own` takes the place of a random one.
-
-    Raises:
-        ds_road.RoadError: the file holds none, or several.
-    """
+    """The road of a file that holds one, or a random one; `own` takes the place of a random one."""
     import numpy as np
 
     import ds_road

@@ -65,11 +65,7 @@ class CentreLine:
         return len(self.points) > 3 and gap < 0.05 * self.length and gap < 3.0 * self.length / len(self.points)
 
     def road(self) -> Road:
-        """The road; of a line with more points than a road may have, evenly chosen ones.
-
-        Raises:
-            RoadError: it cannot be one.
-        """
+        """The road, if it can be one; of a line with more points than a road may have, evenly chosen ones."""
         if self.made is not None:
             return self.made
         points = self._without_return
@@ -78,11 +74,7 @@ class CentreLine:
         return Road.from_road_points(points, lane_width=self.lane_width, lane=self.lane)
 
     def sections(self, length: float, every: float) -> list[CentreLine]:
-        """Cut sections of `length` m, one every so many metres; those of a closed line run over its end.
-
-        Raises:
-            RoadError: the line is shorter.
-        """
+        """Cut sections of `length` m, one every so many metres; those of a closed line run over its end."""
         if not 0 < length <= LONGEST_SECTION or not every > 0:
             raise RoadError(f"sections of {length:g} m every {every:g} m, expected at most {LONGEST_SECTION:g} m long")
         if length > self.length:

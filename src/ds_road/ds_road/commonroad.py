@@ -63,11 +63,7 @@ def read_commonroad(root: Element) -> Road:
 
 
 def constant_width(widths: NDArray[np.float64]) -> float:
-    """Median of a lane's widths, m.
-
-    Raises:
-        RoadError: they vary by more than `WIDTH_SPREAD`.
-    """
+    """Median of a lane's widths, m, which may vary by `WIDTH_SPREAD`."""
     if not len(widths) or not np.isfinite(widths).all() or np.ptp(widths) > WIDTH_SPREAD:
         low, high = (widths.min(), widths.max()) if len(widths) else (math.nan, math.nan)
         raise RoadError(f"the lane is {low:.2f} to {high:.2f} m wide: expected widths within {WIDTH_SPREAD:g} m")

@@ -200,11 +200,7 @@ def _entries(parent: Element, path: str) -> list[Element]:
 
 
 def number(element: Element, name: str) -> float:
-    """A finite number in an attribute.
-
-    Raises:
-        RoadError: it is missing or no number.
-    """
+    """A finite number in an attribute, or a `RoadError`."""
     text = element.get(name, "")
     try:
         value = float(text)

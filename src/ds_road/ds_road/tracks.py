@@ -40,11 +40,7 @@ class Track(NamedTuple):
 
 
 def read_track(content: bytes) -> Track:
-    """Read a track.
-
-    Raises:
-        RoadError: it is none; one line names the line of the file.
-    """
+    """Read a track; a `RoadError` names the line of the file."""
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:

@@ -69,11 +69,7 @@ def prepare_folder(folder: Path) -> None:
 
 
 def store_of(folder: Path, config: CampaignConfig) -> Store:
-    """Open the store of a campaign that starts or resumes with a configuration.
-
-    Raises:
-        StoreError: the folder holds a campaign with another configuration, or cannot be used.
-    """
+    """Open the store of a campaign that starts or resumes with a configuration; refuses that of another one."""
     store = Store(folder / "campaign.sqlite", config=config.identity())
     try:
         _check(store, config)

@@ -117,11 +117,7 @@ def read_cluster(path: Path) -> ClusterOptions:
 
 
 def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIME) -> Any:
-    """Connect to a scheduler and return the `distributed.Client`.
-
-    Raises:
-        ClusterError: there is no scheduler, or it does not accept the certificate.
-    """
+    """Connect to a scheduler and return the `distributed.Client`, or raise `ClusterError`."""
     distributed: Any = import_module("distributed")
     try:
         return distributed.Client(address, timeout=limit, security=options.security(), set_as_default=False)

@@ -44,9 +44,6 @@ def prepare(key: Key, parcel: Parcel) -> int:
     """Unpack a parcel, and start one process per thread of this worker; idle ones of other campaigns end.
 
     Returns the number of drives at a time.
-
-    Raises:
-        ValueError: the driver here is not the driver there, or a simulator or the driver cannot be made.
     """
     from distributed import get_worker
 

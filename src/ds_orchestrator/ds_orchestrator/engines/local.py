@@ -40,11 +40,7 @@ class LocalEngine:
         return len(self._busy) * self._drives_each
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        """Drive a road as soon as a process has room, and the simulator if it has one vehicle; gives no feedback.
-
-        Raises:
-            ds_driver.closed_loop.worker_process.WorkerError: the process cannot be started again.
-        """
+        """Drive a road as soon as a process has room, and the simulator if it has one vehicle; gives no feedback."""
         external = request.simulator.is_external
         with self._vehicles[request.simulator] if external else nullcontext():
             return self._drive(request)

@@ -28,11 +28,7 @@ class RosMissingError(RunError):
 
 
 def check_ros() -> None:
-    """Check that ROS and the workspace's messages can be imported.
-
-    Raises:
-        RosMissingError: they cannot.
-    """
+    """Check that ROS and the workspace's messages can be imported, or raise `RosMissingError`."""
     if MEMORY.is_dir() and (space := os.statvfs(MEMORY)).f_blocks and not space.f_bavail:  # without limit: no blocks
         raise RosMissingError(f"{MEMORY} is full, and ROS needs a page of it: make room, or use --engine local")
     if missing := missing_of_ros():

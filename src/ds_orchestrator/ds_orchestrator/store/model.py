@@ -149,11 +149,7 @@ def row_of(test: Test) -> rows.TestRow:
 
 
 def test_of(row: rows.TestRow) -> Test:
-    """Make a test.
-
-    Raises:
-        RowError: no campaign can have written the row.
-    """
+    """Make a test; a `RowError` says why no campaign can have written the row."""
     origin = Origin(row.sibling, row.run, row.number)
     try:
         if not row.test_id.endswith(f"-{row.run}-{row.number:04d}") and origin != NO_ORIGIN:
@@ -172,11 +168,7 @@ def test_of(row: rows.TestRow) -> Test:
 
 
 def execution_of(row: rows.ExecutionRow, file: SqliteFile) -> Execution:
-    """Make an execution, whose trajectory stays in the file until it is asked for.
-
-    Raises:
-        RowError: no campaign can have written the row.
-    """
+    """Make an execution, whose trajectory stays in the file until it is asked for; errors as in `test_of`."""
     if abs(row.simulated_seconds - row.steps * FRAME_TIME) > _TOLERANCE:
         raise _unreadable(row.test_id, row.simulator, f"simulated_seconds is {row.simulated_seconds:g}")
     digest = row.trajectory_sha256

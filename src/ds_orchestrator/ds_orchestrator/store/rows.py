@@ -165,11 +165,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 def check_rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> list[Record]:
-    """Check rows, and name their columns.
-
-    Raises:
-        RowError: no campaign can have written a row.
-    """
+    """Check rows, and name their columns; a `RowError` says why no campaign can have written one."""
     try:
         return cast("list[Record]", _adapter(cast(Any, kind)).validate_python(rows))
     except ValidationError as error:

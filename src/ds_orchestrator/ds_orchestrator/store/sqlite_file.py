@@ -196,11 +196,7 @@ class SqliteFile:
         self.change(*((statement, ()) for statement in statements))
 
     def ask(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
-        """Run one statement, which may write, and return its rows.
-
-        Raises:
-            StoreError: the file is damaged, or the disk is full, or it cannot be written.
-        """
+        """Run one statement, which may write, and return its rows."""
         with self._lock:
             try:
                 return self._db.execute(statement, values).fetchall()
@@ -211,11 +207,7 @@ class SqliteFile:
                     raise StoreError(f"a campaign writes {self.path} at this moment: wait for it, and try again")
 
     def read(self, statement: str, values: Sequence[object] = ()) -> list[Row]:
-        """Run a SELECT, even after `close`: the file is then opened once more, read-only.
-
-        Raises:
-            StoreError: the file is damaged, or gone.
-        """
+        """Run a SELECT, even after `close`: the file is then opened once more, read-only."""
         if not self._closed:
             return self.ask(statement, values)
         if self._again is None:
@@ -223,11 +215,7 @@ class SqliteFile:
         return self._again.ask(statement, values)
 
     def change(self, *statements: tuple[str, Sequence[object]]) -> None:
-        """Run several statements, all or nothing.
-
-        Raises:
-            StoreError: the file is damaged, or the disk is full, or it cannot be written.
-        """
+        """Run several statements, all or nothing."""
         with self._lock:
             try:
                 self._db.execute("BEGIN IMMEDIATE")
