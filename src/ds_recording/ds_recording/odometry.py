@@ -258,14 +258,10 @@ _IN_MESSAGE: dict[str, Callable[[Any], tuple[float, ...]]] = {ODOMETRY: _of_odom
 
 
 def check(sources: Sequence[Source], seconds: Array, by_camera: Array, stds: Array, lane_width: float) -> list[Checked]:
-    """Compare sources with what images say; of each part the best one is used.
+    """Compare sources with what n images say; of each part the best one is used.
 
-    Args:
-        sources: of the recording.
-        seconds: times of the images, (n,).
-        by_camera: motion of the car between images, lane widths, lane widths, rad, (n - 1, 3); NaN where unseen.
-        stds: standard deviations of it, (n - 1, 3).
-        lane_width: m.
+    `by_camera` is the motion of the car between images, lane widths, lane widths, rad, (n - 1, 3), NaN where unseen;
+    `stds` are its standard deviations.
     """
     units = np.array([lane_width, lane_width, 1.0])
     by_camera, stds = by_camera * units, stds * units

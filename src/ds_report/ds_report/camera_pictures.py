@@ -80,14 +80,8 @@ def plan_pictures(
 
     Failed drives come first, those of the worst test before all others, at the finest of `SPACINGS` with which all of
     them fit; if none does, at the coarsest, and the last ones have no replay with pictures. The other drives of the
-    same tests follow as long as there is room. Tests without a cell have no pictures.
-
-    Args:
-        tests: every test, in the campaign's order.
-        executions: every execution.
-        cells: test -> cell.
-        strips: largest number of tests with strips.
-        replays: largest number of pictures in all replays.
+    same tests follow as long as there is room. Tests without a cell have no pictures. `strips` is the largest number of
+    tests with strips, `replays` that of pictures in all replays.
     """
     ranked = worst_first((test for test in tests if test.test_id in cells), executions)
     of_test: dict[str, list[Execution]] = {}

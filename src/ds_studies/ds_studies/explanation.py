@@ -209,11 +209,8 @@ def experiment_on(
 ) -> Experiment:
     """Plan the exchanges for one test of a campaign.
 
-    Args:
-        data: contents of its store.
-        test_id: the test.
-        fails: simulator on which it fails; the first such one if None.
-        against: simulator on which it completes; the one that keeps closest to the lane's middle if None.
+    Without `fails`, it is the first simulator on which the test fails; without `against`, the one that completes it
+    closest to the lane's middle.
 
     Raises:
         ConfigError: there is no such test, or it does not fail there, or no other simulator completes it.

@@ -80,16 +80,9 @@ def places_along(road: Road, trajectory: Array) -> Array:
 
 
 def lateral_profile(arc: Array, lateral: Array, half_lane: float) -> Array:
-    """Interpolate lateral positions at the places `GRID`, 2 `GRID`, ... m along the lane, as far as the run went.
+    """Interpolate lateral positions, m, at the places `GRID`, 2 `GRID`, ... m along the lane, as far as the run went.
 
-    Args:
-        arc: (frames,) arc length along the lane, m.
-        lateral: (frames,) lateral position, m.
-        half_lane: half the width of the lane, m. Positions are clipped there: how far a car goes after leaving the lane
-            does not tell where it failed.
-
-    Returns:
-        (places,) lateral positions, m.
+    They are clipped at half the lane: how far a car goes after leaving it does not tell where it failed.
     """
     if not len(arc):
         return np.empty(0)

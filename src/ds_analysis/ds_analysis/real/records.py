@@ -70,12 +70,8 @@ def read_csv(
 ) -> list[RealDrive]:
     """Read outcomes from a CSV with the columns `COLUMNS`, and `OPTIONAL` if wanted.
 
-    Args:
-        path: the file.
-        limits: test -> lateral position at which it fails, half the width of its lane, m of the road frame.
-        scale: metres of the road frame per metre of the car's.
-        who: who drove, where the file does not say.
-        when: when, where the file does not say.
+    `limits` has the lateral position at which each test fails, half the width of its lane, m of the road frame; `scale`
+    is metres of that frame per metre of the car's; `who` and `when` are for drives of which the file does not say.
 
     Raises:
         RecordError: a row is wrong; one line says which, and what was expected.
@@ -109,14 +105,7 @@ def read_csv(
 
 
 def drive_of(values: Mapping[str, str], limits: Mapping[str, float], scale: float, source: str) -> RealDrive:
-    """Check one drive.
-
-    Args:
-        values: text of every one of `COLUMNS` and `OPTIONAL`.
-        limits: test -> lateral position at which it fails, half the width of its lane, m of the road frame.
-        scale: metres of the road frame per metre of the car's.
-        source: file from which it was read.
-    """
+    """Check one drive, given as the text of every one of `COLUMNS` and `OPTIONAL`; for the rest see `read_csv`."""
     test_id, outcome = values["test_id"], values["outcome"].lower()
     if test_id not in limits:
         raise RecordError(f"there is no test {test_id!r:.60}: expected one of {_some(limits)}")

@@ -181,18 +181,11 @@ def compare(
     recheck: bool = True,
     sequential: bool = False,
 ) -> Comparison:
-    """Compare two networks on given tests; drives that are not known are driven.
+    """Compare two networks on tests of one configuration apart from the driver; drives that are not known are driven.
 
-    Args:
-        sets: tests, all of one configuration apart from the driver.
-        reference: the network that is known.
-        candidate: the network that may replace it.
-        origin: how the tests were chosen.
-        source: where they come from, in words.
-        out: folder for the drives; a comparison that was stopped goes on there.
-        callbacks: who hears of it.
-        recheck: drive one known test again on each simulator, to find out whether drives are repeatable here.
-        sequential: outcomes decide when drives end, as `compare_until_sure` does.
+    A comparison that was stopped goes on in its folder. With `recheck`, one known test is driven again on each
+    simulator, to find out whether drives are repeatable here; with `sequential`, outcomes decide when drives end, as in
+    `compare_until_sure`. For the rest see `Comparison`.
 
     Raises:
         ComparisonError: a known drive does not come out the same again.
