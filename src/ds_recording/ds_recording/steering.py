@@ -43,16 +43,10 @@ class Steering:
 
 
 def follow_steering(times: Array, steering: Array, speeds: Array, yaw_rates: Array) -> Steering | None:
-    """Fit gain, trim, delay and lag.
+    """Fit gain, trim, delay and lag; None where the steering explains too little.
 
-    Args:
-        times: of the frames, s, (n,).
-        steering: at the frames, (n,); NaN where unknown.
-        speeds: from each frame to the next, (n - 1,).
-        yaw_rates: from each frame to the next, rad/s, left positive, (n - 1,).
-
-    Returns:
-        The best fit; None where the steering explains too little.
+    Times, s, and steering, NaN where unknown, are of n frames; speeds and yaw rates, rad/s, left positive, are from one
+    frame to the next.
     """
     recorded = np.isfinite(steering)
     if recorded.sum() < LEAST_FRAMES or float(np.std(steering[recorded])) < 1e-3:

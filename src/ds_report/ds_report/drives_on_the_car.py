@@ -47,14 +47,8 @@ class RoadSheet:
     """A road at the car's size; the origin is the lower left corner of a rectangle around it, x right and y up, m.
 
     Attributes:
-        width: of the rectangle along x, m.
-        height: of it along y, m.
-        stations: (n,) distances along the centre line, m.
-        centre: (n, 2) points of the yellow centre line.
-        left: (n, 2) points of the left white edge line.
-        right: (n, 2) points of the right white edge line.
-        lane: (n, 2) points of the centre of the driven lane, where no line is.
-        lane_width: width of a lane, m.
+        stations: (n,) distances along the centre line, m; there, `centre` has points of the yellow centre line, `left`
+            and `right` of the white edge lines, and `lane` of the centre of the driven lane, where no line is.
         two_lanes: whether there is a centre line to tape.
     """
 

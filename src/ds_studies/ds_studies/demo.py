@@ -58,8 +58,7 @@ MOST_SEARCHED = 1
 def drive_into_fog(folder: Path) -> dict[str, Any]:
     """Drive one road on the twin in clear air, then in denser and denser fog until the network leaves its lane.
 
-    Args:
-        folder: receives `fog.json` and the video `fog.mp4`; if they are there already, nothing is driven.
+    The folder receives `fog.json` and the video `fog.mp4`; if they are there already, nothing is driven.
 
     Returns:
         Content of the file: `completes_clear`; `leaves_at`, the visibility in m, or None; `levels`, of strength, as

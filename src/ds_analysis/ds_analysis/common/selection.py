@@ -105,17 +105,10 @@ class ChosenSplit:
 
 
 def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random.Generator) -> ChosenSplit | None:
-    """Choose a split of tests, and say how far the choice can be trusted.
+    """Choose a split of tests, and say how far it can be trusted; None if all end alike, or no axis has two values.
 
-    Args:
-        values: (axes, tests) larger where a test is harder; among equal splits the first axis counts, and on it the
-            hardest threshold.
-        failed: (tests,) outcomes.
-        families: (tests,) number of the family, from 0.
-        rng: draws the permutations.
-
-    Returns:
-        None if all tests end alike, or no axis has two values.
+    `values`, (axes, tests), are larger where a test is harder; among equal splits the first axis counts, and on it the
+    hardest threshold. `families` are numbers from 0; `rng` draws the permutations.
     """
     gains, ranked = _gains(failed), _Ranked(values)
     if failed.all() or not failed.any() or not ranked.ends.any():

@@ -45,11 +45,7 @@ class Fit:
 def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) -> Fit:
     """Fit a logistic regression with independent normal priors by Newton's method.
 
-    Args:
-        design: (tests, p) predictors, a 1 among them where a level is wanted.
-        failed: (tests,) 1.0 where a test failed.
-        mean: (p,) prior means.
-        precision: (p,) prior precisions.
+    The (tests, p) predictors have a 1 among them where a level is wanted; mean and precision, (p,), are the priors'.
     """
     mode = mean.copy()
     for _ in range(_STEPS):

@@ -153,13 +153,9 @@ def describe(
 ) -> str:
     """Choose what a file does not say, and return its description with comments that say why.
 
-    Args:
-        file: the network.
-        forms: how it may be described; see `forms_of`.
-        recordings: drives of the autopilot, by which is chosen.
-        ask: asks about what they do not decide; None takes the convention of the file's maker, or the commonest.
-        search: whether other descriptions are tried than that.
-        loaded: the network, if `load` has returned it already.
+    The autopilot's drives choose among `forms`, see `forms_of`. `ask` asks about what they do not decide; None takes
+    the convention of the file's maker, or the commonest; without `search`, nothing else is tried. `loaded` is the
+    network if `load` has returned it already.
     """
     pilot = loaded or load(file, forms)
     remembers, comments = pilot.has_memory, {}

@@ -83,17 +83,10 @@ class Recording:
 def affordable(
     recordings: Sequence[Recording], pace: float, seconds: float, *, asked: int, whole: bool = False
 ) -> tuple[list[Recording], bool]:
-    """Keep as many images as a network can be asked about in so many seconds.
+    """Keep as many images as a network can be asked about in so many seconds; say if other descriptions can be tried.
 
-    Args:
-        recordings: of all simulators.
-        pace: seconds that it takes for an image.
-        seconds: time.
-        asked: times that it is asked about each image on the whole if other descriptions are tried.
-        whole: whether it needs whole drives.
-
-    Returns:
-        Images, and whether there is time for other descriptions.
+    `pace` is in seconds per image; if others are tried, it is `asked` so many times about each. `whole`: it needs whole
+    drives.
 
     Raises:
         TooSlowError: fewer than `FEWEST` images are left, or no whole drive.
