@@ -83,8 +83,6 @@ class Solution:
         along: station of each pose, (n,).
         lateral: offset to the right of the centre line, (n,).
         heading: relative to the line's, left positive, (n,).
-        std_lateral: (n,).
-        std_heading: (n,).
         agree: share of each frame's line points that are where the road has its lines, NaN without points, (n,).
         residuals: median distance of these points from their line, (n,).
         steering: gain and delay; None if unknown.

@@ -48,8 +48,6 @@ class FirstScreen:
     Attributes:
         where: where the driver fails, and how sure that is.
         believe: where the siblings disagree, and which of them the twin agrees with.
-        next: what to do now.
-        command: for it.
         worst: id of the test whose replay is shown, or "".
     """
 

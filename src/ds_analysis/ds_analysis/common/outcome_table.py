@@ -78,7 +78,6 @@ class OutcomeTable:
             leaving its lane does not tell how it drove; 0 without a verdict. Of imported outcomes whatever tells how
             close a run came to its limit; NaN if only the verdict is known.
         limits: (tests, simulators) lateral position at which a test fails: half a lane, m.
-        feature_names: names of the features' columns.
         features: (tests, features) what is known of a test before anything is driven.
         families: (tests,) number of the family: tests of one resemble each other.
         left_out: number of tests that are not in this sample of a campaign.

@@ -25,10 +25,6 @@ FailOn = Literal["failure", "regression", "worse"]
 class MaxFailures:
     """Largest number or share of tests that may fail on each simulator.
 
-    Attributes:
-        count: number of tests, or None.
-        share: share in [0, 1], or None.
-
     Examples:
         >>> from ds_analysis import MaxFailures
         >>> [MaxFailures.parse(text).allows(failures=1, tests=10) for text in ("5%", "10%", "3")]

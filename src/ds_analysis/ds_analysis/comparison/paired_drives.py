@@ -81,9 +81,7 @@ class DriveOutcome:
     """How one network drove a test on one simulator.
 
     Attributes:
-        outcome: a verdict.
         fitness: smallest lateral distance, m; below 0 out of the lane; None where only the verdict is known.
-        simulated_seconds: simulated time driven, s.
         path: (n, 2) positions, m; empty if they are not known.
     """
 

@@ -89,12 +89,7 @@ class PairedDifference:
 
     Attributes:
         over: the sibling's union map.
-        value: compared value of both maps.
-        r: Pearson correlation of the merged map minus that of the sibling's, or None if one is undefined.
-        r_interval: its 95% bootstrap interval over cells, or None if there are too few cells.
-        auc: AUC-PRC of the merged map minus that of the sibling's, or None.
-        auc_interval: its 95% bootstrap interval over cells, or None as for r.
-        failing: number of the compared cells in which the twin fails, or None if not known.
+        r: Pearson correlation of the merged map minus that of the sibling's; for this and the rest see `Correlation`.
     """
 
     over: MapId

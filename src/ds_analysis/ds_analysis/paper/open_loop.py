@@ -38,13 +38,11 @@ class Answers:
     """A driver's steering on one recording, or on one simulator's images of a data set.
 
     Attributes:
-        name: name of the recording or simulator.
         group: name of the group with which it is pooled.
         index: (n,) indices of the images; unreadable ones are left out.
         seconds: (n,) s since the first image; NaN in a data set.
         recorded: (n,) recorded steering; NaN if there is none.
         answered: (n,) the driver's steering, not clipped, as in the authors' package; NaN without an answer.
-        images: number of images in the recording.
         trouble: one line for each image that cannot be read.
         worst: frames with the largest errors, largest first, each with the driver's steering.
     """

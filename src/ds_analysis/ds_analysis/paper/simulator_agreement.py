@@ -31,7 +31,6 @@ class PairComparison:
         roads: number of roads on which both runs ended with a verdict.
         kappa: Cohen's kappa of the verdicts; None if undefined.
         kappa_interval: asymptotic 95% interval of kappa (statsmodels), clipped to [-1, 1].
-        reason: why there is no kappa, or "".
         median_apart: median distance between the lateral positions over all places, m.
         apart_95: 95th percentile of that distance, m.
         most_apart: largest distance, m.

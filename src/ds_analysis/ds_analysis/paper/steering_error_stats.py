@@ -139,9 +139,7 @@ class ErrorRobustnessCheck:
 
     Attributes:
         name: name of the sibling, or `MERGED`.
-        distance: Wasserstein distance, or None.
         p: p-value of the test that `what` names, or None.
-        power: power of the t test, or None.
     """
 
     what: str

@@ -45,7 +45,6 @@ class SiblingHelp:
     """Whether the siblings have helped to predict the car's drives.
 
     Attributes:
-        drives: drives that were predicted.
         with_siblings: mean squared error of their predictions with the siblings.
         without: the same without them.
         helped: largest capital, so far, of the bet that the siblings help.

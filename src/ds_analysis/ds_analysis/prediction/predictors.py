@@ -120,11 +120,9 @@ class PredictorComparison:
     """Every predictor of one twin's failures.
 
     Attributes:
-        twin: simulator that plays the twin.
         tests: number of tests with a verdict everywhere.
         families: number of families that are resampled.
         failures: number of the tests that fail on the twin.
-        scores: one for each predictor.
         reliability: of the prediction: bin's edges, tests, mean probability, share that failed and its interval.
     """
 

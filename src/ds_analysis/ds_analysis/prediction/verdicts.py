@@ -36,7 +36,6 @@ class TestVerdict:
     """What is predicted of one test.
 
     Attributes:
-        cell: its cell; None if it has none.
         probability: probability of failure; the outcome, if the car drove the test.
         verdict: `fails` if the probability is at least 1 - `ERROR_RATE`, `safe` if at most `ERROR_RATE`, or `disputed`.
         driven: whether the car drove it.
@@ -56,7 +55,6 @@ class CellVerdict:
     """What is predicted of one cell of the feature map.
 
     Attributes:
-        tests: number of its tests.
         driven: number of them that the car drove.
         rate: posterior mean of the failure rate of tests like these; None if untested.
         interval: 90% interval of it.

@@ -51,9 +51,7 @@ class Threshold:
     """Where a driver first fails, for one factor on one simulator. Levels are as in `Factor`; None is beyond the range.
 
     Attributes:
-        factor: what is varied.
         verdict: what was found.
-        roads: results of the roads.
         message: one line about an error; else "".
     """
 
@@ -168,8 +166,6 @@ class Sensitivity:
     """How strong each condition must be for a driver to fail.
 
     Attributes:
-        simulators: names of the simulators.
-        factors: what was varied.
         needed: number of roads on each simulator.
         roads: roads of each simulator; fewer than needed where the driver does not complete enough by default.
         thresholds: results by the factor's position and the simulator.

@@ -47,7 +47,6 @@ class Baseline:
     """How well road features and conditions predict the failures on one simulator.
 
     Attributes:
-        failures: number of them on which the driver fails.
         entropy: entropy of the outcomes, bits a road: what they surprise by if only the share of failures is known.
         best: the best single feature, chosen on other roads; None where failures are too few.
         chosen: name of the chosen feature -> share of the cross-validation's models in which it was chosen.

@@ -29,7 +29,6 @@ class Nesting:
         second_given_first_interval: its 95% interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
             families where roads descend from each other.
         first_given_second: the same the other way round.
-        first_given_second_interval: its interval.
     """
 
     first: str

@@ -22,7 +22,6 @@ class TrackAnswer:
     Attributes:
         recording: simulator with the recording's photographs.
         twin: simulator with the twin's own picture of the world.
-        roads: sections of the track.
         drives: driver and simulator -> a drive for each road; None where it has no verdict.
         undecided: driver and simulator -> why, one line for each road without a verdict.
         recorded: whether the recorded car left the lane of each road.

@@ -47,8 +47,6 @@ class GivenTests:
         name: name of the set, safe within a file name.
         settings: how they are driven; the driver is replaced.
         work: simulator -> tests to compare there.
-        reference: known drives of the reference.
-        candidate: known drives of the candidate.
         gates: what is known of the tests' validity.
         cells: test -> cell.
         unsearched: tests that no network's outcome led to.

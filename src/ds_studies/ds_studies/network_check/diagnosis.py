@@ -115,7 +115,6 @@ class NetworkCheck:
     """What was found out about a network.
 
     Attributes:
-        images: number of images that it was shown.
         correlation: of its steering with the autopilot's.
         findings: what is wrong; empty where nothing was found.
         steering: simulator -> its answers to all images.

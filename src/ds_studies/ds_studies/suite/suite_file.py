@@ -91,8 +91,6 @@ class Suite(_Strict):
     Attributes:
         campaign: name of the campaign's folder.
         driver_sha256: digest of its files, or "".
-        twin: simulator that acts as the twin, or None.
-        lane: lane in which roads are driven.
         maxitwo_compatible: as in the campaign's configuration.
         code_sha256: digest of the simulators' code by which the outcomes came about.
     """
