@@ -50,15 +50,12 @@ class BulletVehicle(Vehicle):
 
     Body, hubs, knuckles and wheels form one multibody. Springs, dampers, anti-roll bars and motor are forces on its
     joints, a position motor turns the knuckles, and the tyres are contacts with Coulomb friction, which do not slip
-    below its limit. Each vehicle owns a physics client, so that several vehicles can coexist.
+    below its limit. Each vehicle owns a physics client.
 
-    The rate of 240 Hz is a compromise: after a slalom of 20 s and 98 m the car is 0.24 m from where it is at 3,840 Hz;
-    480 Hz halves that at twice the cost.
-
-    Limitation of the engine: where a tyre slides, Bullet's cone friction is biased towards the direction in which the
-    contact is harder to move. A sliding wheel therefore spins faster or slower than a real one, and at the limit of
-    grip the path depends on the heading in the world by 0.3% of the distance. The car has no brakes that could lock
-    its wheels.
+    240 Hz is a compromise: after a slalom of 20 s and 98 m the car is 0.24 m from where it is at 3,840 Hz; 480 Hz
+    halves that at twice the cost. Where a tyre slides, Bullet's cone friction is biased towards the direction in which
+    the contact is harder to move: a sliding wheel spins faster or slower than a real one, and at the limit of grip the
+    path depends on the heading in the world by 0.3% of the distance. The car has no brakes that could lock its wheels.
 
     Raises:
         ImportError: PyBullet is not installed.

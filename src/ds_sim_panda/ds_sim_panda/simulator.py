@@ -55,8 +55,8 @@ class PandaSimulator(RoadSimulator):
         spec = SimulatorSpec(
             name="panda",
             physics="multi-body: 29 states, sprung and unsprung masses, Magic Formula tyres (CommonRoad)",
-            vehicle_length=p.length,
-            vehicle_width=p.width,
+            vehicle_length=float(p.published.l),
+            vehicle_width=float(p.published.w),
             wheelbase=p.wheelbase,
             max_steering_angle=p.max_steering_angle,
             camera=CAMERA,

@@ -25,16 +25,10 @@ _STEPS = 4096
 """Steps in which linear light is encoded; chosen: the darkest ones are 0.8 grey levels apart."""
 
 
-def _decoded(levels: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
-
-
-def _encoded(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
-
-
-_TO_LIGHT = _decoded(np.arange(256) / 255.0).astype(np.float32)
-_TO_LEVEL = np.rint(255.0 * _encoded(np.arange(_STEPS) / (_STEPS - 1.0))).astype(np.uint8)
+_LEVELS, _LIGHT = np.arange(256) / 255.0, np.arange(_STEPS) / (_STEPS - 1.0)
+_TO_LIGHT = np.where(_LEVELS <= 0.04045, _LEVELS / 12.92, ((_LEVELS + 0.055) / 1.055) ** 2.4).astype(np.float32)
+_ENCODED = np.where(_LIGHT <= 0.0031308, 12.92 * _LIGHT, 1.055 * _LIGHT ** (1.0 / 2.4) - 0.055)
+_TO_LEVEL = np.rint(255.0 * _ENCODED).astype(np.uint8)
 
 
 def decode(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:

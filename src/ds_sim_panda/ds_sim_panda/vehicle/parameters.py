@@ -66,16 +66,6 @@ class MultiBodyParameters:
         return published.parameter_set(self.parameter_set)
 
     @property
-    def length(self) -> float:
-        """Length of the car, m; published."""
-        return float(self.published.l)
-
-    @property
-    def width(self) -> float:
-        """Width of the car, m; published."""
-        return float(self.published.w)
-
-    @property
     def wheelbase(self) -> float:
         """Distance of the axles, m; published."""
         return float(self.published.a + self.published.b)
