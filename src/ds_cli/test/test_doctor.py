@@ -98,6 +98,15 @@ def test_an_interpreter_that_dies_is_reported_for_each_library(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
+    ("installed", "ok"), [(("2.13.0+cpu", ""), True), (("2.14.0", ""), False), (("", "no module"), False)]
+)
+def test_a_library_must_have_the_pinned_version(installed: tuple[str, str], ok: bool) -> None:
+    (check,) = doctor.check_libraries({"torch": "2.13.0"}, {"torch": installed})
+    assert check.ok is ok
+    assert bool(check.fix) is not ok
+
+
+@pytest.mark.parametrize(
     ("installed", "ok", "told"),
     [
         (("2026.8.0", ""), True, "2026.8.0"),

@@ -41,6 +41,19 @@ def test_chauffeurs_features_have_the_same_scale_in_driving_and_training() -> No
     assert (trained * driving).sum() / (driving * driving).sum() == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize("name", sorted(NETWORKS))
+def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
+    torch.manual_seed(1)
+    network = make_network(name).eval()
+    save_weights(network, tmp_path / "a.safetensors", architecture=name)
+    image = torch.rand(1, 3, 160, 320) * 255
+    with torch.inference_mode():
+        assert load_network(str(tmp_path / "a.safetensors"))(image).item() == pytest.approx(
+            network(image).item(), abs=1e-3
+        )
+    assert not list(tmp_path.glob("*.partial"))
+
+
 def test_eight_bits_halve_the_file_and_keep_the_steering(tmp_path: Path) -> None:
     whole, small = tmp_path / "whole.safetensors", tmp_path / "small.safetensors"
     torch.manual_seed(1)
