@@ -78,6 +78,20 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, Store
     return Page(html), html, store, config
 
 
+def test_every_map_is_inside(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+    page, _, store, _ = campaign
+    maps, _ = results(read_campaign(store))
+    assert page.data["maps"].keys() == {map_id.name for map_id in maps}
+    for map_id, feature_map in maps.items():
+        cells = {(cell[0], cell[1]): cell[2:] for cell in page.data["maps"][map_id.name]["cells"]}
+        assert cells.keys() == feature_map.cells.keys()
+        for cell, value in feature_map.cells.items():
+            tests, failures, probability, interval, quality = cells[cell]
+            assert [tests, failures] == [value.tests, value.failures] and value.interval is not None
+            expected = [value.probability, *value.interval, value.quality_loss]
+            assert [probability, *interval, quality] == pytest.approx(expected, abs=1e-4)
+
+
 def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
     page, html, *_ = campaign
     # Plotly's code names sites for geographic maps; the policy below forbids fetching from them.
