@@ -158,12 +158,9 @@ class Explanation:
             f"default {CONDITIONS}" if part == CONDITIONS else f"the {part} of {self.against}"
             for part in filter(self.cures, shares)
         ]
-        cured = (
-            f"With {listed(cures, 'or')} alone it completes there."
-            if cures
-            else (f"No single part of {self.against} makes it complete there.")
-        )
-        return f"{self.test_id} fails on {self.fails} because of {because}. {cured}"
+        cured = f"With {listed(cures, 'or')} alone it completes"
+        cured = cured if cures else f"No single part of {self.against} makes it complete"
+        return f"{self.test_id} fails on {self.fails} because of {because}. {cured} there."
 
 
 @dataclass(frozen=True, kw_only=True)

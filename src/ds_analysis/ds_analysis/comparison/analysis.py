@@ -290,9 +290,8 @@ def sentences_of(comparison: Comparison) -> list[str]:
     order = {"worse": 0, "better": 1, "not significant": 2}
     rows = sorted(comparison.simulators, key=lambda row: order[row.verdict])
     sentences = [_sentence(row, comparison) for row in rows if row.counts.tests]
-    sentences += [f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error."] * bool(
-        comparison.left_out
-    )
+    if comparison.left_out:
+        sentences.append(f"{count(len(comparison.left_out), 'pair')} left out: a drive ended in an error.")
     return sentences
 
 

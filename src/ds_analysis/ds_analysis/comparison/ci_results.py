@@ -188,11 +188,7 @@ def junit_of(name: str, cases: Sequence[Case]) -> str:
     return parseString(tostring(document)).toprettyxml(encoding="utf-8").decode()
 
 
-_ELEMENTS = {
-    "failed": ("failure", "failures"),
-    "error": ("error", "errors"),
-    "known failure": ("skipped", "skipped"),
-}
+_ELEMENTS = {"failed": ("failure", "failures"), "error": ("error", "errors"), "known failure": ("skipped", "skipped")}
 """State -> element of JUnit XML, and the attribute that counts it."""
 
 

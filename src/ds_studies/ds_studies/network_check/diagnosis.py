@@ -180,9 +180,8 @@ def check_network(
     steering, throttle, milliseconds = ask_open_loop(pilot, recordings)
     described = pilot.description if isinstance(pilot, DescribedNetworkPilot) else None
     best, answers = described, np.concatenate(list(steering.values()))
-    if (
-        search and isinstance(pilot, DescribedNetworkPilot) and not pilot.has_memory
-    ):  # single images say nothing about one with it
+    # Single images say nothing about a network with memory.
+    if search and isinstance(pilot, DescribedNetworkPilot) and not pilot.has_memory:
         best = best_description(pilot, recordings)
         if best != described:
             answers = np.concatenate(list(ask_open_loop(pilot.described_as(best), recordings)[0].values()))
