@@ -49,12 +49,9 @@ _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
 
 
 def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
-    """Decompress one part of a bag within the budget of the current pass.
+    """Decompress one part of a bag, by `zstd`, `lz4`, `bz2` or "", within the budget of the current pass.
 
-    Args:
-        data: compressed.
-        codec: `zstd`, `lz4`, `bz2`, or "" for data that are not compressed.
-        size: bytes that the file declares, or None if it does not say.
+    The file may declare a size in bytes.
 
     Raises:
         TooLargeError: more bytes come out than may be opened.

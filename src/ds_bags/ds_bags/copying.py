@@ -122,17 +122,10 @@ def rewrite_bag(
     *,
     without: Collection[str] = (),
 ) -> int:
-    """Copy a bag; the same input gives the same bytes.
+    """Copy a bag of one MCAP file, whole or not at all; the same input gives the same bytes.
 
-    Args:
-        source: bag of one MCAP file.
-        out: bag to write; must not exist, and appears whole or not at all.
-        change: message type -> function that returns the message to write.
-        facts: custom data added to the bag's.
-        without: message types that are left out.
-
-    Returns:
-        Number of changed messages.
+    Functions change the messages of their types, those of other types are left out or kept, and facts are added to the
+    custom data. Returns the number of changed messages.
 
     Raises:
         BagError: the bag is damaged, has several files, or `out` exists.

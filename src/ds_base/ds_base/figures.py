@@ -34,16 +34,9 @@ _STYLE: dict[Any, Any] = {
 def draw_figure(
     width: int, height: int, draw: Callable[[Figure], object], vector: Path | None = None
 ) -> NDArray[np.uint8]:
-    """Draw a figure.
+    """Draw a figure of so many pixels, (rows, columns, 3) uint8 RGB; `draw` adds everything to an empty one.
 
-    Args:
-        width: pixels.
-        height: pixels.
-        draw: adds everything to an empty figure.
-        vector: also write the figure for papers, as this path with `.pdf` and with `.svg`.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
+    With `vector`, the figure is written for papers, too, as this path with `.pdf` and with `.svg`.
     """
     # The import takes half a second, and most commands draw nothing.
     import matplotlib

@@ -52,14 +52,7 @@ def styled(style: Style, *names: str) -> list[Column]:
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Table of results.
-
-    Attributes:
-        name: stem of the file names.
-        title: heading.
-        columns: columns, from left to right.
-        rows: rows, each with one value per column.
-        notes: sentences below the table.
+    """Table of results, whose name is the stem of its files, with sentences below it.
 
     Examples:
         >>> from ds_base.table import Column, Table

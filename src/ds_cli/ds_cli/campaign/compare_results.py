@@ -67,17 +67,9 @@ def write_comparison(
 
     `following` is what a user types next where no test newly fails.
     """
+    from ds_analysis.comparison import tables
     from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
     from ds_analysis.comparison.ci_results import cases_of, junit_of
-    from ds_analysis.comparison.tables import (
-        MOST_ROWS,
-        cell_table,
-        command_of,
-        document_of,
-        drive_table,
-        markdown_of,
-        simulator_table,
-    )
     from ds_base.atomic_files import write_json, write_whole
     from ds_base.installation import as_typed
     from ds_base.table import write_tables
@@ -86,25 +78,28 @@ def write_comparison(
     road_files = write_roads(comparison, out / "worse")
     document = {
         "version": 1,
-        **document_of(comparison, road_files),
+        **tables.document_of(comparison, road_files),
         "unmet": list(unmet),
         "page": str(out / "comparison.html"),
     }
     write_json(out / "comparison.json", document)
-    write_whole(out / "comparison.md", markdown_of(comparison, road_files, unmet))
-    write_tables([simulator_table(comparison), cell_table(comparison), drive_table(comparison)], out / "tables")
+    write_whole(out / "comparison.md", tables.markdown_of(comparison, road_files, unmet))
+    write_tables(
+        [tables.simulator_table(comparison), tables.cell_table(comparison), tables.drive_table(comparison)],
+        out / "tables",
+    )
     write_comparison_page(comparison, out / "comparison.html", road_files, unmet)
     if junit is not None:
         name = f"{comparison.candidate.driver} against {comparison.reference.driver}"
         write_whole(junit, junit_of(name, cases_of(comparison)))
     if markdown is not None:
-        write_whole(markdown, markdown_of(comparison, road_files, unmet))
+        write_whole(markdown, tables.markdown_of(comparison, road_files, unmet))
 
     def show() -> None:
         console = Console()
-        simulator_table(comparison).show(console)
+        tables.simulator_table(comparison).show(console)
         grids = [grid for grid in grids_of(comparison) if len(grid.columns) <= MOST_COLUMNS]
-        cells = cell_table(comparison, most=MOST_ROWS)
+        cells = tables.cell_table(comparison, most=tables.MOST_ROWS)
         for grid in grids:
             print(f"{grid.title}: tests that newly fail (+) and that are fixed (−), of all")
             console.print(_difference_grid(grid))
@@ -112,10 +107,10 @@ def write_comparison(
             print(cells.notes[0])
         elif cells.rows:
             cells.show(console)
-        worse = drive_table(comparison, most=MOST_ROWS)
+        worse = tables.drive_table(comparison, most=tables.MOST_ROWS)
         if worse.rows:
             worse.show(console)
-        for command in again[:MOST_ROWS]:
+        for command in again[: tables.MOST_ROWS]:
             print(as_typed(command))
         for line in (*sentences_of(comparison), *cautions_of(comparison)):
             print(line)
@@ -123,7 +118,7 @@ def write_comparison(
         print(out / "comparison.html")
 
     again = [
-        command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
+        tables.command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
         for drive in comparison.newly_failing
         if drive.test.name in road_files
     ]

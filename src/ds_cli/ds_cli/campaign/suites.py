@@ -108,21 +108,16 @@ def suite_run_command(
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_sim.registry import received_simulator
     from ds_studies.failure_videos import FailedDrive, write_failure_videos
-    from ds_studies.suite.suite_file import (
-        SuiteError,
-        read_suite,
-        run_suite,
-        settings_of_suite,
-        with_outcomes,
-        write_suite,
-    )
+    from ds_studies.suite import suite_file
 
     network = options.driver_named(driver, backend)
     criteria = criteria_of(fail_on, max_failures, has_reference=True)
     if stop_early and (update is not None or (fail_on in (None, "worse") and max_failures is None)):
-        raise SuiteError("--stop-early needs --fail-on failure or regression, or --max-failures, and no --update")
+        raise suite_file.SuiteError(
+            "--stop-early needs --fail-on failure or regression, or --max-failures, and no --update"
+        )
     check_writable(junit, markdown, update)
-    tests = read_suite(suite)
+    tests = suite_file.read_suite(suite)
     for name in tests.simulators:
         received_simulator(name, confirmed=trust or [], option="--trust")
     candidate = network_named(network, tests.simulators)
@@ -132,13 +127,13 @@ def suite_run_command(
         say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
         source += ", made with other code of the simulators"
     make_folder(out)
-    settings = options.with_engine_without_ros(settings_of_suite(tests, network), workers, engine, cluster)
+    settings = options.with_engine_without_ros(suite_file.settings_of_suite(tests, network), workers, engine, cluster)
     of_simulator = {name: sum(name in one.outcomes for one in tests.tests) for name in tests.simulators}
     sizes = [*range(BATCH, len(tests.tests), BATCH)] if stop_early else []
     for last in [*sizes, len(tests.tests)]:
         some = tests.model_copy(update={"tests": tests.tests[:last]})
         with stopped_in(out):
-            comparison, executions = run_suite(
+            comparison, executions = suite_file.run_suite(
                 some, settings, candidate, out / "drives", Callbacks(listen=ScreenListener), source=source
             )
         # Whatever the outcomes of the remaining tests: so many of all fail already.
@@ -147,7 +142,7 @@ def suite_run_command(
             say(f"ended after {last} of {len(tests.tests)} tests: a pass criterion cannot be met any more")
             break
     if update is not None and not comparison.left_out:
-        write_suite(with_outcomes(tests, candidate, executions, code), update)
+        suite_file.write_suite(suite_file.with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {network}")
     following = ds_command("test", network)
     result = write_comparison(

@@ -191,16 +191,8 @@ def record_command(
 
     from ds_analysis.common.outcome_table import RoadTable
     from ds_analysis.outcomes.reading import read_table
+    from ds_analysis.real import records
     from ds_analysis.real.proposal import SCALE, read_proposed
-    from ds_analysis.real.records import (
-        RecordError,
-        added,
-        drive_of,
-        read_csv,
-        read_drives,
-        read_recorded,
-        write_drives,
-    )
     from ds_base.folder_files import locked
     from ds_recording.real_drive import is_recording, read_recording
 
@@ -210,15 +202,15 @@ def record_command(
         if is_recording(file):
             which = f"{file}: which test is it? expected --test with one of "
             if not isinstance(table, RoadTable):
-                raise RecordError(f"{which}a CSV, as these tests have no roads")
+                raise records.RecordError(f"{which}a CSV, as these tests have no roads")
             if test is None or test not in table.test_ids:
-                raise RecordError(f"{which}{', '.join(sorted(table.test_ids)[:6])}")
+                raise records.RecordError(f"{which}{', '.join(sorted(table.test_ids)[:6])}")
             road = table.roads[table.test_ids.index(test)]
             seen = read_recording(file, road, scale=used_scale, topic=topic)
             verdict = outcome or seen.outcome(road.lane_width / 2)
             if verdict is None:
                 driven = "" if seen.share is None else f" after {seen.share:.0%} of the road"
-                raise RecordError(
+                raise records.RecordError(
                     f"{file}: the recording tells no verdict{driven}: expected --outcome, such as completed"
                 )
             values = {
@@ -229,14 +221,14 @@ def record_command(
                 "max_lateral_position": "" if seen.lateral is None else str(seen.lateral / used_scale),
                 "note": "",
             }
-            new = [drive_of(values, {test: road.lane_width / 2}, used_scale, file.name)]
+            new = [records.drive_of(values, {test: road.lane_width / 2}, used_scale, file.name)]
         else:
             limits = dict(zip(table.test_ids, map(float, table.limits[:, 0]), strict=True))
-            new = read_csv(file, limits, scale=used_scale, who=who, when=when)
-        recorded = read_drives(folder)
-        added(recorded, new)
-        kept = added(read_recorded(folder), [replace(drive, drawn=drawn) for drive in new])
-        path = write_drives(folder, kept)
+            new = records.read_csv(file, limits, scale=used_scale, who=who, when=when)
+        recorded = records.read_drives(folder)
+        records.added(recorded, new)
+        kept = records.added(records.read_recorded(folder), [replace(drive, drawn=drawn) for drive in new])
+        path = records.write_drives(folder, kept)
         again = len({drive.test_id for drive in recorded} & {drive.test_id for drive in new})
         chosen = len({drive.test_id for drive in new} - {*proposed.tests})
         say(f"{len(new) - again} drives recorded in {path}, {again} known before, {chosen} of tests not proposed")

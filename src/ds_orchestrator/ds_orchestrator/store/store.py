@@ -29,7 +29,7 @@ class Store:
     is asked for, against its SHA-256. An invalid row raises `StoreError` with a message of one line.
 
     Args:
-        path: path of the file, created if missing and `config` is given.
+        path: of the file, created if missing and `config` is given.
         config: configuration of the campaign as JSON text, written once and compared afterwards; None to open an
             existing campaign.
         read_only: change nothing, even while a campaign writes the file.
