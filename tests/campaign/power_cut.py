@@ -20,12 +20,15 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 from tests.campaign.disk import Disk, damage, differences
 from tests.campaign.failing_disk import ds, prepare
 
 WRITE, SYNC, RENAME, OPEN, MKDIR, TRUNCATE, UNLINK, RMDIR = range(8)
 """As the enumeration in `disk.c`."""
 HEADER = struct.Struct("5l")
+MIXED = 8
+"""States after each cut in which each call that may be lost is, or is not, by chance."""
 DATA, NAMES = {WRITE, TRUNCATE}, {RENAME, OPEN, MKDIR, UNLINK, RMDIR}
 
 
@@ -141,7 +144,7 @@ def replayed(calls: Sequence[Call], lost: set[int], halved: int = -1) -> Tree:
     return tree
 
 
-def states(calls: Sequence[Call]) -> Iterator[tuple[str, Tree]]:
+def states(calls: Sequence[Call], rng: np.random.Generator) -> Iterator[tuple[str, Tree]]:
     """Yield what a disk may hold after a power cut right after the last call, each with its description."""
     lost = unsure(calls)
     data = {number for number in lost if calls[number].kind in DATA or calls[number].kind == OPEN and calls[number].at}
@@ -150,6 +153,9 @@ def states(calls: Sequence[Call]) -> Iterator[tuple[str, Tree]]:
     yield "lost all", replayed(calls, set(lost))
     yield "lost all content", replayed(calls, data)
     yield "lost all names", replayed(calls, names)
+    for _ in range(MIXED):
+        some = {number for number in lost if rng.random() < 0.5}
+        yield f"lost {sorted(some)}", replayed(calls, some)
     for number in lost[:20]:
         call = calls[number]
         what = f"{('write', 'sync', 'rename', 'open', 'mkdir', 'truncate', 'unlink', 'rmdir')[call.kind]} {call.path}"
@@ -220,7 +226,7 @@ def main(scratch: Path, first: int, step: int) -> None:
     tried: set[str] = set()
     resumed: set[str] = set()
     for cut in range(first, len(calls) + 1, step):
-        for description, tree in states(calls[:cut]):
+        for description, tree in states(calls[:cut], np.random.default_rng(cut)):
             digest = digest_of(tree)
             if digest in tried:
                 continue
