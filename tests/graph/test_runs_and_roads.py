@@ -182,6 +182,26 @@ def test_another_driver_takes_the_wheel_without_touching_anything_else(
     assert run.outcome is Outcome.COMPLETED, run.message
 
 
+def test_a_simulator_that_nobody_starts_is_awaited_for_long_only_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    from ds_orchestrator.graph import client
+    from ds_orchestrator.graph.session import RosDomain
+
+    monkeypatch.setattr(client, "ABSENT_TIME", 1.0)
+    domain = RosDomain()
+    alone = client.GraphClient(SPACE, domain=domain.number, command_timeout=5.0)
+    monkeypatch.setattr(alone, "_start_time", 3.0)
+    with caplog.at_level("INFO"):
+        waits = [alone.execute(DONKEY, Scenario(ROAD, seed=1)).message.split(":")[0] for _ in range(2)]
+    alone.close()
+    domain.close()
+    assert waits == [f"after {seconds} s there is no simulator in /ds1" for seconds in (3, 1)]
+    assert [record.getMessage() for record in caplog.records] == [
+        "there is no simulator in /ds1: waiting 3 s at most",
+    ]
+
+
 @pytest.mark.long
 def test_a_node_that_stops_between_two_runs_is_replaced(graph: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """ROS forgets it after 20 s."""

@@ -46,6 +46,8 @@ SERVICE_TIME = 20.0
 """Limit for a simulator's answer to a service or a goal, s."""
 START_TIME = 90.0
 """Limit for the start of a graph, s; includes importing libraries on a busy machine."""
+ABSENT_TIME = 10.0
+"""The same for a simulator that somebody else has to start, and that was awaited in vain before, s."""
 BUSY_TIME = 25.0
 """Limit for another client's run to end, s; ROS discovery drops a killed client after 20 s."""
 QUIET, UNANSWERED = 2.0, 3
@@ -89,6 +91,8 @@ class GraphClient:
         self._starting: set[str] = set()
         """Restarted processes whose driver has not answered yet."""
         self._start_time = START_TIME
+        self._absent: set[SimulatorName] = set()
+        """Simulators that this process did not start, and that were awaited in vain."""
         # A separate context, because one process may drive several graphs, each in its own domain.
         self._context = Context()
         init_ros(context=self._context, domain_id=domain)
@@ -116,11 +120,14 @@ class GraphClient:
         """
         if only is None:
             self._start_time = limit
-        deadline = time.monotonic() + limit
+        deadline, announced = time.monotonic() + limit, self._supervisor is not None
         awaited = [only] if only else list(self._simulators)
         while missing := [m for name in awaited if (m := self._simulators[name].missing())]:
             if self._supervisor is not None:
                 self._supervisor.check({p for name in awaited for p in self._processes(name)})
+            if not announced and time.monotonic() > deadline - limit + QUIET:
+                announced = True
+                LOG.info("%s: waiting %.0f s at most", missing[0], limit)
             if time.monotonic() > deadline:
                 advice = "see the folder logs" if self._supervisor else "start it, in the same ROS domain"
                 raise GraphError(f"after {limit:.0f} s {missing[0]}: {advice}")
@@ -259,8 +266,11 @@ class GraphClient:
         simulator = self._simulators[name]
         began = time.monotonic()
         try:
-            self.wait_until_ready(self._start_time, only=name)
+            self.wait_until_ready(ABSENT_TIME if name in self._absent else self._start_time, only=name)
+            self._absent.discard(name)
         except GraphError as error:  # it stopped between two runs
+            if self._supervisor is None:
+                self._absent.add(name)
             ready = simulator.info.service_is_ready()
             self._restart(self._driver_of(name) if ready else self._simulator_of(name), began)
             return Outcome.SIM_ERROR, str(error)
