@@ -97,8 +97,9 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
     if not python.is_file():
         return [*checks, Check("environment", False, ".venv is not there yet", _SET_UP)]
     pins = read_pins(root / "requirements/project.txt")
-    if uses_sourced_ros(root):
-        del pins["numpy"]  # that ROS brings the NumPy that its modules were built for
+    sourced = root / ".venv/.setup/ros-prefix"
+    if sourced.is_file() and sourced.read_text():
+        del pins["numpy"]  # an installed ROS 2 brings the NumPy that its modules were built for
     modules = {name: module_of(name) for name in pins}
     extras = {name: read_pins(root / f"requirements/{file}.txt")[name] for name, (file, _) in EXTRAS.items()}
     wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", **{name: name for name in extras}}
@@ -164,12 +165,6 @@ def repository() -> Path:
         if (folder / "requirements/project.txt").is_file():
             return folder
     return Path(os.environ.get("DS_ROOT", Path.cwd()))
-
-
-def uses_sourced_ros(root: Path) -> bool:
-    """True if set-up found an installed ROS 2 and built on it."""
-    note = root / ".venv/.setup/ros-prefix"
-    return note.is_file() and bool(note.read_text())
 
 
 def check_system(

@@ -202,13 +202,6 @@ def every_or_named(text: str) -> list[SimulatorName]:
     return simulators_of(",".join(STANDARD), default=True) if text == ALL else simulators_of(text)
 
 
-def label_of_driver(driver: str) -> str:
-    """Start of the name of a network's folder: its name, or the stem of its file."""
-    from ds_sim.registry import label_of
-
-    return label_of(Path(driver).stem or driver)
-
-
 def driver_named(text: str, backend: str = "auto", device: str = "cpu") -> DriverName:
     """The driver that a word of the command line names, on a backend, as in `dave2@onnx`; refuses what cannot be."""
     from ds_driver.networks.backends import BackendError

@@ -187,7 +187,7 @@ def search_command(
     names = options.simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
     check_driver(options.driver_named(network), names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
-    folder = out or Path(f"{options.label_of_driver(network)}_test")
+    folder = out or Path(f"{registry.label_of(Path(network).stem or network)}_test")
     named = rebase_paths({"driver": network, "siblings": siblings, "twin": twin}, Path(), folder)
     ranges = read_ranges(sensitivity) if sensitivity else None
     text = template(**named, size=size, ranges=ranges, min_angle=min_angle, max_angle=max_angle, seed=seed)
