@@ -15,6 +15,7 @@ import importlib
 import os
 import platform
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from functools import cache
@@ -28,6 +29,9 @@ import numpy as np
 
 from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_regular
+
+_LOADING = threading.Lock()
+"""Held while an engine is made: of two that threads made at once, one would be freed with code that is in use."""
 
 
 def layout(structure: type) -> np.dtype[np.void]:
@@ -53,7 +57,8 @@ def load(module: str, *arguments: Any, symbols: Mapping[str, int] | None = None)
     """
     for name, address in (symbols or {}).items():
         llvm.add_symbol(name, address)
-    engine = _engine(module)
+    with _LOADING:
+        engine = _engine(module)
     return ctypes.PYFUNCTYPE(None, *arguments)(engine.get_function_address(_symbol(module)))
 
 

@@ -23,9 +23,21 @@ load("compiled_here.addition", ctypes.c_void_p, ctypes.c_double)(ctypes.addresso
 print(target.value, "numba" in sys.modules)
 """
 
+THREADS = """
+import ctypes, threading
+from concurrent.futures import ThreadPoolExecutor
+from ds_sim.machine_code import load
+barrier = threading.Barrier(8)
+def address(_):
+    barrier.wait()
+    return ctypes.cast(load("compiled_here.addition", ctypes.c_void_p, ctypes.c_double), ctypes.c_void_p).value
+with ThreadPoolExecutor(8) as pool:
+    print(len(set(pool.map(address, range(8)))))
+"""
 
-def used(folder: Path) -> list[str]:
-    code = f"import sys; sys.path[:0] = {[str(folder), *sys.path]!r}" + USE
+
+def used(folder: Path, use: str = USE) -> list[str]:
+    code = f"import sys; sys.path[:0] = {[str(folder), *sys.path]!r}" + use
     environment = {"XDG_CACHE_HOME": str(folder / "cache")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
     return done.stdout.split()
@@ -38,6 +50,7 @@ def test_a_function_is_compiled_once_and_again_when_its_source_changes(tmp_path:
     (package / "addition.py").write_text(SOURCE)
     assert used(tmp_path) == [repr(1.0 + 1.0 / 3.0), "True"]
     assert used(tmp_path) == [repr(1.0 + 1.0 / 3.0), "False"]
+    assert used(tmp_path, THREADS) == ["1"]  # all threads have the code of one engine, which is kept
     (package / "addition.py").write_text(SOURCE.replace("+=", "-="))
     assert used(tmp_path) == [repr(1.0 - 1.0 / 3.0), "True"]
     assert used(tmp_path) == [repr(1.0 - 1.0 / 3.0), "False"]
