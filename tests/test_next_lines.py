@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every verb says what comes next, and the commands that verbs name exist with their options."""
+"""Commands that verbs name exist with their options."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typer.main import get_group
 import ds_cli
 from ds_cli.verbs import PACKAGE, VERBS
 
-"""Functions that print the line; `Result`, which the first two take, cannot be made without it."""
 MODULES = sorted(Path(ds_cli.__file__).parent.rglob("*.py"))
 
 

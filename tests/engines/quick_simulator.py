@@ -71,10 +71,6 @@ class QuickSimulator(Simulator):
         )
 
 
-class OtherQuickSimulator(QuickSimulator):
-    """The same under another name, for campaigns of several simulators."""
-
-
 class SlowSimulator(QuickSimulator):
     """Takes 50 ms for each frame, so that a test can interfere while it drives."""
 

@@ -12,13 +12,16 @@ from numpy.typing import NDArray
 from tests.evidence.subjects import SUBJECTS, Subject, drive, started
 
 from ds_sim.parts import Vehicle
-from ds_sim.simulator import Command, VehicleState
+from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 
 RNG = np.random.default_rng(0)
 PLACES = {"bullet": 1e-3, "softbody": 1e-9, "donkey": 1e-9, "panda": 1e-9}
 """Largest difference of a path that begins elsewhere, over its length: Bullet's solver has world axes."""
+SPEEDS = {"bullet": 1e-3, "softbody": 2e-3, "donkey": 1e-3, "panda": 0.02}
 """Largest error of the mean speed: CommonRoad's is that of a body that leans over the axles, whose place it has."""
+MIRROR = {"bullet": 0.01, "softbody": 1e-3, "donkey": 1e-9, "panda": 0.03}
 """Largest difference of a turn to the right from the mirror image of one to the left, relative."""
+WHEELS = {"bullet": 1e-3, "softbody": 0.05, "donkey": 1e-3, "panda": 1e-9}
 """Largest relative error of the steering angle of a turn that has lasted."""
 
 
@@ -44,6 +47,32 @@ def slalom(car: Vehicle, frames: int = 120) -> list[VehicleState]:
 
 def places(states: list[VehicleState]) -> NDArray[np.float64]:
     return np.array([(s.x, s.y) for s in states])
+
+
+def test_minus_one_is_left_and_the_car_is_symmetric(subject: Subject, car: Vehicle) -> None:
+    left = drive(car, 80, -0.6, 0.4)[-1]
+    car.reset(0.0, 0.0, 0.0, RNG)
+    right = drive(car, 80, 0.6, 0.4)[-1]
+    assert left.yaw > 0.3
+    assert left.y > 0.5
+    assert left.roll > 0.0005  # right side down, out of the bend
+    assert left.steering_angle == pytest.approx(0.6 * subject.lock, rel=WHEELS[subject.name])
+    assert (right.yaw, right.y, right.roll) == pytest.approx((-left.yaw, -left.y, -left.roll), rel=MIRROR[subject.name])
+
+
+def test_straight_ahead_stays_straight_over_100_metres(subject: Subject, car: Vehicle) -> None:
+    last = drive(car, 400, 0.0, 0.6)[-1]
+    assert last.x > 100.0
+    assert abs(last.y) < (1e-6 if subject.name == "softbody" else 0.05)
+
+
+def test_speed_is_distance_over_time_and_yaw_the_sum_of_its_rates(subject: Subject, car: Vehicle) -> None:
+    states = drive(car, 400, -0.8, 0.5)
+    path = np.hypot(*np.diff(places(states), axis=0).T).sum()
+    pace = np.mean([math.hypot(s.speed, s.lateral_speed) for s in states])
+    assert path / (FRAME_TIME * (len(states) - 1)) == pytest.approx(pace, rel=SPEEDS[subject.name])
+    assert states[-1].yaw > math.tau  # full turns count
+    assert states[-1].yaw == pytest.approx(FRAME_TIME * sum(s.yaw_rate for s in states), rel=0.005)
 
 
 @pytest.mark.parametrize("yaw", [0.3, 2.5])
