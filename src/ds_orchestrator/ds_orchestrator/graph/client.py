@@ -120,7 +120,7 @@ class GraphClient:
         """
         if only is None:
             self._start_time = limit
-        deadline, announced = time.monotonic() + limit, self._supervisor is not None
+        deadline, announced = time.monotonic() + limit, self._supervisor is not None or limit <= ABSENT_TIME
         awaited = [only] if only else list(self._simulators)
         while missing := [m for name in awaited if (m := self._simulators[name].missing())]:
             if self._supervisor is not None:
