@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.dynamics import CarState, rollout
-from ds_twin_donkey.logs import Drive
+from ds_twin_donkey.logs import LogSegment
 from ds_twin_donkey.parameters import DonkeyParameters
 
 TRACKER_NOISE = (0.01, 0.01, 0.01, 0.02, 0.02)
@@ -65,14 +65,14 @@ def simulated_recording(
     rng: np.random.Generator,
     commands: NDArray[np.float64],
     noise: Sequence[float] = TRACKER_NOISE,
-) -> Drive:
+) -> LogSegment:
     """Simulate a drive of the twin from rest as a tracker records it, with noise by `logs.CHANNELS`.
 
     The front axle must carry half the load; the commands are steering and throttle, (n, 2).
     """
     states = rollout(car, commands)[:-1, _COLUMNS]
     measured = states + rng.normal(size=states.shape) * np.asarray(noise)
-    return Drive(commands=commands, measured=measured, from_rest=True)
+    return LogSegment(commands=commands, measured=measured, from_rest=True)
 
 
 def hidden_and_start(names: list[str], rng: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:

@@ -26,7 +26,7 @@ from ds_recording.sibling.recorded_drive import read_drive
 from ds_recording.sibling.sections import sections
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import spec_of
-from ds_studies.track_test import Recording, TrackTest, TrackTestError, _fit_twin, run_track_test
+from ds_studies.track_test import LocationInputs, TrackTest, TrackTestError, _fit_twin, run_track_test
 from ds_twin_donkey.parameters import SCALE
 
 LANE = line_distance(spec_of("donkey")) / SCALE
@@ -60,7 +60,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(folder: Path, **changed: float) -> TrackTest:
-    recording = Recording(
+    recording = LocationInputs(
         source=folder / "tub",
         camera=folder / "camera.yaml",
         lane_width=changed.get("lane_width", LANE),

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import onnx
 
-from ds_analysis.paper.open_loop import Answers, predict
+from ds_analysis.paper.open_loop import OpenLoopAnswers, predict
 from ds_cli.output import ScreenProgress
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
@@ -155,7 +155,7 @@ def _described(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipp
     return [network, path], str(path), card
 
 
-def _offline(found: Mapping[str, Answers]) -> dict[str, dict[str, float]]:
+def _offline(found: Mapping[str, OpenLoopAnswers]) -> dict[str, dict[str, float]]:
     """What a card says of the answers to another data set, by simulator."""
     errors = {name: answers.absolute_errors for name, answers in found.items()}
     return {
@@ -178,7 +178,7 @@ def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[
     return rates
 
 
-def _gain(answers: Answers) -> float:
+def _gain(answers: OpenLoopAnswers) -> float:
     """Slope of the network's steering over the autopilot's, by least squares through the origin; 1 is right."""
     return float((answers.answered * answers.recorded).sum() / (answers.recorded**2).sum())
 

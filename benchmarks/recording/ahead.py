@@ -20,7 +20,7 @@ from ds_recording.located import Located, read_located
 from ds_recording.track import Track
 from ds_twin_donkey.dynamics import SUBSTEPS
 from ds_twin_donkey.located import Mounting, fit_located
-from ds_twin_donkey.logs import Drive, read_log
+from ds_twin_donkey.logs import LogSegment, read_log
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.windows import RUN_IN, Windows
 
@@ -38,17 +38,19 @@ def offsets(track: Track, places: Array) -> Array:
     return track.place(places, track.nearest(places, near))[1]
 
 
-def split(drives: Sequence[Drive], share: float) -> tuple[list[Drive], list[Drive]]:
+def split(drives: Sequence[LogSegment], share: float) -> tuple[list[LogSegment], list[LogSegment]]:
     """The first part of drives, a share of their rows, and the rest."""
     left = int(share * sum(len(drive.commands) for drive in drives))
-    first: list[Drive] = []
-    rest: list[Drive] = []
+    first: list[LogSegment] = []
+    rest: list[LogSegment] = []
     for drive in drives:
         cut = min(left, len(drive.commands))
         left -= cut
         for part, chosen in ((first, slice(0, cut)), (rest, slice(cut, None))):
             if len(drive.commands[chosen]) > 2:
-                part.append(Drive(commands=drive.commands[chosen], measured=drive.measured[chosen], from_rest=False))
+                part.append(
+                    LogSegment(commands=drive.commands[chosen], measured=drive.measured[chosen], from_rest=False)
+                )
     return first, rest
 
 
@@ -58,9 +60,9 @@ def main() -> None:
     parser.add_argument("located", type=Path)
     parser.add_argument("rest", type=Path, nargs="?")
     arguments = parser.parse_args()
-    drives: Sequence[Drive] = read_log(arguments.located).drives
+    drives: Sequence[LogSegment] = read_log(arguments.located).drives
     located = read_located(arguments.rest or arguments.located)
-    rest: Sequence[Drive]
+    rest: Sequence[LogSegment]
     if arguments.rest:
         rest = read_log(arguments.rest).drives
     else:
@@ -68,7 +70,7 @@ def main() -> None:
     compare(drives, rest, located)
 
 
-def compare(drives: Sequence[Drive], rest: Sequence[Drive], located: Located) -> None:
+def compare(drives: Sequence[LogSegment], rest: Sequence[LogSegment], located: Located) -> None:
     """Fit to some drives, predict the rest, whose road is in `located`, and print errors."""
     nominal = DonkeyParameters()
     found, mounting = fit_located(drives)

@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from ds_bags.info import describe, in_words
+from ds_bags.info import describe, info_in_words
 from ds_bags.layout import LEVELS, BagError, Level
 from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
@@ -170,7 +170,7 @@ def test_a_bag_describes_its_run(bags: Path, run: RunRecord) -> None:
     assert json.loads(facts["road"]) == [list(point) for point in run.road.control_points]
     assert (facts["seed"], facts["outcome"], facts["steps"]) == ("3", "CANCELLED", "40")
     assert float(facts["fitness"]) == run.fitness and facts["version.numpy"] == np.__version__
-    words = "\n".join(in_words(document))
+    words = "\n".join(info_in_words(document))
     assert "autopilot drove on donkey: cancelled after 40 frames (that is enough)" in words
     assert f"Road {run.road.road_id}, seed 3, level raw" in words
 

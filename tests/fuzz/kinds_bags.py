@@ -23,7 +23,7 @@ from tests.fuzz.kinds_tables import as_text
 
 from ds_bags.copying import recover
 from ds_bags.donkey_tub import TubError, read_tub
-from ds_bags.info import describe, in_words
+from ds_bags.info import describe, info_in_words
 from ds_bags.layout import BagError
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
@@ -193,7 +193,7 @@ def _damage_records(folder: Path, rng: Rng) -> None:
 
 def _read_everything(path: Path) -> None:
     """Read as `ds bag info` does, and deserialise every message."""
-    in_words(describe(path))
+    info_in_words(describe(path))
     with BagReader(path) as bag:
         for connection, _, raw in bag.messages():
             bag.message(connection, raw)

@@ -44,7 +44,7 @@ def describe(path: Path) -> dict[str, Any]:
         }
 
 
-def in_words(document: Mapping[str, Any]) -> list[str]:
+def info_in_words(document: Mapping[str, Any]) -> list[str]:
     """Turn the result of `describe` into lines of text: the outcome of the run first, then what is recorded."""
     facts = {printable(key): printable(value) for key, value in document["facts"].items()}
     size = f"{document['bytes'] / 1e6:.2f} MB in {document['files']} files"

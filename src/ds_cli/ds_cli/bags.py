@@ -61,13 +61,13 @@ def info_command(folder: BagFolder, as_json: options.JsonFlag = False) -> None:
     """
     from rich.text import Text
 
-    from ds_bags.info import describe, in_words
+    from ds_bags.info import describe, info_in_words
     from ds_bags.layout import printable
 
     document = describe(folder)
 
     def show() -> None:
-        for line in in_words(document):
+        for line in info_in_words(document):
             print(line)
         table = Table("topic", "type", "messages")
         for topic in document["topics"]:

@@ -34,7 +34,7 @@ START_WAIT = 90.0
 app = typer.Typer()
 
 
-def in_words(document: dict[str, Any], road: Road) -> list[str]:
+def drive_in_words(document: dict[str, Any], road: Road) -> list[str]:
     """What a drive's result says, in the words and units of `ds bag info`."""
     outcome = document["outcome"].replace("_", " ").lower()
     why = f" ({document['message']})" if document["message"] else ""
@@ -259,7 +259,7 @@ def drive_command(
     }
 
     def show() -> None:
-        for line in in_words(document, way):
+        for line in drive_in_words(document, way):
             print(line)
         for habit in habits:
             print(warning(whose, habit))

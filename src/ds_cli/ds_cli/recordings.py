@@ -71,13 +71,13 @@ def recording_test_command(
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_orchestrator.engines.preflight import check_driver
-    from ds_studies.track_test import PAGE, ROADS, Recording, TrackTest, run_track_test
+    from ds_studies.track_test import PAGE, ROADS, LocationInputs, TrackTest, run_track_test
 
     network = options.driver_named(driver, backend)
     check_driver(network, [])
     settings = options.with_engine_without_ros(DriveSettings(siblings=(), driver=network), workers, None, None)
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
-    recording = Recording(
+    recording = LocationInputs(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
     asked = TrackTest(recording=recording, out=out, driver=network, roads=roads, crop_top=crop_top)
@@ -118,10 +118,10 @@ def locate_command(
     """
     from ds_driver.data.recordings import Reading
     from ds_recording.odometry import summary
-    from ds_studies.track_test import Recording, locate_recording
+    from ds_studies.track_test import LocationInputs, locate_recording
 
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
-    recording = Recording(
+    recording = LocationInputs(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
     with stopped(lambda: f"what is finished is in {out}: the same command goes on"):

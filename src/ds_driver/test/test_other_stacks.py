@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ds_driver.control.bicycle import Geometry, MotionError
-from ds_driver.control.other_stacks import KINDS, Motion, StampMatcher, part, set_part
+from ds_driver.control.other_stacks import KINDS, MotionRequest, StampMatcher, part, set_part
 
 CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
 
@@ -55,8 +55,12 @@ def values(kind: str, message: Any) -> tuple[float, float]:
     return part(message, lateral), part(message, longitudinal)
 
 
-def motion_of(kind: str, steering: float, forward: float) -> Motion:
-    return Motion(steering, throttle=forward) if KINDS[kind].needs_throttle else Motion(steering, speed=forward)
+def motion_of(kind: str, steering: float, forward: float) -> MotionRequest:
+    return (
+        MotionRequest(steering, throttle=forward)
+        if KINDS[kind].needs_throttle
+        else MotionRequest(steering, speed=forward)
+    )
 
 
 LEFT = {

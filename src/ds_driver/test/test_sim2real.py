@@ -31,8 +31,8 @@ from ds_driver.sim2real.generator import (
     StoredGenerator,
     Window,
     check_fits,
+    generator_input,
     load_generator,
-    prepare,
     save_generator,
 )
 from ds_driver.sim2real.image_translation import open_set
@@ -316,9 +316,9 @@ def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
 
 def test_windows_and_sizes_that_do_not_fit_are_refused() -> None:
     image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
-    assert np.array_equal(prepare(image, Window(60, 140, 0, 160), (80, 160)), image[60:140, :160])
+    assert np.array_equal(generator_input(image, Window(60, 140, 0, 160), (80, 160)), image[60:140, :160])
     with pytest.raises(Sim2RealError, match="another camera"):
-        prepare(image[:100], WHOLE, (80, 160))
+        generator_input(image[:100], WHOLE, (80, 160))
     with pytest.raises(Sim2RealError, match="at least 8 rows"):
         Window(10, 12, 0, 100)
 

@@ -27,7 +27,7 @@ from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import TURNS, Evidence, Smoother, Solution
 from ds_recording.track import Track
-from ds_recording.unfinished import Unfinished, arrays_of, digest_of, evidence_of
+from ds_recording.kept_arrays import KeptArrays, arrays_of, digest_of, evidence_of
 
 Array = NDArray[np.float64]
 LEAST_MOTION = 0.6
@@ -46,12 +46,12 @@ CLOSED_TURNS, WORSE_CLOSED = 10, 0.03
 """Smoother's steps on a closed line, and share of points it may lose; chosen: a wrong lap loses a third of them."""
 LEAST_LOCATED = 0.5
 """Share of the stretch's images that must be located."""
-FORGETFUL = Unfinished()
+FORGETFUL = KeptArrays()
 LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class SolvedStretch:
     """A solved stretch in lane widths, with the evidence that it rests on."""
 
     evidence: Evidence
@@ -138,7 +138,7 @@ def check_evidence(evidence: Evidence) -> None:
         )
 
 
-def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: Unfinished = FORGETFUL) -> Fit:
+def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: KeptArrays = FORGETFUL) -> SolvedStretch:
     """Guess the road, smooth the run, and join the ends of a lap where there is one."""
     steps, last = [], np.zeros(3)
     for index, seconds in enumerate(np.diff(evidence.times), start=1):
@@ -167,7 +167,7 @@ def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: Unfinishe
             f"{1.0 - located.mean():.0%} of the images could not be located, expected at most "
             f"{1.0 - LEAST_LOCATED:.0%}: lines and motion contradict each other; check --lane-width and the camera"
         )
-    return Fit(evidence=evidence, solution=solution, located=located)
+    return SolvedStretch(evidence=evidence, solution=solution, located=located)
 
 
 def _trusted(evidence: Evidence, solution: Solution) -> NDArray[np.bool_]:
@@ -179,7 +179,12 @@ def _trusted(evidence: Evidence, solution: Solution) -> NDArray[np.bool_]:
 
 
 def in_metres(
-    views: Views, fit: Fit, camera: FloorCamera, lane_width: float, calibration: str, checked: Sequence[Checked] = ()
+    views: Views,
+    fit: SolvedStretch,
+    camera: FloorCamera,
+    lane_width: float,
+    calibration: str,
+    checked: Sequence[Checked] = (),
 ) -> Located:
     """Tables of a solved stretch, in metres."""
     solution, times = fit.solution, fit.evidence.times
@@ -236,7 +241,7 @@ def in_metres(
 
 def located_of(
     views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT, folder: Path | None = None
-) -> tuple[Located, Fit]:
+) -> tuple[Located, SolvedStretch]:
     """Locate a stretch; what an interrupted call has left in the folder is not done again.
 
     Raises:
@@ -251,7 +256,7 @@ def located_of(
     if not camera.mounted:
         calibration = "chessboard"
         camera = mount(views, camera, lane_width)
-    unfinished = Unfinished(folder, digest_of(views, camera, lane_width)) if folder else FORGETFUL
+    unfinished = KeptArrays(folder, digest_of(views, camera, lane_width)) if folder else FORGETFUL
     kept = unfinished.load("evidence")
     evidence = gather(views, camera, lane_width, progress) if kept is None else evidence_of(kept)
     if kept is None:

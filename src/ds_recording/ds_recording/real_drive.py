@@ -29,7 +29,7 @@ _LONGEST_GAP = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
+class RecordedOutcome:
     """What a recording says about a drive.
 
     Attributes:
@@ -55,7 +55,7 @@ def is_recording(path: Path) -> bool:
     return path.is_dir() or path.suffix in (".mcap", ".db3", ".bag")
 
 
-def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = None) -> Recording:
+def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = None) -> RecordedOutcome:
     """Read a recording of a drive on one road.
 
     Args:
@@ -71,16 +71,16 @@ def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = 
         ds_bags.donkey_tub.TubError: the tub is damaged.
     """
     if is_tub(path):
-        return Recording(lateral=None, share=None, when=_began(path))
+        return RecordedOutcome(lateral=None, share=None, when=_began(path))
     if (path / LOCATED).is_file():
         return _located(path, road, scale)
     with BagReader(path) as bag:
         when = _said(bag.start / 1e9)
         if topic is not None and ":" in topic:
             values = _values(bag, topic)
-            return Recording(lateral=max(map(abs, values)) * scale, share=None, when=when)
+            return RecordedOutcome(lateral=max(map(abs, values)) * scale, share=None, when=when)
         lateral, share = _along(road, _poses(bag, topic), scale, path)
-        return Recording(lateral=lateral, share=share, when=when)
+        return RecordedOutcome(lateral=lateral, share=share, when=when)
 
 
 def _began(path: Path) -> str:
@@ -94,7 +94,7 @@ def _began(path: Path) -> str:
     return _said(records[0].seconds)
 
 
-def _located(path: Path, road: Road, scale: float) -> Recording:
+def _located(path: Path, road: Road, scale: float) -> RecordedOutcome:
     """What the images of a drive say: the way along the lines that they show, and the offset from the lane driven."""
     located = read_located(path)
     offsets = np.abs(located.column("lateral_m") - driven_side(located)) * scale
@@ -103,7 +103,7 @@ def _located(path: Path, road: Road, scale: float) -> Recording:
     along = located.column("along_m")[:end] * scale
     whole = LaneTracker(road.lane_centre).length - OracleLimits().finish_margin  # where a simulated drive ends, too
     share = min(float(along.max() - along.min()) / whole, 1.0)
-    return Recording(
+    return RecordedOutcome(
         lateral=float(offsets[:end].max()), share=share, when=_began(path / str(located.about.get("source")))
     )
 

@@ -20,12 +20,12 @@ from ds_recording import locate
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import line_pixels, points_on_floor
-from ds_recording.locate import Fit, located_of, with_odometry
+from ds_recording.locate import SolvedStretch, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
 from ds_recording.odometry import AHEAD, TURN, Source
 from ds_recording.recording import Views, longest_stretch, read_views
 from ds_recording.smoother import Evidence
-from ds_recording.unfinished import Unfinished
+from ds_recording.kept_arrays import KeptArrays
 from ds_report.recording_page import write_recording_page
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def tub_of(folder: Path, images: list[NDArray[np.uint8]], times: Array, steering
     return write_tub(folder, rows)
 
 
-Solved = tuple[Views, Located, Fit]
+Solved = tuple[Views, Located, SolvedStretch]
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +191,7 @@ def test_a_location_that_was_stopped_goes_on_to_the_same_bits(
             located_of(views, CAMERA, WIDTH, StopsAt("steps of the solution", after), folder)
         assert sorted(path.name for path in folder.iterdir()) == ["unfinished_evidence.npz", "unfinished_open.npz"]
     (folder / "unfinished_closed.npz").write_bytes(b"damaged")
-    assert Unfinished(folder, "other inputs").load("open") is None
+    assert KeptArrays(folder, "other inputs").load("open") is None
     monkeypatch.setattr(locate, "gather", None)  # images are not looked at again
     resumed, _ = located_of(views, CAMERA, WIDTH, folder=folder)
     np.testing.assert_array_equal(resumed.table, whole.table)

@@ -39,7 +39,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import Test
 from ds_report.heatmap import Value
 from ds_sim.conditions.model import DEFAULT, FIELDS
-from ds_sim.conditions.words import in_words
+from ds_sim.conditions.words import conditions_in_words
 from ds_sim.registry import NO_SIMULATOR
 
 Kind = Literal["road", "conditions"]
@@ -266,7 +266,7 @@ def radius(curvature: float) -> str:
 
 def _harder_than(split: Split, thing: str) -> str:
     if split.axis in FIELDS:
-        return in_words(split.axis, split.threshold, side="or more" if split.is_lower_bound else "or less")
+        return conditions_in_words(split.axis, split.threshold, side="or more" if split.is_lower_bound else "or less")
     if split.axis == "turns":
         return f"on {thing}s with {split.threshold:.0f} turns or more"
     bend = f"a bend of {radius(split.threshold)} radius or tighter (curvature {split.threshold:.3f} 1/m or more)"
@@ -308,7 +308,7 @@ def _conditions(outcomes: RoadOutcomes, but: str = "") -> list[str]:
         numbers = [value for value in values if value is not None]
         if values == {getattr(DEFAULT, name)} or not numbers or name == but:
             continue
-        named.append(in_words(name, min(numbers), max(numbers)))
+        named.append(conditions_in_words(name, min(numbers), max(numbers)))
     return named
 
 

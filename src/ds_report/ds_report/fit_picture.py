@@ -13,7 +13,7 @@ from ds_base.figures import WIDTH, draw_figure
 from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.fit import Fit
+from ds_twin_donkey.fit import TwinFit
 from ds_twin_donkey.logs import CHANNELS
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ MAX_WINDOWS = len(SERIES)
 """Number of windows drawn; chosen: as many as can be distinguished."""
 
 
-def draw_fit(fit: Fit, path: Path) -> None:
+def draw_fit(fit: TwinFit, path: Path) -> None:
     """Write PNG, PDF and SVG of paths, speed and yaw rate of some windows, and histograms of residuals over rms."""
     chosen = np.unique(np.linspace(0, fit.windows - 1, MAX_WINDOWS).round().astype(int))
     frames = fit.measured.shape[1]
@@ -51,7 +51,7 @@ def draw_fit(fit: Fit, path: Path) -> None:
     write_whole(path, png(draw_figure(WIDTH, 836, draw, path)))
 
 
-def _histograms(fit: Fit, axes: Axes) -> None:
+def _histograms(fit: TwinFit, axes: Axes) -> None:
     edges = np.linspace(-4.0, 4.0, 33)
     axes.plot(edges, np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi), color="#aaaaaa", linewidth=3, label="normal")
     for index, name in enumerate(CHANNELS):

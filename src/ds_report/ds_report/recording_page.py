@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ds_base.figures import WIDTH, draw_figure
 from ds_base.palette import SERIES
 from ds_recording.floor_camera import FloorCamera
-from ds_recording.locate import Fit
+from ds_recording.locate import SolvedStretch
 from ds_recording.located import Located
 from ds_recording.motion import moved
 from ds_recording.odometry import summary
@@ -32,7 +32,7 @@ SHOWN = (0.3, 6.0)
 """Distance ahead of the car within which lines are drawn, lane widths."""
 
 
-def write_recording_page(path: Path, views: Views, located: Located, fit: Fit) -> Path:
+def write_recording_page(path: Path, views: Views, located: Located, fit: SolvedStretch) -> Path:
     """Write the page of a stretch's images, its solution, and the result of that."""
     about = located.about
     stretch, camera = about["stretch"], located.camera
@@ -50,7 +50,7 @@ def write_recording_page(path: Path, views: Views, located: Located, fit: Fit) -
         "Steering": _steering(about["steering"]),
     }
 
-    def drawn(height: int, draw: Callable[[Figure, Located, Fit], None]) -> str:
+    def drawn(height: int, draw: Callable[[Figure, Located, SolvedStretch], None]) -> str:
         return data_address(draw_figure(WIDTH, height, lambda figure: draw(figure, located, fit)))
 
     lines = "Fitted lines drawn in: yellow is the centre line, white the edges; grey ones are not located."
@@ -81,7 +81,7 @@ def _steering(steering: dict[str, float] | None) -> str:
     )
 
 
-def _from_above(figure: Figure, located: Located, fit: Fit) -> None:
+def _from_above(figure: Figure, located: Located, fit: SolvedStretch) -> None:
     axes = figure.subplots()
     for offset, colour in ((-1.0, "#888888"), (0.0, "#c09000"), (1.0, "#888888")):
         line = located.track.beside(offset * located.lane_width).points
@@ -94,7 +94,7 @@ def _from_above(figure: Figure, located: Located, fit: Fit) -> None:
     axes.set_aspect("equal", "datalim")
 
 
-def _over_time(figure: Figure, located: Located, fit: Fit) -> None:
+def _over_time(figure: Figure, located: Located, fit: SolvedStretch) -> None:
     first, second, third, fourth = figure.subplots(4, 1, sharex=True)
     times = fit.evidence.times
     first.plot(times, fit.solution.residuals * located.lane_width, ".", markersize=2, color=SERIES[0])
@@ -110,7 +110,7 @@ def _over_time(figure: Figure, located: Located, fit: Fit) -> None:
     fourth.set(title="Speed", ylabel="m/s", xlabel="s")
 
 
-def contact_sheet(views: Views, camera: FloorCamera, lane_width: float, fit: Fit) -> NDArray[np.uint8]:
+def contact_sheet(views: Views, camera: FloorCamera, lane_width: float, fit: SolvedStretch) -> NDArray[np.uint8]:
     """Pictures at even times with the fitted lines, (rows, columns, 3) uint8 RGB."""
     chosen = np.linspace(0, len(views.images) - 1, PICTURES + 2)[1:-1].round().astype(int)
     track = fit.solution.track.resampled(0.1)
@@ -120,7 +120,7 @@ def contact_sheet(views: Views, camera: FloorCamera, lane_width: float, fit: Fit
 
 
 def drawn_in(
-    image: NDArray[np.uint8], frame: int, camera: FloorCamera, lane_width: float, fit: Fit, track: Track
+    image: NDArray[np.uint8], frame: int, camera: FloorCamera, lane_width: float, fit: SolvedStretch, track: Track
 ) -> NDArray[np.uint8]:
     """One picture with the fitted lines, `WIDTH` / `ACROSS` columns wide; `track` has steps of 0.1 lane widths."""
     width = WIDTH // ACROSS

@@ -13,7 +13,7 @@ import numpy as np
 from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
 from ds_analysis.common.selection import most_frequent
 from ds_analysis.common.statistics import families_of
-from ds_analysis.failures.reasons import Reason, groups_of, reasons_of, where
+from ds_analysis.failures.reasons import FailureReason, groups_of, reasons_of, where
 from ds_analysis.paper.merge_case import merge_case_table, merge_cases
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.verdicts import ERROR_RATE, Verdicts, cell_table
@@ -166,7 +166,7 @@ class ShownGroup(NamedTuple):
 
     failures: int
     where: str
-    worst: Reason
+    worst: FailureReason
     address: str
 
 

@@ -17,7 +17,7 @@ from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_report.camera_pictures import CameraPicture, camera_picture
 from ds_report.pages import write_page
 from ds_sim.conditions.text import format_3sf
-from ds_sim.conditions.words import in_words
+from ds_sim.conditions.words import conditions_in_words
 from ds_sim.registry import colours_of
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class SensitivityPage:
             first = result.roads[worst.simulator][0]
             scenario = replace(first, conditions=worst.factor.conditions(level))
             self._pictures[key] = camera_picture(worst.simulator, scenario)
-        words = in_words(worst.factor.name, worst.factor.value(level))
+        words = conditions_in_words(worst.factor.name, worst.factor.value(level))
         return f"{worst.simulator} {words}", self._pictures[key]
 
 

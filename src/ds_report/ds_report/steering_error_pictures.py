@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ds_analysis.common.statistics import Array
-from ds_analysis.paper.open_loop import WORST, Answers
+from ds_analysis.paper.open_loop import WORST, OpenLoopAnswers
 from ds_analysis.paper.steering_error_stats import EDGES, density, pooled_errors
 from ds_base.atomic_files import write_whole
 from ds_base.figures import WIDTH, draw_figure
@@ -25,7 +25,7 @@ SHOWN = 4
 """Largest number of recordings drawn over time; chosen: fits on a screen."""
 
 
-def draw_errors(title: str, answers: Sequence[Answers], path: Path) -> None:
+def draw_errors(title: str, answers: Sequence[OpenLoopAnswers], path: Path) -> None:
     """Write a picture of the steering errors on every recording as PNG, and beside it as PDF and SVG."""
     errors, shown = pooled_errors(answers), answers[:SHOWN]
     panels = [(330, partial(_densities, errors))] if errors else []
@@ -57,7 +57,7 @@ def _densities(errors: dict[str, Array], figure: SubFigure) -> None:
     axes.legend(loc="upper left")
 
 
-def _over_time(answers: Answers, figure: SubFigure) -> None:
+def _over_time(answers: OpenLoopAnswers, figure: SubFigure) -> None:
     """Draw steering over the image number, since a recording's clock may differ from the drive's."""
     axes = figure.subplots()
     axes.plot(answers.index, answers.recorded, color="black", linewidth=1.5, label="recorded")
@@ -67,7 +67,7 @@ def _over_time(answers: Answers, figure: SubFigure) -> None:
     axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
 
 
-def _worst(answers: Answers, figure: SubFigure) -> None:
+def _worst(answers: OpenLoopAnswers, figure: SubFigure) -> None:
     """Draw the images with the largest errors, with both steerings as needles: black recorded, red answered."""
     figure.suptitle(f"Largest errors in {answers.name}: black recorded, red answered", x=0.01, ha="left")
     places = figure.subplots(1, WORST)

@@ -27,7 +27,7 @@ from ds_road.commonroad import WIDTH_SPREAD, constant_width, read_commonroad
 from ds_road.files import LARGEST_FILE, road_from_json, road_object
 from ds_road.opendrive import MOST_ROADS, SPACING, read_opendrive
 from ds_road.road import LANE_WIDTH, MAX_POINTS, Road, RoadError, Side
-from ds_road.tracks import Track, read_track
+from ds_road.tracks import MeasuredTrack, read_track
 
 SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
@@ -160,7 +160,7 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | 
     raise RoadError(f"XML of {root.tag[:40]!r}: expected OpenDRIVE or commonRoad")
 
 
-def _track(track: Track, name: str, lane_width: float | None, lanes: int, scale: float) -> CentreLine:
+def _track(track: MeasuredTrack, name: str, lane_width: float | None, lanes: int, scale: float) -> CentreLine:
     """The line in the middle of a track; where it has no widths, that of the file."""
     points, right, left = (None if values is None else scale * values for values in track)
     assert points is not None

@@ -25,7 +25,7 @@ NAMES = {
 MOST_ROWS = 200_000
 
 
-class Track(NamedTuple):
+class MeasuredTrack(NamedTuple):
     """Centre line and widths of a track, m.
 
     Attributes:
@@ -39,7 +39,7 @@ class Track(NamedTuple):
     left: NDArray[np.float64] | None = None
 
 
-def read_track(content: bytes) -> Track:
+def read_track(content: bytes) -> MeasuredTrack:
     """Read a track; a `RoadError` names the line of the file."""
     try:
         lines = content.decode("utf-8-sig").splitlines()
@@ -79,8 +79,8 @@ def read_track(content: bytes) -> Track:
         raise RoadError(f"row {row + 1} of the track has no finite x and y: correct or delete it")
     right, left = columns["right"], columns["left"]
     if right is None or left is None:
-        return Track(table[:, [x, y]])
-    return Track(table[:, [x, y]], table[:, right], table[:, left])
+        return MeasuredTrack(table[:, [x, y]])
+    return MeasuredTrack(table[:, [x, y]], table[:, right], table[:, left])
 
 
 def _cells(line: str) -> list[str]:

@@ -14,7 +14,7 @@ from ds_road import Road
 from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import format_conditions, from_json, parse_conditions
-from ds_sim.conditions.words import PHRASES, Side, in_words
+from ds_sim.conditions.words import PHRASES, Side, conditions_in_words
 from ds_sim.registry import make_simulator, simulator_of_process
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
@@ -149,7 +149,7 @@ def test_a_kept_simulator_draws_all_rows_again() -> None:
 def test_every_condition_has_a_phrase_with_its_code_name() -> None:
     assert set(PHRASES) == set(FIELDS)
     for name, field in FIELDS.items():
-        text = in_words(name, field.low, side="or less")
+        text = conditions_in_words(name, field.low, side="or less")
         assert text.count(f"({name}") == 1 and text.endswith(")") and "or " in text
 
 
@@ -174,4 +174,4 @@ def test_every_condition_has_a_phrase_with_its_code_name() -> None:
     ],
 )
 def test_conditions_in_the_words_of_a_driver(name: str, value: float, side: Side, said: str) -> None:
-    assert in_words(name, value, side=side) == said
+    assert conditions_in_words(name, value, side=side) == said

@@ -126,7 +126,7 @@ def _text(*values: float) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Car:
+class CarIds:
     """PyBullet's ids of the car and its joints; one joint per corner in the order of `CORNERS`."""
 
     body: int  # id of the multibody
@@ -135,7 +135,7 @@ class Car:
     spins: tuple[int, ...]  # joints of the four wheels, positive forward
 
 
-def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: float, yaw: float) -> Car:
+def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: float, yaw: float) -> CarIds:
     """Reset the world, and put the car at rest on a plane, midway between its axles at (x, y), m, heading yaw (rad).
 
     Only a rebuilt world makes PyBullet reproducible bit for bit: its saved states lack the solver's internal state.
@@ -178,10 +178,10 @@ def build_world(bullet: Any, client: int, p: BulletParameters, *, x: float, y: f
     return car
 
 
-def _find_joints(bullet: Any, client: int, body: int) -> Car:
+def _find_joints(bullet: Any, client: int, body: int) -> CarIds:
     count = bullet.getNumJoints(body, physicsClientId=client)
     number = {bullet.getJointInfo(body, joint, physicsClientId=client)[1].decode(): joint for joint in range(count)}
-    return Car(
+    return CarIds(
         body=body,
         guides=tuple(number[f"{corner}_guide"] for corner in CORNERS),
         steering=tuple(number[f"{corner}_steering"] for corner in CORNERS[:2]),
@@ -189,7 +189,7 @@ def _find_joints(bullet: Any, client: int, body: int) -> Car:
     )
 
 
-def _free_joints(bullet: Any, client: int, p: BulletParameters, car: Car) -> None:
+def _free_joints(bullet: Any, client: int, p: BulletParameters, car: CarIds) -> None:
     """Remove PyBullet's defaults: damping of all motion, a brake on every joint, sleeping."""
     for link in range(-1, bullet.getNumJoints(car.body, physicsClientId=client)):
         bullet.changeDynamics(

@@ -26,7 +26,7 @@ from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.conditions.words import in_words
+from ds_sim.conditions.words import conditions_in_words
 from ds_sim.registry import SimulatorName, make_simulator, with_libraries
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord
@@ -146,7 +146,7 @@ def searched(sensitivity: Sensitivity) -> Ranges:
 
 def searched_in_words(ranges: Ranges) -> str:
     """Ranges for a terminal: `in fog or haze with a visibility of 40 to 1000 m (visibility)`."""
-    return ", ".join(in_words(name, low, high) for name, (low, high) in ranges.items())
+    return ", ".join(conditions_in_words(name, low, high) for name, (low, high) in ranges.items())
 
 
 def campaign_config(ranges: Ranges, siblings: Sequence[SimulatorName]) -> CampaignConfig:

@@ -70,7 +70,7 @@ class TrackTestError(InputError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
+class LocationInputs:
     """What is located.
 
     Attributes:
@@ -94,7 +94,7 @@ class TrackTest:
         crop_top: image rows at the top that the driver does not see; None for those of the shipped networks, else 0.
     """
 
-    recording: Recording
+    recording: LocationInputs
     out: Path
     driver: DriverName
     roads: int = 20
@@ -113,7 +113,7 @@ class TrackTest:
         return SHIPPED_CROP if self.driver.network in shipped_networks() else 0
 
 
-def locate_recording(of: Recording, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
+def locate_recording(of: LocationInputs, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
     """Locate a recording, and write a folder; its page, whose path is returned, too, is written last.
 
     What an interrupted call has left in the folder is not done again.

@@ -21,9 +21,9 @@ from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_sim import DONKEY, SOFTBODY
 from ds_studies.network_check import recording
 from ds_studies.network_check.agreement import agreement
-from ds_studies.network_check.description import describe, forms_of
+from ds_studies.network_check.description import describe_network, forms_of
 from ds_studies.network_check.diagnosis import NetworkCheck, ask_open_loop, check_network
-from ds_studies.network_check.recording import FEWEST, Recording, TooSlowError, affordable, record
+from ds_studies.network_check.recording import FEWEST, AutopilotDrives, TooSlowError, affordable, record
 
 ROWS, COLUMNS = 20, 80
 INPUT = {"size": [ROWS, COLUMNS], "crop": {"top": 60, "bottom": 25}, "divide": 255.0}
@@ -34,7 +34,7 @@ def one_by_one(work: Callable[[Any], Any], jobs: Sequence[Any], *, abandon: bool
     return map(work, jobs)
 
 
-def recorded(roads: int) -> list[Recording]:
+def recorded(roads: int) -> list[AutopilotDrives]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recording, "ROADS", roads)
         patch.setattr(recording, "LONGEST", 160)
@@ -44,18 +44,18 @@ def recorded(roads: int) -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def drives() -> list[Recording]:
+def drives() -> list[AutopilotDrives]:
     """Two drives on two simulators, which these networks are fitted to."""
     return recorded(1)
 
 
 @pytest.fixture(scope="module")
-def more_drives() -> list[Recording]:
+def more_drives() -> list[AutopilotDrives]:
     """Six drives on each of two simulators."""
     return recorded(3)
 
 
-def fitted(drives: list[Recording], steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def fitted(drives: list[AutopilotDrives], steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Weights (channels, rows, columns) and bias of the linear network of least norm that steers so, without its code.
 
     The pixels are prepared with OpenCV alone, so that a mistake in the project's preparation is a fault, too.
@@ -73,7 +73,7 @@ Made = Callable[..., Path]
 
 
 @pytest.fixture
-def made(tmp_path: Path, drives: list[Recording]) -> Made:
+def made(tmp_path: Path, drives: list[AutopilotDrives]) -> Made:
     """Write a network that is right but for what is asked for; return its description."""
 
     def make(
@@ -84,7 +84,7 @@ def made(tmp_path: Path, drives: list[Recording]) -> Made:
         bins: int = 0,
         throttle: float | None = None,
         steering: NDArray[np.float64] | None = None,
-        of: list[Recording] = drives,
+        of: list[AutopilotDrives] = drives,
         **described: Any,
     ) -> Path:
         wanted = np.concatenate([one.steering for one in drives])
@@ -125,16 +125,16 @@ def made(tmp_path: Path, drives: list[Recording]) -> Made:
     return make
 
 
-def check(description: Path, drives: list[Recording]) -> NetworkCheck:
+def check(description: Path, drives: list[AutopilotDrives]) -> NetworkCheck:
     """Check the network of a description."""
     return check_network(DriverName(str(description)), drives, 1)
 
 
-def kinds(path: Path, drives: list[Recording]) -> list[str]:
+def kinds(path: Path, drives: list[AutopilotDrives]) -> list[str]:
     return [finding.kind for finding in check(path, drives).findings]
 
 
-def test_a_rightly_described_network_passes(made: Made, drives: list[Recording]) -> None:
+def test_a_rightly_described_network_passes(made: Made, drives: list[AutopilotDrives]) -> None:
     found = check(made(), drives)
 
     assert found.findings == [] and "is connected correctly" in found.verdict and found.correlation > 0.9
@@ -159,7 +159,11 @@ def test_a_rightly_described_network_passes(made: Made, drives: list[Recording])
     ],
 )
 def test_names_a_planted_fault_and_the_line_that_repairs_it(
-    made: Made, drives: list[Recording], more_drives: list[Recording], fault: dict[str, Any], expected: list[str]
+    made: Made,
+    drives: list[AutopilotDrives],
+    more_drives: list[AutopilotDrives],
+    fault: dict[str, Any],
+    expected: list[str],
 ) -> None:
     if "bgr" in fault:
         assert "colour" not in kinds(made(**fault), drives)  # four drives cannot decide it
@@ -179,7 +183,7 @@ def test_names_a_planted_fault_and_the_line_that_repairs_it(
     assert kinds(path, drives) == []
 
 
-def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[Recording]) -> None:
+def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[AutopilotDrives]) -> None:
     assert kinds(made(times=0.0, plus=0.1), drives) == ["constant"]
     count = sum(len(one.frames) for one in drives)
     found = check(made(steering=np.random.default_rng(3).normal(0.0, 0.3, count)), drives)
@@ -189,7 +193,7 @@ def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[R
 
 @pytest.mark.parametrize(("share", "expected"), [(0.55, ["unrelated"]), (0.95, [])])
 def test_a_network_that_answers_weakly_has_not_passed(
-    made: Made, drives: list[Recording], share: float, expected: list[str]
+    made: Made, drives: list[AutopilotDrives], share: float, expected: list[str]
 ) -> None:
     """It follows the autopilot by a share of its own steering, and noise by the rest: that is its correlation."""
     wanted = np.concatenate([one.steering for one in drives])
@@ -205,14 +209,14 @@ def test_a_network_that_answers_weakly_has_not_passed(
     assert found.document()["connected_rightly"] is (not expected)
 
 
-def test_writes_a_description_that_passes(made: Made, drives: list[Recording]) -> None:
+def test_writes_a_description_that_passes(made: Made, drives: list[AutopilotDrives]) -> None:
     path = made(bgr=True, times=-25.0)
     with pytest.raises(DriverError, match=r"n\.yaml describes n\.onnx already"):
         forms_of(path.with_suffix(".onnx"))
     path.unlink()
     file = path.with_suffix(".onnx")
 
-    path.write_text(describe(file, form_of_file(file), drives, None))
+    path.write_text(describe_network(file, form_of_file(file), drives, None))
 
     written = yaml.safe_load(path.read_text())
     assert written["input"]["size"] == [ROWS, COLUMNS] and written["input"]["layout"] == "nchw"
@@ -223,7 +227,7 @@ def test_writes_a_description_that_passes(made: Made, drives: list[Recording]) -
     assert kinds(path, drives) == []
 
 
-def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Recording]) -> None:
+def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[AutopilotDrives]) -> None:
     """The scale of a linear network's pixels is that of its answer, so both of these descriptions are right."""
     path = made()
     path.unlink()
@@ -234,7 +238,7 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Recor
         assert best in choices
         return next((one for one in choices if "255" not in one and "divide" in one), best)
 
-    path.write_text(describe(path.with_suffix(".onnx"), forms_of(path.with_suffix(".onnx")), drives, answer))
+    path.write_text(describe_network(path.with_suffix(".onnx"), forms_of(path.with_suffix(".onnx")), drives, answer))
 
     assert any("Scale of the pixels" in question for question in asked) and not any(
         "Part of the image" in one for one in asked
@@ -245,7 +249,7 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Recor
 
 
 def test_describes_a_network_with_a_state_and_a_constant_by_whole_drives(
-    made: Made, drives: list[Recording], tmp_path: Path
+    made: Made, drives: list[AutopilotDrives], tmp_path: Path
 ) -> None:
     model = onnx.load(made(bgr=True, times=-25.0).with_suffix(".onnx"))
     vector = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 4]) for name in ("h", "h_out", "route")]
@@ -256,7 +260,7 @@ def test_describes_a_network_with_a_state_and_a_constant_by_whole_drives(
     onnx.save(model, file)
     (form,) = forms_of(file)
     assert form.has_memory
-    file.with_suffix(".yaml").write_text(describe(file, [form], drives, None))
+    file.with_suffix(".yaml").write_text(describe_network(file, [form], drives, None))
     written = yaml.safe_load(file.with_suffix(".yaml").read_text())
     assert written["inputs"] == {"h": {"state": "h_out"}, "route": {"constant": 0.0}}
     assert written["input"]["colour"] == "bgr" and written["input"]["crop"] == INPUT["crop"]
@@ -306,12 +310,12 @@ def donkey_pilot(folder: Path, weights: NDArray[np.float64], bias: float, names:
     return folder / "p.onnx"
 
 
-def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, drives: list[Recording]) -> None:
+def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, drives: list[AutopilotDrives]) -> None:
     """A pilot that has never seen these roads, whose best description is due to chance."""
     random = np.random.default_rng(1).normal(0.0, 0.01, (3, ROWS, COLUMNS))
     file = donkey_pilot(tmp_path, random, 0.0, ("img_in", "n_outputs0"))
 
-    file.with_suffix(".yaml").write_text(describe(file, forms_of(file), drives, None))
+    file.with_suffix(".yaml").write_text(describe_network(file, forms_of(file), drives, None))
 
     written = yaml.safe_load(file.with_suffix(".yaml").read_text())["input"]
     assert (written["colour"], written["crop"], written["subtract"], written["divide"]) == ("rgb", "none", 0, 255)
@@ -321,10 +325,10 @@ def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, dr
     assert "is not connected, or was trained on another world" in found.verdict
 
 
-def test_clear_evidence_goes_before_the_maker(tmp_path: Path, more_drives: list[Recording]) -> None:
+def test_clear_evidence_goes_before_the_maker(tmp_path: Path, more_drives: list[AutopilotDrives]) -> None:
     weights, bias = fitted(more_drives, np.concatenate([one.steering for one in more_drives]))
     file = donkey_pilot(tmp_path, weights[::-1], bias, ("img_in", "n_outputs0"))
-    written = yaml.safe_load(describe(file, forms_of(file), more_drives, None))["input"]
+    written = yaml.safe_load(describe_network(file, forms_of(file), more_drives, None))["input"]
     assert (written["colour"], written["crop"]) == ("bgr", INPUT["crop"])
 
 
@@ -339,7 +343,7 @@ def test_an_image_without_its_top_rows_is_cropped_as_in_donkey_car(tmp_path: Pat
     [(0.0, "it wants the left lane", "left"), (0.25, "it wants the middle of the road", "middle")],
 )
 def test_an_offset_that_another_lane_takes_away_is_a_lane(
-    made: Made, drives: list[Recording], monkeypatch: pytest.MonkeyPatch, there: float, said: str, lane: str
+    made: Made, drives: list[AutopilotDrives], monkeypatch: pytest.MonkeyPatch, there: float, said: str, lane: str
 ) -> None:
     """A network that steers to the left by 0.25 in the right lane; in the left one not at all, or to the right."""
     patches = {"ROADS": 1, "LONGEST": 160, "EVERY": 4, "map_in_processes": one_by_one}
@@ -355,7 +359,7 @@ def test_an_offset_that_another_lane_takes_away_is_a_lane(
     assert finding.kind == "lane" and said in finding.text and f"--lane {lane}" in finding.text and not finding.line
 
 
-def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[Recording]) -> None:
+def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[AutopilotDrives]) -> None:
     every = sum(len(one.frames) for one in drives)
     assert affordable(drives, 1e-6, 60.0, asked=10) == (drives, True)
     kept, search = affordable(drives, 0.5, 30.0, asked=10)
@@ -370,7 +374,7 @@ def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[Recording]) -> 
         affordable(drives, 8.0, 100.0, asked=10)
 
 
-def test_drives_decide_by_their_number(more_drives: list[Recording]) -> None:
+def test_drives_decide_by_their_number(more_drives: list[AutopilotDrives]) -> None:
     """Fisher's z of a difference that every drive shows, and of one that a single drive makes."""
     wanted = np.concatenate([one.steering for one in more_drives])
     rng = np.random.default_rng(2)

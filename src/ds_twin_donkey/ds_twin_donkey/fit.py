@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ds_base.progress import SILENT, Progress
 from ds_twin_donkey.dynamics import SUBSTEPS
 from ds_twin_donkey.fit_state import FORGETFUL, FitState, Kept, digest_of
-from ds_twin_donkey.logs import CHANNELS, Drive
+from ds_twin_donkey.logs import CHANNELS, LogSegment
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.residuals import FLOORS, MAX_FACTOR, SCALES, Problem
 from ds_twin_donkey.windows import UNKNOWNS, FitError, Windows
@@ -84,7 +84,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Fit:
+class TwinFit:
     """Result of a fit."""
 
     parameters: DonkeyParameters  # parameters of the car, fitted and held ones
@@ -104,12 +104,12 @@ class Fit:
 
 
 def fit(
-    drives: Sequence[Drive],
+    drives: Sequence[LogSegment],
     start: DonkeyParameters | None = None,
     settings: FitSettings | None = None,
     progress: Progress = SILENT,
     kept: Kept = FORGETFUL,
-) -> Fit:
+) -> TwinFit:
     """Fit parameters to recorded drives; deterministic, also where an interrupted fit goes on.
 
     Args:
@@ -174,7 +174,7 @@ def fit(
     samples = problem.windows.known.sum(axis=(0, 1))
     rms = np.sqrt(squares.sum(axis=(0, 1)) / np.maximum(samples, 1))
     measured = samples > 0
-    return Fit(
+    return TwinFit(
         parameters=problem.car(names, theta),
         estimates=tuple(estimates),
         rms=_by_channel(np.where(measured, rms, math.nan)),

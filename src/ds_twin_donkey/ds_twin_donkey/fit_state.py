@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ds_base.atomic_files import write_json
 from ds_base.bounded_file import FileError
 from ds_base.bounded_json import read_json
-from ds_twin_donkey.logs import CHANNELS, Drive
+from ds_twin_donkey.logs import CHANNELS, LogSegment
 from ds_twin_donkey.windows import UNKNOWNS
 
 Array = NDArray[np.float64]
@@ -78,7 +78,7 @@ class Kept:
 FORGETFUL = Kept(None)
 
 
-def digest_of(drives: Sequence[Drive], settings: str) -> str:
+def digest_of(drives: Sequence[LogSegment], settings: str) -> str:
     """SHA-256 of everything that a fit depends on."""
     digest = hashlib.sha256(settings.encode())
     for drive in drives:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ds_base.progress import SILENT, Progress
 from ds_sim.simulator import FRAME_TIME
-from ds_twin_donkey.fit import ROUGH_SUBSTEPS, ROUGH_TOTAL, Fit, FitSettings, fit
+from ds_twin_donkey.fit import ROUGH_SUBSTEPS, ROUGH_TOTAL, FitSettings, TwinFit, fit
 from ds_twin_donkey.fit_state import FORGETFUL, Kept
-from ds_twin_donkey.logs import Drive
+from ds_twin_donkey.logs import LogSegment
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 from ds_twin_donkey.windows import Windows
 
@@ -57,12 +57,12 @@ class Mounting:
         moved[..., 2] = yaw + after
         return moved
 
-    def centred(self, drives: Sequence[Drive]) -> list[Drive]:
+    def centred(self, drives: Sequence[LogSegment]) -> list[LogSegment]:
         """Drives of the car's centre."""
         return [replace(drive, measured=self.to_car(drive.measured)) for drive in drives]
 
 
-def find_mounting(drives: Sequence[Drive], car: DonkeyParameters) -> Mounting:
+def find_mounting(drives: Sequence[LogSegment], car: DonkeyParameters) -> Mounting:
     """Find how far ahead of the car's centre the poses are, and how they are turned, from how they slide sideways.
 
     In a bend the centre moves sideways by turn * (distance from the rear axle - speed^2 / (g * rear stiffness)), as in
@@ -91,7 +91,7 @@ def find_mounting(drives: Sequence[Drive], car: DonkeyParameters) -> Mounting:
     return Mounting(forward=float(solution[0]), yaw=float(solution[1]))
 
 
-def rough_start(drives: Sequence[Drive], start: DonkeyParameters) -> DonkeyParameters:
+def rough_start(drives: Sequence[LogSegment], start: DonkeyParameters) -> DonkeyParameters:
     """Move a start to where a car of unknown gearing, lock and delay can be found from, as a fit stays near its start.
 
     Both duties are scaled to what the drives' speeds need in the median; of `LOCKS` and `DELAYS` those are taken whose
@@ -115,12 +115,12 @@ def rough_start(drives: Sequence[Drive], start: DonkeyParameters) -> DonkeyParam
 
 
 def fit_located(
-    drives: Sequence[Drive],
+    drives: Sequence[LogSegment],
     start: DonkeyParameters | None = None,
     settings: FitSettings = LOCATED,
     progress: Progress = SILENT,
     kept: Kept = FORGETFUL,
-) -> tuple[Fit, Mounting]:
+) -> tuple[TwinFit, Mounting]:
     """Fit parameters to a located recording; see `ds_twin_donkey.fit.fit`.
 
     Returns:

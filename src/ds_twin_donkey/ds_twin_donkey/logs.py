@@ -47,7 +47,7 @@ class LogError(InputError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drive:
+class LogSegment:
     """Part of a log without gaps."""
 
     commands: Array  # (n, 2) steering and throttle; row i is applied at frame i and held until frame i + 1
@@ -62,7 +62,7 @@ class Log:
     name: str  # name of the file or folder
     kind: str  # `bag`, `tub`, `table`, or `located` for a table that `ds recording locate` wrote
     sha256: str  # SHA-256 over the files that were read, one after the other
-    drives: tuple[Drive, ...]  # parts without gaps
+    drives: tuple[LogSegment, ...]  # parts without gaps
 
     @property
     def seconds(self) -> float:
@@ -90,10 +90,10 @@ def read_log(path: Path) -> Log:
     )
 
 
-def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ...]:
+def drives_of(times: Array, commands: Array, measured: Array) -> tuple[LogSegment, ...]:
     """Cut a log at gaps and at reverse throttle, which the twin does not model, and resample each part to 20 Hz.
 
-    Times are in s, increasing; commands and measurements are (n, 2) and (n, 5) as in `Drive`.
+    Times are in s, increasing; commands and measurements are (n, 2) and (n, 5) as in `LogSegment`.
     """
     usable = np.isfinite(commands).all(axis=1) & (commands[:, 1] >= 0.0)
     cuts = np.flatnonzero((np.diff(times) > MAX_GAP) | (np.diff(times) <= 0.0)) + 1
@@ -108,7 +108,7 @@ def drives_of(times: Array, commands: Array, measured: Array) -> tuple[Drive, ..
     return tuple(drives)
 
 
-def _resampled(times: Array, commands: Array, measured: Array) -> Drive:
+def _resampled(times: Array, commands: Array, measured: Array) -> LogSegment:
     measured = measured.copy()
     measured[~np.isfinite(measured)] = np.nan
     has_yaw = np.isfinite(measured[:, 2])
@@ -120,7 +120,7 @@ def _resampled(times: Array, commands: Array, measured: Array) -> Drive:
         measured = np.column_stack([np.interp(grid, times, column) for column in measured.T])
     first = measured[:3]
     speed = first[:, 3] if np.isfinite(first[:, 3]).all() else np.hypot(*np.diff(first[:, :2], axis=0).T) / FRAME_TIME
-    return Drive(commands=commands, measured=measured, from_rest=bool(np.median(np.abs(speed)) < _STANDING_SPEED))
+    return LogSegment(commands=commands, measured=measured, from_rest=bool(np.median(np.abs(speed)) < _STANDING_SPEED))
 
 
 def _read_bag(path: Path) -> Log:

@@ -19,7 +19,7 @@ from ds_base.errors import InputError
 from ds_twin_donkey.parameters import DonkeyParameters
 
 if TYPE_CHECKING:  # whoever drives needs no part of SciPy, which takes half a second to import
-    from ds_twin_donkey.fit import Fit
+    from ds_twin_donkey.fit import TwinFit
     from ds_twin_donkey.logs import Log
 
 FORMAT = "ds_twin_donkey parameters 1"
@@ -29,7 +29,7 @@ class ParameterFileError(InputError):
     """The file holds no parameters of this car."""
 
 
-def document_of(fit: Fit, logs: Sequence[Log]) -> dict[str, Any]:
+def document_of(fit: TwinFit, logs: Sequence[Log]) -> dict[str, Any]:
     """Convert a fit to JSON values: each parameter with its status and interval, the logs, and the residuals."""
     from ds_twin_donkey.logs import CHANNELS
 

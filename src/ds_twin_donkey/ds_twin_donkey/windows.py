@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ds_base.errors import InputError
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.dynamics import MOTION, CarModel, CarState, pulse
-from ds_twin_donkey.logs import CHANNELS, Drive
+from ds_twin_donkey.logs import CHANNELS, LogSegment
 from ds_twin_donkey.parameters import DonkeyParameters
 
 Array = NDArray[np.float64]
@@ -72,7 +72,7 @@ class Windows:
     """
 
     def __init__(
-        self, drives: Sequence[Drive], car: DonkeyParameters, seconds: float, max_total: float, max_delay: float
+        self, drives: Sequence[LogSegment], car: DonkeyParameters, seconds: float, max_total: float, max_delay: float
     ) -> None:
         self._car = car
         self._length = round(seconds / FRAME_TIME)
@@ -106,7 +106,7 @@ class Windows:
                 self.initial_spread[window, 4] = _LIKELY_SLIP * max(self.initial_states[window, 3], _ROLLING_SPEED)
         self.known = np.isfinite(self.measured)
 
-    def _begins(self, drive: Drive) -> list[int]:
+    def _begins(self, drive: LogSegment) -> list[int]:
         """Rows of a drive at which its windows begin."""
         begins, at = [], RUN_IN if drive.from_rest else RUN_IN + self._before
         while at + self._shortest <= len(drive.commands):
@@ -117,7 +117,7 @@ class Windows:
                 at += 1
         return begins
 
-    def _can_begin(self, drive: Drive, row: int) -> bool:
+    def _can_begin(self, drive: LogSegment, row: int) -> bool:
         """True if the car is rolling, or stands and no throttle is pending."""
         speed = float(_state_at(drive.measured, row, 0.0)[3])
         if speed >= _ROLLING_SPEED:

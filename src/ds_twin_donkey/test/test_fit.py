@@ -27,7 +27,7 @@ from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
 from ds_twin_donkey.fit import FitSettings, _Phases, fit
 from ds_twin_donkey.fit_state import FitState, Kept, digest_of
 from ds_twin_donkey.located import Mounting, find_mounting, fit_located, rough_start
-from ds_twin_donkey.logs import Drive, Log, LogError, drives_of, read_log
+from ds_twin_donkey.logs import Log, LogError, LogSegment, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.residuals import Problem
@@ -55,7 +55,7 @@ def test_a_window_from_rest_is_the_rollout() -> None:
         P.changed(command_delay=0.0, full_duty=0.5, drag_brake=0.3),
     ]
     commands = random_commands(np.random.default_rng(3), 4.0)
-    drive = Drive(commands=commands, measured=rollout(P, commands)[:-1, [0, 1, 2, 3, 5]], from_rest=True)
+    drive = LogSegment(commands=commands, measured=rollout(P, commands)[:-1, [0, 1, 2, 3, 5]], from_rest=True)
     windows = Windows([drive], P, 3.0, 3.0, 0.2)
     paths = windows.predict(cars, np.zeros((3, 1, UNKNOWNS)), SUBSTEPS)[:, 0]
     for car, path in zip(cars, paths, strict=True):
@@ -248,13 +248,13 @@ def test_gaps_and_reverse_throttle_end_a_drive() -> None:
     assert [len(d.commands) for d in drives] == [20, 20, 15]
 
 
-def located_drive(car: DonkeyParameters, mounting: Mounting, rng: np.random.Generator, frames: int) -> Drive:
+def located_drive(car: DonkeyParameters, mounting: Mounting, rng: np.random.Generator, frames: int) -> LogSegment:
     """A drive whose poses are those of another point, noisy, and smoothed over five images."""
     commands = np.column_stack((np.repeat(rng.uniform(-0.7, 0.7, frames // 5), 5), np.full(frames, 0.5)))
     poses = mounting.to_pose(rollout(car, commands)[:-1, [0, 1, 2, 3, 5]])
     poses = poses + rng.normal(size=poses.shape) * (0.01, 0.01, 0.03, 0.1, 0.2)
     smooth = np.column_stack([np.convolve(column, np.ones(5) / 5, "valid") for column in poses.T])
-    return Drive(commands=commands[2:-2], measured=smooth, from_rest=False)
+    return LogSegment(commands=commands[2:-2], measured=smooth, from_rest=False)
 
 
 @pytest.mark.parametrize(("lock", "delay", "full_duty"), [(0.42, 0.19, 0.19), (0.57, 0.06, 0.6)])

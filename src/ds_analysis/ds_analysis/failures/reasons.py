@@ -18,7 +18,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_road.geometry import lane_curvature
-from ds_sim.conditions.words import in_words
+from ds_sim.conditions.words import conditions_in_words
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import FRAME_TIME, Outcome
 
@@ -34,7 +34,7 @@ _STEP = 0.5
 _HABITS = {"constant": "always steers the same", "saturated": "is at full lock half of the time", "crawls": "crawls"}
 
 
-class Reason(NamedTuple):
+class FailureReason(NamedTuple):
     """Why one drive failed, in words that follow "the driver".
 
     Attributes:
@@ -48,11 +48,11 @@ class Reason(NamedTuple):
     details: str
 
 
-Groups = Mapping[str, Sequence[Reason]]
+Groups = Mapping[str, Sequence[FailureReason]]
 """Kind -> failures of this kind in the campaign's order, the largest group first."""
 
 
-def reasons_of(data: CampaignData) -> list[Reason]:
+def reasons_of(data: CampaignData) -> list[FailureReason]:
     """Give the reason of every failure of a campaign, each scenario once; of evenly spread ones of too many.
 
     Failures without frames, of a campaign restored from a table, are left out.
@@ -64,13 +64,13 @@ def reasons_of(data: CampaignData) -> list[Reason]:
     return [reason_of(tests[e.test_id], e) for e in chosen if len(e.trajectory) > 1]
 
 
-def groups_of(reasons: Sequence[Reason]) -> Groups:
+def groups_of(reasons: Sequence[FailureReason]) -> Groups:
     """Group failures by kind, the largest group first, equal ones by their first failure."""
     sizes = Counter(reason.kind for reason in reasons).most_common()
     return {kind: [reason for reason in reasons if reason.kind == kind] for kind, _ in sizes}
 
 
-def where(group: Sequence[Reason]) -> str:
+def where(group: Sequence[FailureReason]) -> str:
     """Number of failures on each simulator, the most first: `9 on bullet, 2 on donkey`."""
     on = Counter(reason.simulator for reason in group).most_common()
     return ", ".join(f"{number} on {name}" for name, number in on)
@@ -83,7 +83,7 @@ def groups_table(groups: Groups) -> Table:
     return Table(name="failures", title="Failures by what led there", columns=columns, rows=rows)
 
 
-def reason_of(test: Test, execution: Execution) -> Reason:
+def reason_of(test: Test, execution: Execution) -> FailureReason:
     """Give the reason of one failed drive, which has at least two frames."""
     road, trajectory, steering = test.road, execution.trajectory, execution.steering
     arc = np.maximum.accumulate(places_along(road, trajectory))
@@ -107,8 +107,8 @@ def reason_of(test: Test, execution: Execution) -> Reason:
     elif not led and side and len(steering):
         led, since = _steering_into_bend(road, arc[:-1], steering, side)
         numbers += f", steers {since:.1f} s after the bend began" if led == "steers late" else ""
-    under = ", ".join(in_words(name, value) for name, value in test.conditions.changed.items())
-    return Reason(
+    under = ", ".join(conditions_in_words(name, value) for name, value in test.conditions.changed.items())
+    return FailureReason(
         test.test_id,
         execution.simulator,
         f"{how}: it {led}" if led else how,

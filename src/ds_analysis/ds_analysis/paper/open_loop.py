@@ -34,7 +34,7 @@ APART = 10
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answers:
+class OpenLoopAnswers:
     """A driver's steering on one recording, or on one simulator's images of a data set.
 
     Attributes:
@@ -73,7 +73,7 @@ class OpenLoopError(InputError):
     """Steering errors that cannot be computed or compared."""
 
 
-def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> Answers:
+def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> OpenLoopAnswers:
     """Evaluate a driver on every image of a recording, or on the first ones.
 
     Raises:
@@ -95,7 +95,7 @@ def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | Non
         if value is not None and frame.steering is not None:
             worst = _with(worst, (frame, value))
     table = np.array(rows, dtype=np.float64).reshape(-1, 4)
-    return Answers(
+    return OpenLoopAnswers(
         name=recording.path.resolve().name,
         group=recording.group,
         index=table[:, 0].astype(np.int64),
@@ -127,7 +127,7 @@ def _by_error(pair: tuple[RecordedFrame, float]) -> float:
     return -abs(value - (frame.steering or 0.0))
 
 
-def write_answers(path: Path, answers: Iterable[Answers]) -> None:
+def write_answers(path: Path, answers: Iterable[OpenLoopAnswers]) -> None:
     """Write one CSV row per image; missing values are empty."""
     rows: list[Sequence[object]] = [("group", "recording", "image", "seconds", "recorded", "answered", "error")]
     for one in answers:
@@ -140,7 +140,7 @@ def write_answers(path: Path, answers: Iterable[Answers]) -> None:
 
 def predict(
     data: Path, network: DriverName, progress: Progress, *, images: int | None = None, trusted: Collection[str] = ()
-) -> dict[str, Answers]:
+) -> dict[str, OpenLoopAnswers]:
     """Run a network over a data set (`ds_driver.data.dataset`), one image at a time as in closed loop.
 
     Args:
@@ -196,7 +196,7 @@ def predict(
             steering[index] = pilot.predict(frame).steering
             done += 1
             progress.advance(line=f"images, {name}" if done % REPORT_EVERY == 0 or done == total else "")
-        answers[name] = Answers(
+        answers[name] = OpenLoopAnswers(
             name=name,
             group=name,
             index=np.arange(len(group)),

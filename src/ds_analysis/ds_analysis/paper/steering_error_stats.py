@@ -19,7 +19,7 @@ import numpy as np
 from scipy.stats import ks_2samp, wasserstein_distance, wilcoxon
 
 from ds_analysis.common.statistics import Array
-from ds_analysis.paper.open_loop import Answers, OpenLoopError
+from ds_analysis.paper.open_loop import OpenLoopAnswers, OpenLoopError
 
 MERGED = "merged"
 """Name of all siblings' errors concatenated (paper 4.3.1: their combination)."""
@@ -53,7 +53,7 @@ class ErrorSummary:
     outputs_apart: float | None
 
 
-def pooled_errors(answers: Sequence[Answers]) -> dict[str, Array]:
+def pooled_errors(answers: Sequence[OpenLoopAnswers]) -> dict[str, Array]:
     """Concatenate the errors of each group's recordings; groups without errors are left out."""
     groups: dict[str, list[Array]] = {}
     for one in answers:
@@ -62,14 +62,14 @@ def pooled_errors(answers: Sequence[Answers]) -> dict[str, Array]:
     return {group: errors for group, errors in pooled.items() if errors.size}
 
 
-def summarise(answers: Sequence[Answers]) -> list[ErrorSummary]:
+def summarise(answers: Sequence[OpenLoopAnswers]) -> list[ErrorSummary]:
     """Summarise each group, in the order of its first recording."""
     return [
         _summary(group, [a for a in answers if a.group == group]) for group in dict.fromkeys(a.group for a in answers)
     ]
 
 
-def _summary(group: str, answers: Sequence[Answers]) -> ErrorSummary:
+def _summary(group: str, answers: Sequence[OpenLoopAnswers]) -> ErrorSummary:
     errors = np.concatenate([one.errors for one in answers])
     recorded = np.concatenate([one.recorded for one in answers])
     answered = np.concatenate([one.answered for one in answers])

@@ -34,7 +34,7 @@ _STEPS, _LONGEST_STEP, _TOLERANCE = 30, 3.0, 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class LogisticFit:
     """Posterior of coefficients: (p,) mode, (p, p) covariance, logarithm of the outcomes' evidence."""
 
     mode: Array
@@ -42,7 +42,7 @@ class Fit:
     log_evidence: float
 
 
-def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) -> Fit:
+def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) -> LogisticFit:
     """Fit a logistic regression with independent normal priors by Newton's method.
 
     The (tests, p) predictors have a 1 among them where a level is wanted; mean and precision, (p,), are the priors'.
@@ -61,7 +61,7 @@ def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) ->
     log_posterior = failed @ log_expit(linear) + (1.0 - failed) @ log_expit(-linear)
     log_posterior -= 0.5 * precision @ (mode - mean) ** 2
     evidence = log_posterior + 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(curvature)[1]
-    return Fit(mode, np.linalg.inv(curvature), float(evidence))
+    return LogisticFit(mode, np.linalg.inv(curvature), float(evidence))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class LearntLogistic:
     """What a logistic expert believes after some drives."""
 
     design: Array
-    fit: Fit
+    fit: LogisticFit
 
     @property
     def log_evidence(self) -> float:
@@ -104,7 +104,7 @@ class LogisticExpert:
     def after(self, rows: Indices, failed: Array) -> LearntLogistic:
         """Learn from the verdicts of drives, 1.0 where one failed."""
         if not len(rows):
-            return LearntLogistic(self.design, Fit(self.mean, np.diag(1.0 / self.precision), 0.0))
+            return LearntLogistic(self.design, LogisticFit(self.mean, np.diag(1.0 / self.precision), 0.0))
         return LearntLogistic(self.design, fit_logistic(self.design[rows], failed, self.mean, self.precision))
 
 

@@ -53,7 +53,7 @@ def check_command(
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.network_file import KINDS
     from ds_sim.camera.encodings import png
-    from ds_studies.network_check.description import describe, forms_of, load
+    from ds_studies.network_check.description import describe_network, forms_of, load
     from ds_studies.network_check.diagnosis import ASKED, check_network, pace_of
     from ds_studies.network_check.picture import draw_check
     from ds_studies.network_check.recording import affordable, record
@@ -76,7 +76,9 @@ def check_command(
     if bare:
         network = str(file.with_suffix(".yaml"))
         say(f"choosing a description for {file}")
-        text = describe(file, forms, recordings, _ask if sys.stdin.isatty() else None, search=search, loaded=loaded)
+        text = describe_network(
+            file, forms, recordings, _ask if sys.stdin.isatty() else None, search=search, loaded=loaded
+        )
         if Path(network).exists():
             raise InputError(f"{network} exists meanwhile: move it away, and check {file} again")
         write_whole(Path(network), text)

@@ -35,7 +35,7 @@ within 0.3 m/s after six seconds, with an overshoot of 0.5 m/s at most."""
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MotionRequest:
     """Request of a driver of any stack.
 
     Attributes:
@@ -75,37 +75,37 @@ def set_part(message: Any, path: str, value: Any) -> None:
     setattr(part(message, owner), name, value)
 
 
-def _from_twist(speed: float, yaw_rate: float, geometry: Geometry) -> Motion:
-    return Motion(geometry.steering_of(geometry.angle_for(speed, yaw_rate)), speed=speed)
+def _from_twist(speed: float, yaw_rate: float, geometry: Geometry) -> MotionRequest:
+    return MotionRequest(geometry.steering_of(geometry.angle_for(speed, yaw_rate)), speed=speed)
 
 
-def _to_twist(motion: Motion, geometry: Geometry) -> tuple[float, float]:
+def _to_twist(motion: MotionRequest, geometry: Geometry) -> tuple[float, float]:
     speed = _speed(motion)
     return speed, geometry.yaw_rate_of(speed, geometry.angle_of(motion.steering))
 
 
-def _from_angle(angle: float, speed: float, geometry: Geometry) -> Motion:
-    return Motion(geometry.steering_of(angle), speed=speed)
+def _from_angle(angle: float, speed: float, geometry: Geometry) -> MotionRequest:
+    return MotionRequest(geometry.steering_of(angle), speed=speed)
 
 
-def _to_angle(motion: Motion, geometry: Geometry) -> tuple[float, float]:
+def _to_angle(motion: MotionRequest, geometry: Geometry) -> tuple[float, float]:
     return geometry.angle_of(motion.steering), _speed(motion)
 
 
-def _from_servo(angle: float, throttle: float, _geometry: Geometry) -> Motion:
+def _from_servo(angle: float, throttle: float, _geometry: Geometry) -> MotionRequest:
     for name, value in (("angle", angle), ("throttle", throttle)):
         if abs(value) > 1.0:
             raise MotionError(f"{name} is {value:g}: expected a share from -1 to 1, not a pulse width")
-    return Motion(-angle, throttle=throttle)
+    return MotionRequest(-angle, throttle=throttle)
 
 
-def _to_servo(motion: Motion, _geometry: Geometry) -> tuple[float, float]:
+def _to_servo(motion: MotionRequest, _geometry: Geometry) -> tuple[float, float]:
     if motion.throttle is None:
         raise MotionError("a ServoCtrlMsg needs a throttle, not a speed")
     return -motion.steering, motion.throttle
 
 
-def _speed(motion: Motion) -> float:
+def _speed(motion: MotionRequest) -> float:
     if motion.speed is None:
         raise MotionError("this message needs a speed, not a throttle")
     return motion.speed
@@ -131,11 +131,11 @@ class MessageKind:
     topic: str
     stamp: str
     fields: tuple[str, str]
-    decode: Callable[[float, float, Geometry], Motion]
-    encode: Callable[[Motion, Geometry], tuple[float, float]]
+    decode: Callable[[float, float, Geometry], MotionRequest]
+    encode: Callable[[MotionRequest, Geometry], tuple[float, float]]
     needs_throttle: bool = False
 
-    def read(self, message: Any, geometry: Geometry) -> Motion:
+    def read(self, message: Any, geometry: Geometry) -> MotionRequest:
         """Convert a message.
 
         Raises:
@@ -147,7 +147,7 @@ class MessageKind:
                 raise MotionError(f"{path} is {value}: expected a finite number")
         return self.decode(first, second, geometry)
 
-    def fill(self, message: Any, motion: Motion, geometry: Geometry) -> None:
+    def fill(self, message: Any, motion: MotionRequest, geometry: Geometry) -> None:
         """Fill a message."""
         for path, value in zip(self.fields, self.encode(motion, geometry), strict=True):
             set_part(message, path, value)

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from ds_driver.control.bicycle import Geometry, MotionError
-from ds_driver.control.other_stacks import KINDS, Motion, SpeedController, StampMatcher, part
+from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher, part
 from ds_driver.ros.command_publisher import message_type
 from ds_driver.ros.simulator_client import SimulatorInfo
 from ds_sim.ros.diagnostics import AnswerDiagnostics
@@ -42,7 +42,7 @@ class CmdVelAdapter(Node):
         self._kind = KINDS[name]
         self._geometry = Geometry(wheelbase, angle) if wheelbase and angle else None
         self._speed_control = SpeedController()
-        self._matching: StampMatcher[VehicleState, Motion | MotionError] = StampMatcher()
+        self._matching: StampMatcher[VehicleState, MotionRequest | MotionError] = StampMatcher()
         self._answers = AnswerDiagnostics(self)
         self._drive = self.create_publisher(DriveCommand, "drive", 1)
         self.create_subscription(VehicleState, "state", self._on_state, 5)
@@ -66,7 +66,7 @@ class CmdVelAdapter(Node):
         if self._geometry is None:
             return
         try:
-            motion: Motion | MotionError = self._kind.read(message, self._geometry)
+            motion: MotionRequest | MotionError = self._kind.read(message, self._geometry)
         except MotionError as error:
             motion = error
         stamp = 0 if self._ignore or not self._kind.stamp else _nanoseconds(part(message, self._kind.stamp))
@@ -76,7 +76,7 @@ class CmdVelAdapter(Node):
             text = "command ignored: no unanswered image has its stamp; copy the image's stamp, or set stamps:=ignored"
             self.get_logger().warning(text, throttle_duration_sec=5.0)
 
-    def _answer(self, pair: tuple[VehicleState, Motion | MotionError] | None) -> None:
+    def _answer(self, pair: tuple[VehicleState, MotionRequest | MotionError] | None) -> None:
         if pair is None:
             return
         state, motion = pair

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from ds_driver.control.bicycle import Geometry
-from ds_driver.control.other_stacks import KINDS, MessageKind, Motion, set_part
+from ds_driver.control.other_stacks import KINDS, MessageKind, MotionRequest, set_part
 from ds_sim.ros.conversions import MESSAGES
 from ds_sim.simulator import Command
 
@@ -67,9 +67,9 @@ class CommandOutput:
             self._publisher.publish(MESSAGES.command(command, header))
             return
         if self._kind.needs_throttle:
-            motion = Motion(command.steering, throttle=command.throttle)
+            motion = MotionRequest(command.steering, throttle=command.throttle)
         else:
-            motion = Motion(command.steering, speed=target_speed(command.steering, self._max_speed))
+            motion = MotionRequest(command.steering, speed=target_speed(command.steering, self._max_speed))
         message = self._type()
         self._kind.fill(message, motion, self._geometry)
         if self._kind.stamp:

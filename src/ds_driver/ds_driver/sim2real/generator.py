@@ -74,7 +74,7 @@ class Window:
         return f"rows {self.top} to {self.bottom}, columns {self.left} to {self.right}"
 
 
-def prepare(image: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
+def generator_input(image: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Cut a window out of an image, (rows, columns, 3) uint8 RGB, and resize it to `size`, rows and columns.
 
     Raises:

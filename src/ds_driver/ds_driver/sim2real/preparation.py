@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ds_base.atomic_files import write_json
 from ds_base.folder_files import enter_folder
 from ds_base.progress import Progress
-from ds_driver.sim2real.generator import Window, prepare
+from ds_driver.sim2real.generator import Window, generator_input
 from ds_driver.sim2real.lane_pairs import LanePairs, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, LEAST_KEPT, LaneView, Match, match_windows, measure_lane
 from ds_driver.sim2real.pictures import evenly, read_photographs, split
@@ -151,4 +151,4 @@ def _write_card(path: Path, source: Path, sources: Sources, domains: Domains, pa
 
 
 def _prepared(images: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
-    return np.stack([prepare(image, window, size) for image in images])
+    return np.stack([generator_input(image, window, size) for image in images])

@@ -12,7 +12,7 @@ from onnx import TensorProto
 
 from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.onnx_export import OnnxGraph
-from ds_driver.sim2real.generator import EPSILON, Sim2RealError, StoredGenerator, prepare, resize
+from ds_driver.sim2real.generator import EPSILON, Sim2RealError, StoredGenerator, generator_input, resize
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
@@ -21,8 +21,8 @@ BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
 def generator_to_onnx(generator: StoredGenerator) -> bytes:
     """Export a generator as the content of an ONNX file.
 
-    The input is `image`, (1, rows, columns, 3) uint8 RGB from `ds_driver.sim2real.generator.prepare`; the output is
-    `translated`, of the same shape and type.
+    The input is `image`, (1, rows, columns, 3) uint8 RGB from `ds_driver.sim2real.generator.generator_input`; the output
+    is `translated`, of the same shape and type.
     """
     graph = _Graph(generator.tensors)
     shape = generator.shape
@@ -120,7 +120,7 @@ class Translator:
 
     def prepared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Cut out and resize what the generator sees of a camera image: (rows, columns, 3) uint8 RGB of its size."""
-        return prepare(image, self.generator.window, self.generator.shape.size)
+        return generator_input(image, self.generator.window, self.generator.shape.size)
 
     def small(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Translate a prepared image, in the generator's size."""

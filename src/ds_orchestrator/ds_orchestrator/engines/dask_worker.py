@@ -34,13 +34,13 @@ _lock = threading.Lock()
 _prepared: dict[Key, _Prepared] = {}
 
 
-def describe(key: Key, backend: str, simulators: tuple[SimulatorName, ...]) -> tuple[dict[str, str], int]:
+def describe_worker(key: Key, backend: str, simulators: tuple[SimulatorName, ...]) -> tuple[dict[str, str], int]:
     """Describe this worker: its fingerprint, and the drives that it takes at a time; 0 if it is not prepared."""
     with _lock:
         return fingerprint(backend, simulators), _prepared[key].engine.capacity if key in _prepared else 0
 
 
-def prepare(key: Key, parcel: Parcel) -> int:
+def unpack_parcel(key: Key, parcel: Parcel) -> int:
     """Unpack a parcel, and start one process per thread of this worker; idle ones of other campaigns end.
 
     Returns the number of drives at a time.

@@ -236,11 +236,11 @@ class Membership:
         try:
             # First by itself: Dask loses the error of a function whose module cannot be imported.
             run(exec, f"import {dask_worker.__name__}", {})
-            there, room = run(dask_worker.describe, self._key, self._parcel.backend, self._parcel.simulators)
+            there, room = run(dask_worker.describe_worker, self._key, self._parcel.backend, self._parcel.simulators)
             if refusal := differences(self._here, there):
                 refusal = f"is refused: {refusal}"
             elif not room:  # the files travel once per worker
-                room = run(dask_worker.prepare, self._key, self._parcel)
+                room = run(dask_worker.unpack_parcel, self._key, self._parcel)
         except Exception as error:  # a task on another machine may raise anything
             question = ": is Digital Siblings installed there?" if isinstance(error, ImportError) else ""
             refusal = f"cannot prepare itself ({_one_line(error)}){question}"

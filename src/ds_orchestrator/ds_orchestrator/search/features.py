@@ -33,7 +33,7 @@ FEET = 3.280839895
 """Feet in a metre (DeepHyperion counts radii in feet)."""
 
 
-class Drive(Protocol):
+class DriveSeries(Protocol):
     """Data of a run from which features are computed."""
 
     @property
@@ -63,7 +63,7 @@ class TestedRun:
 
     road: Road
     conditions: Conditions = DEFAULT
-    drive: Drive | None = None
+    drive: DriveSeries | None = None
     visible_contrast: float | None = None
     maxitwo_compatible: bool = False
 
@@ -305,7 +305,7 @@ def column_axis(column: str, width: float) -> Feature:
 
 def cell_of(
     road: Road,
-    drive: Drive | None = None,
+    drive: DriveSeries | None = None,
     *,
     features: Sequence[str] = DEFAULT_FEATURES,
     maxitwo_compatible: bool = False,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ds_base.bounded_file import FileError
 from ds_base.bounded_json import load_json
-from ds_orchestrator.search.features import Drive
+from ds_orchestrator.search.features import DriveSeries
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.sqlite_file import SqliteFile
 from ds_road import road_from_json, road_to_json
@@ -112,7 +112,7 @@ class Execution:
     steps: int
     simulated_seconds: float
     trajectory_sha256: str
-    drive: Drive
+    drive: DriveSeries
     bag: str = ""
 
     @property

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from report_campaigns import make_campaign
 
-from ds_analysis.failures.reasons import Reason
+from ds_analysis.failures.reasons import FailureReason
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
@@ -47,7 +47,7 @@ def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
     with closing(make_campaign(tmp_path, config, 16, roads=16)) as store:
         data = read_campaign(store)
     kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
-    made = [Reason(test.test_id, BULLET, kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
+    made = [FailureReason(test.test_id, BULLET, kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
     monkeypatch.setattr("ds_report.sections.reasons_of", lambda data: made)
     section = failure_section(data)
     assert section is not None and section.sentences[0].startswith(said)

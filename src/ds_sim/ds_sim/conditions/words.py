@@ -57,7 +57,7 @@ _NEAR = 0.015
 """Distance from a fraction at which it names a share; the code name beside it carries the digits."""
 
 
-def in_words(name: str, low: float, high: float | None = None, side: Side = "") -> str:
+def conditions_in_words(name: str, low: float, high: float | None = None, side: Side = "") -> str:
     """Say a value of a condition, or a range of values, as a driver would, with the code name in brackets.
 
     The side says which values beside a single one are meant.

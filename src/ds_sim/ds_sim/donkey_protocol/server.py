@@ -33,7 +33,7 @@ YIELDS_AFTER = 30.0
 than a network computes, so that only clients that hang or pause lose theirs."""
 
 
-class ServerError(InputError):
+class DonkeyServerError(InputError):
     """The server cannot listen."""
 
 
@@ -90,7 +90,7 @@ class DonkeyServer:
         try:
             server = await asyncio.start_server(self._connected, host, port)
         except OSError as error:
-            raise ServerError(_listening_problem(error, host, port)) from None
+            raise DonkeyServerError(_listening_problem(error, host, port)) from None
         try:
             listening(server.sockets[0].getsockname()[1])
             await asyncio.get_running_loop().create_future()  # never done: until cancelled

@@ -23,7 +23,7 @@ from sensor_msgs.msg import Image
 from ds_base.folder_files import enter_folder
 from ds_base.processes import USER_DOMAIN
 from ds_driver.control.bicycle import Geometry
-from ds_driver.control.other_stacks import KINDS, Motion, set_part
+from ds_driver.control.other_stacks import KINDS, MotionRequest, set_part
 from ds_driver.ros.command_publisher import message_type
 from ds_road import Road
 from ds_sim.ros.conversions import road_to_message
@@ -223,7 +223,7 @@ class _CommandTopic:
             message.steering, message.throttle = command.steering, command.throttle
             return message
         throttle = command.throttle if self._kind.needs_throttle else None
-        motion = Motion(command.steering, speed=speed if throttle is None else None, throttle=throttle)
+        motion = MotionRequest(command.steering, speed=speed if throttle is None else None, throttle=throttle)
         self._kind.fill(message, motion, self._geometry)
         if self._kind.stamp:
             set_part(message, self._kind.stamp, self._node.get_clock().now().to_msg())

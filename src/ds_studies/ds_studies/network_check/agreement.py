@@ -13,7 +13,7 @@ from scipy.stats import t
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import OutputSpec
 from ds_driver.networks.pilot import DriverError
-from ds_studies.network_check.recording import Recording
+from ds_studies.network_check.recording import AutopilotDrives
 
 AGREES = 0.5
 """Correlation with the autopilot from which a network answers with the road at all; chosen: a quarter of the variance,
@@ -78,7 +78,7 @@ class Agreement:
         return _fisher(self.correlation) - _fisher(other.correlation) > needed
 
 
-def agreement(answers: NDArray[np.float64], recordings: Sequence[Recording]) -> Agreement:
+def agreement(answers: NDArray[np.float64], recordings: Sequence[AutopilotDrives]) -> Agreement:
     """Compare (images,) finite answers to all images, in their order, with the autopilot's steering."""
     wanted = np.concatenate([one.steering for one in recordings])
     ends = np.cumsum([len(one.steering) for one in recordings])[:-1]
@@ -103,7 +103,7 @@ def _correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 
 def readings(
-    pilot: DescribedNetworkPilot, recordings: Sequence[Recording]
+    pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]
 ) -> Iterator[tuple[OutputSpec, NDArray[np.float64]]]:
     """Yield what could be the steering, first what the description says, with its value for every image.
 

@@ -32,7 +32,7 @@ from ds_studies.network_check.diagnosis import (
     ranked,
     scale_kind,
 )
-from ds_studies.network_check.recording import Recording
+from ds_studies.network_check.recording import AutopilotDrives
 
 SIZES = ((160, 320), (66, 200), (120, 160), (80, 160), (224, 224), (128, 128), (64, 64))
 """Rows and columns tried where the file names none: this camera's, Nvidia's Dave-2's, Donkey Car's, and others."""
@@ -142,10 +142,10 @@ def _named_outputs(names: Sequence[str]) -> dict[str, Any]:
     return outputs
 
 
-def describe(
+def describe_network(
     file: Path,
     forms: Sequence[DescribedNetwork],
-    recordings: Sequence[Recording],
+    recordings: Sequence[AutopilotDrives],
     ask: Ask | None,
     *,
     search: bool = True,
@@ -247,7 +247,7 @@ def describe(
     return "\n".join(lines) + "\n"
 
 
-def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[Recording]) -> Agreement:
+def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[AutopilotDrives]) -> Agreement:
     try:
         answers = ask_open_loop(pilot, drives)[0]
     except DriverError:
@@ -290,7 +290,7 @@ def _why(fits: Sequence[tuple[str, Agreement]], convention: str) -> str:
     return f"{clear}: correlation {abs(best.correlation):.2f}, with {name} {abs(second.correlation):.2f}"
 
 
-def _others(pilot: DescribedNetworkPilot, recordings: Sequence[Recording], steering: dict[str, Any]) -> list[int]:
+def _others(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives], steering: dict[str, Any]) -> list[int]:
     """Return positions of outputs with one number that are not the steering."""
     outputs, place = pilot.outputs(recordings[0].frames[0]), steering.get("output", 0)
     place = pilot.output_names.index(place) if isinstance(place, str) else place

@@ -22,7 +22,7 @@ from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_sim.registry import SimulatorName
 from ds_studies.network_check.agreement import AGREES, FOUND, Agreement, agreement, readings
-from ds_studies.network_check.recording import Recording, record, speeds_of_throttle
+from ds_studies.network_check.recording import AutopilotDrives, record, speeds_of_throttle
 
 Kind = Literal[
     "degrees",
@@ -98,7 +98,7 @@ class Finding:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Answers:
+class AnswerStatistics:
     """Answers of the network on one simulator, as described."""
 
     simulator: SimulatorName
@@ -124,7 +124,7 @@ class NetworkCheck:
     driver: DriverName
     images: int
     correlation: float
-    answers: Sequence[Answers]
+    answers: Sequence[AnswerStatistics]
     findings: Sequence[Finding]
     steering: dict[SimulatorName, NDArray[np.float64]]
     fixed: DescribedNetwork | None
@@ -156,7 +156,7 @@ class NetworkCheck:
 
 def check_network(
     driver: DriverName,
-    recordings: Sequence[Recording],
+    recordings: Sequence[AutopilotDrives],
     seed: int,
     *,
     search: bool = True,
@@ -203,7 +203,7 @@ def check_network(
     for one in recordings:
         here, part = steering[one.simulator], agreement(steering[one.simulator], [one])
         rows.append(
-            Answers(
+            AnswerStatistics(
                 simulator=one.simulator,
                 correlation=part.correlation,
                 slope=part.slope,
@@ -233,7 +233,7 @@ def pace_of(pilot: Pilot, frame: Frame) -> float:
 
 
 def ask_open_loop(
-    pilot: Pilot, recordings: Sequence[Recording]
+    pilot: Pilot, recordings: Sequence[AutopilotDrives]
 ) -> tuple[dict[SimulatorName, NDArray[np.float64]], NDArray[np.float64] | None, dict[SimulatorName, float]]:
     """Return unclipped steering by simulator, all throttles, and ms of processor time per image by simulator."""
     steering, throttle, milliseconds = {}, [], {}
@@ -256,7 +256,7 @@ Fitted = tuple[DescribedNetwork, Agreement]
 """A description, and how well the network agrees with the autopilot under it."""
 
 
-def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> DescribedNetwork:
+def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]) -> DescribedNetwork:
     """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
 
     It is the best of all, with every part of the input as described again whose change does not matter; colours, which
@@ -294,7 +294,7 @@ def scale_kind(slope: float) -> Kind | None:
     return "radians" if RADIANS[0] <= size <= RADIANS[1] else "scale"
 
 
-def ranked(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> list[Fitted]:
+def ranked(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]) -> list[Fitted]:
     """Try all combinations of the parts of the input; return the `FINALISTS`, the best first."""
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     few = [one.sample(SHARE_SCREENED) for one in tried]
@@ -312,7 +312,7 @@ def _worst_last(one: Fitted) -> tuple[float, int]:
     return -round(abs(one[1].correlation), 3), LIKELY.index(scale_kind(one[1].slope))
 
 
-def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[Recording]) -> Fitted:
+def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]) -> Fitted:
     """Return the description with the number among the outputs that agrees best; the described one unless beaten."""
     rated = [(spec, agreement(answers, recordings)) for spec, answers in readings(pilot, recordings)]
     nothing = Agreement(0.0, 0.0, 0.0, (0.0,) * len(recordings))
@@ -361,7 +361,7 @@ def findings_of(
     described: DescribedNetwork | None,
     best: DescribedNetwork | None,
     answers: NDArray[np.float64],
-    recordings: Sequence[Recording],
+    recordings: Sequence[AutopilotDrives],
     before: float = 0.0,
 ) -> tuple[list[Finding], DescribedNetwork | None]:
     """Say what is wrong: how the best description differs, then scale, sign and offset of its answers to all images.
@@ -432,7 +432,7 @@ def only_offset(findings: Sequence[Finding]) -> bool:
 
 
 def lane_finding(
-    offset: float, steering: NDArray[np.float64], other: Sequence[Recording], driver: DriverName
+    offset: float, steering: NDArray[np.float64], other: Sequence[AutopilotDrives], driver: DriverName
 ) -> Finding | None:
     """Say which lane a network wants that steers to one side in the right lane; None if its offset is everywhere.
 
@@ -466,7 +466,7 @@ def _differences(described: DescribedNetwork, best: DescribedNetwork, agree: str
 def _crawling(
     pilot: Pilot,
     throttle: NDArray[np.float64],
-    recordings: Sequence[Recording],
+    recordings: Sequence[AutopilotDrives],
     seed: int,
     described: DescribedNetwork | None,
 ) -> tuple[Finding, OutputSpec | None] | None:

@@ -15,7 +15,7 @@ from ds_driver.networks.network_driver import load_pilot
 from ds_driver.networks.pilot import Frame, Pilot
 from ds_sim.simulator import FRAME_TIME
 from ds_studies.network_check.diagnosis import NetworkCheck
-from ds_studies.network_check.recording import Recording
+from ds_studies.network_check.recording import AutopilotDrives
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,7 +33,7 @@ def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
     return np.repeat(image, 3, axis=2) if channels == 1 else image, f"{rows} x {columns}, {colour}"
 
 
-def draw_check(check: NetworkCheck, recordings: Sequence[Recording]) -> NDArray[np.uint8]:
+def draw_check(check: NetworkCheck, recordings: Sequence[AutopilotDrives]) -> NDArray[np.uint8]:
     """Draw a row for each simulator: its camera, what the network sees of that, and both steering commands.
 
     Returns:

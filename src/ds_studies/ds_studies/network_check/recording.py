@@ -47,7 +47,7 @@ class TooSlowError(InputError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recording:
+class AutopilotDrives:
     """Images of the autopilot's drives on one simulator.
 
     Attributes:
@@ -66,23 +66,23 @@ class Recording:
         """(frames,) number of the drive that each image is of."""
         return np.cumsum([0, *(b.step <= a.step for a, b in pairwise(self.frames))])
 
-    def sample(self, step: int) -> Recording:
+    def sample(self, step: int) -> AutopilotDrives:
         """Keep one image of so many, evenly over the autopilot's steering, so that sharp bends are among them."""
         return self._only(np.sort(np.argsort(self.steering, kind="stable")[step // 2 :: step]))
 
-    def first_drives(self, count: int) -> Recording:
+    def first_drives(self, count: int) -> AutopilotDrives:
         """Keep whole drives, the first ones."""
         return self._only(np.flatnonzero(self.drives < count))
 
-    def _only(self, kept: Indices) -> Recording:
+    def _only(self, kept: Indices) -> AutopilotDrives:
         return replace(
             self, frames=tuple(self.frames[k] for k in kept), steering=self.steering[kept], throttle=self.throttle[kept]
         )
 
 
 def affordable(
-    recordings: Sequence[Recording], pace: float, seconds: float, *, asked: int, whole: bool = False
-) -> tuple[list[Recording], bool]:
+    recordings: Sequence[AutopilotDrives], pace: float, seconds: float, *, asked: int, whole: bool = False
+) -> tuple[list[AutopilotDrives], bool]:
     """Keep as many images as a network can be asked about in so many seconds; say if other descriptions can be tried.
 
     `pace` is in seconds per image; if others are tried, it is `asked` so many times about each. `whole`: it needs whole
@@ -92,7 +92,7 @@ def affordable(
         TooSlowError: fewer than `FEWEST` images are left, or no whole drive.
     """
 
-    def thinned(step: int) -> list[Recording]:
+    def thinned(step: int) -> list[AutopilotDrives]:
         if whole:
             return [one.first_drives(max(4 // step, 1)) for one in recordings]
         return [one.sample(step) for one in recordings]
@@ -119,7 +119,7 @@ class _Job(NamedTuple):
 
 def record(
     simulators: Sequence[SimulatorName], seed: int, progress: Progress, *, whole: bool = False, lane: Side = "right"
-) -> list[Recording]:
+) -> list[AutopilotDrives]:
     """Let the autopilot drive in a lane on every simulator; the same seed gives the same images.
 
     A network with memory is asked about `whole` pieces of drives, any other about some images of each.
@@ -141,12 +141,12 @@ def record(
     return recordings
 
 
-def _record(job: _Job) -> Recording:
+def _record(job: _Job) -> AutopilotDrives:
     kept = [
         one for scenario in job.scenarios for one in _drive(job.simulator, scenario, job.kept, lambda _: None)[job.kept]
     ]
     steering, throttle = np.array([(command.steering, command.throttle) for _, command in kept]).T
-    return Recording(
+    return AutopilotDrives(
         simulator=job.simulator, frames=tuple(frame for frame, _ in kept), steering=steering, throttle=throttle
     )
 

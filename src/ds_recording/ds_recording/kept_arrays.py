@@ -26,7 +26,7 @@ Arrays = dict[str, NDArray[Any]]
 _LINES, _MOTION, _HINT = (tuple(field.name for field in fields(kind)) for kind in (LinePoints, Motion, Hint))
 
 
-class Unfinished:
+class KeptArrays:
     """Keeps arrays in a folder until the location is finished; without a folder, nothing.
 
     `inputs` is a digest of everything that they depend on: what was kept for others is ignored.
