@@ -19,6 +19,7 @@ from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.hints import Hint, HintFinder
+from ds_recording.kept_arrays import KeptArrays, arrays_of, digest_of, evidence_of
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
@@ -27,7 +28,6 @@ from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import TURNS, Evidence, Smoother, Solution
 from ds_recording.track import Track
-from ds_recording.kept_arrays import KeptArrays, arrays_of, digest_of, evidence_of
 
 Array = NDArray[np.float64]
 LEAST_MOTION = 0.6

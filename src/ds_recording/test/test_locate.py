@@ -19,13 +19,13 @@ from ds_driver.data.recordings import Reading
 from ds_recording import locate
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
+from ds_recording.kept_arrays import KeptArrays
 from ds_recording.lines import line_pixels, points_on_floor
 from ds_recording.locate import SolvedStretch, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
 from ds_recording.odometry import AHEAD, TURN, Source
 from ds_recording.recording import Views, longest_stretch, read_views
 from ds_recording.smoother import Evidence
-from ds_recording.kept_arrays import KeptArrays
 from ds_report.recording_page import write_recording_page
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
 def generator_to_onnx(generator: StoredGenerator) -> bytes:
     """Export a generator as the content of an ONNX file.
 
-    The input is `image`, (1, rows, columns, 3) uint8 RGB from `ds_driver.sim2real.generator.generator_input`; the output
+    The input is `image`, (1, rows, columns, 3) uint8 RGB from `generator.generator_input`; the output
     is `translated`, of the same shape and type.
     """
     graph = _Graph(generator.tensors)
