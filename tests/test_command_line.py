@@ -350,8 +350,8 @@ def test_a_drive_answers_with_one_document_repeats_itself_and_is_that_of_the_lib
     assert {"fitness", "max_lateral_position", "steps", "simulated_seconds", "wall_seconds"} <= set(first)
     assert {**first, "wall_seconds": 0} == {**second, "wall_seconds": 0}
     assert first["simulated_seconds"] == pytest.approx(first["steps"] / 20)
-    road.write_text(json.dumps([[125, 10], [125, 50], [125, 90], [125, 130]]))
-    straight = in_process("drive", "--sim", "donkey", "--road", road, "--engine", "local", "--json")
+    (straight_road := tmp_path / "straight.json").write_text(json.dumps([[125, 10], [125, 50], [125, 90], [125, 130]]))
+    straight = in_process("drive", "--sim", "donkey", "--road", straight_road, "--engine", "local", "--json")
     assert json.loads(straight.stdout)["warnings"] == []
     simulator = make_simulator("donkey")
     driver = make_driver("autopilot", simulator.spec)
