@@ -166,7 +166,11 @@ class BagReader:
             raise self._damaged(error) from None
 
     def stamp(self, connection: Connection, raw: bytes) -> int:
-        """Stamp in a serialised message's header, ns, without deserialising the rest, or 0; errors as in `message`."""
+        """Stamp in a serialised message's header, ns, without deserialising the rest, or 0; errors as in `message`.
+
+        Raises:
+            BagError: the bytes do not match the type of the topic.
+        """
         fields = dict(self._reader.typestore.fielddefs[connection.msgtype][1])
         if "header" not in fields:
             return 0
@@ -181,7 +185,11 @@ class BagReader:
         return int(seconds) * 10**9 + int(nanoseconds)
 
     def decoded(self, connections: Collection[Connection]) -> Iterator[tuple[Connection, int, Any]]:
-        """Iterate over topic, time in ns, and deserialised message as `messages` does; errors as in `message`, too."""
+        """Iterate over topic, time in ns, and deserialised message as `messages` does; errors as in `message`, too.
+
+        Raises:
+            BagError: the file is damaged, or the bytes do not match the type of the topic.
+        """
         for connection, time, raw in self.messages(connections):
             yield connection, time, self.message(connection, raw)
 
