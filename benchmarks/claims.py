@@ -27,12 +27,12 @@ from ds_analysis.comparison.analysis import compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_analysis.paper.correlation import evaluate, paired_differences
 from ds_base.atomic_files import write_whole
-from ds_base.table import Column, Table, Value
+from ds_base.table import Table, Value, styled
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.search.algorithms import ConditionSpace, DeepHyperion, SearchedCondition, SearchSettings
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
-from ds_report.findings import RoadOutcomes, Split, best_split, kind_of, side_shown
+from ds_report.findings import RoadOutcomes, best_split, kind_of, side_shown
 from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
 from ds_sim.conditions.model import FIELDS
 from ds_sim.simulator import Outcome
@@ -64,13 +64,10 @@ NOISE, SPREAD = 0.3, 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """Failure probabilities on both sides of a threshold on one axis.
+    """Failure probabilities below and above a threshold on one axis.
 
     Attributes:
-        name: in the table.
-        low: below the threshold.
-        high: above it.
-        quantile: share of the tests below it.
+        quantile: share of the tests below the threshold.
         spread: standard deviation of the families' log odds, besides.
     """
 
@@ -124,8 +121,7 @@ def _searched(size: int, axes: int, number: int) -> Searched:
         search = DeepHyperion(settings, rng)
         while not search.done:
             scenario = search.ask_test(seed=1)
-            test_id = f"{sibling}-0-{len(tests):04d}"
-            tests.append(Test(test_id, scenario, Origin(SimulatorName(sibling), 0, len(tests))))
+            tests.append(Test(f"{sibling}-0-{len(tests):04d}", scenario, Origin(sibling, 0, len(tests))))
             search.tell(float(rng.uniform(0.0, 2.0)))
     values = [[value_on(test, axis) for test in tests] for axis in ("curvature", "turns", *names)]
     return Searched(tests=tuple(tests), axes=np.array(values), families=families_of([test.road for test in tests]))
@@ -170,11 +166,6 @@ def outcomes_of(searched: Searched, failed: Bools) -> RoadOutcomes:
     return RoadOutcomes(where="the twin", tests=searched.tests, failed=tuple(failed.tolist()))
 
 
-def clear(split: Split | None) -> bool:
-    """Whether the report states a split."""
-    return split is not None and split.found.is_clear
-
-
 def splits(size: int, axes: int, effect: Effect, number: int = CAMPAIGNS) -> list[Value]:
     """Rate at which a split is stated, and its intervals' coverage."""
     stated, covered, thresholds = 0, np.zeros(2), _thresholds(size, axes, effect)
@@ -210,7 +201,8 @@ def second_splits(size: int, axes: int, second: Effect, number: int = CAMPAIGNS)
         outcomes = outcomes_of(searched, drawn(rate, searched.families, second.spread, rng))
         first = best_split(outcomes)
         if first is not None and first.found.is_clear:
-            stated += clear(best_split(outcomes, "road" if kind_of(first.axis) == "conditions" else "conditions"))
+            second_split = best_split(outcomes, "road" if kind_of(first.axis) == "conditions" else "conditions")
+            stated += second_split is not None and second_split.found.is_clear
     return ["a second split is stated", second.name, size, axes, number, stated / number, None, None]
 
 
@@ -251,44 +243,28 @@ def _outcome(failed: bool) -> DriveOutcome:
 
 def verdicts(size: int, worse: float, number: int) -> list[list[Value]]:
     """Rates at which `ds compare` calls a network worse or better somewhere, and at which it names a kind of road."""
-    rng, found = np.random.default_rng([size, int(10 * worse)]), np.zeros(2)
+    rng, stated = np.random.default_rng([size, int(10 * worse)]), np.zeros(2)
     old, new = Network(driver=DriverName("old")), Network(driver=DriverName("new"))
+    simulators = (*SIBLINGS, TWIN)
     bank(size, 2)
     gc.freeze()  # statsmodels collects garbage with each adjustment
     for k in range(number):
         searched, drives = bank(size, 2)[k % BANK], list[PairedDrive]()
-        for name in (*SIBLINGS, TWIN):
+        for name in simulators:
             # Both networks have the same rates, and families of their own on which they fail.
             reference = drawn(np.full(size, NOISE), searched.families, SPREAD, rng)
             candidate = drawn(np.full(size, NOISE + worse), searched.families, SPREAD, rng)
             for test, one, other in zip(searched.tests, reference, candidate, strict=True):
                 cell = test.road.turns_count, int(100 * test.road.curvature)
                 compared = ComparedTest(name=test.test_id, scenario=test.scenario, cell=cell)
-                drives.append(
-                    PairedDrive(
-                        test=compared, simulator=SimulatorName(name), reference=_outcome(one), candidate=_outcome(other)
-                    )
-                )
-        result = compare_networks(
-            drives,
-            reference=old,
-            candidate=new,
-            origin="both",
-            source="",
-            simulators=(*SimulatorName(SIBLINGS), TWIN),
-        )
+                first, second = _outcome(one), _outcome(other)
+                drives.append(PairedDrive(test=compared, simulator=name, reference=first, candidate=second))
+        result = compare_networks(drives, reference=old, candidate=new, origin="both", source="", simulators=simulators)
         said = ("worse",) if worse else ("worse", "better")
-        found += [
-            any(row.verdict in said for row in result.simulators),
-            min(c.p_adjusted for c in result.cells) < ALPHA,
-        ]
+        stated += any(row.verdict in said for row in result.simulators), min(c.p_adjusted for c in result.cells) < ALPHA
     kind = "clear effect" if worse else "noise in families"
-    rows: list[list[Value]] = [
-        ["a network is worse or better", kind, size, None, number, found[0] / number, None, None]
-    ]
-    if not worse:
-        rows.append(["a kind of road stands out", kind, size, None, number, found[1] / number, None, None])
-    return rows
+    names = ["a network is worse or better"] if worse else ["a network is worse or better", "a kind of road stands out"]
+    return [[name, kind, size, None, number, stated[k] / number, None, None] for k, name in enumerate(names)]
 
 
 def merged_maps(size: int, noise: Effect, number: int = CAMPAIGNS) -> list[Value]:
@@ -312,11 +288,11 @@ def merged_maps(size: int, noise: Effect, number: int = CAMPAIGNS) -> list[Value
     return [claim, noise.name, size, None, number, stated / number, None, None]
 
 
-def _execution(test: Test, name: str, failed: bool, rng: np.random.Generator) -> Execution:
+def _execution(test: Test, name: SimulatorName, failed: bool, rng: np.random.Generator) -> Execution:
     lateral = float(rng.uniform(2.0, 3.0) if failed else rng.uniform(0.2, 2.0))
     return Execution(
         test_id=test.test_id,
-        simulator=SimulatorName(name),
+        simulator=name,
         outcome=Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED,
         message="",
         fitness=2.0 - lateral,
@@ -348,16 +324,8 @@ def main() -> None:
     """Compute the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder of claims.csv")
-    columns = [
-        Column("claim"),
-        Column("situation"),
-        Column("tests", "count"),
-        Column("axes", "count"),
-        Column("campaigns", "count"),
-        Column("stated", "number"),
-        Column("covered, harder side", "number"),
-        Column("covered, other side", "number"),
-    ]
+    columns = [*styled("text", "claim", "situation"), *styled("count", "tests", "axes", "campaigns")]
+    columns += styled("number", "stated", "covered, harder side", "covered, other side")
     rows, out = [], parser.parse_args().out
     for row in rows_of_claims():
         print(*("" if value is None else value for value in row), sep=", ", flush=True)
