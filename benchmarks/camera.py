@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Times cameras, draws what they see, and compares the twin's images with photographs.
 
-`python -m benchmarks.camera painted` times the painting camera of each simulator that has one at 320 x 160 and
-640 x 480; `photographs FOLDER` compares the twin with the JPEG images in FOLDER; `panda` prints what loading a road and
-an image take in processor time, next to the camera of `bullet` in the same seconds; `views [--out docs/images]` writes
-`cameras.jpg`, the view of each simulator.
+`python -m benchmarks.camera times` prints the processor time of an image of each simulator; `photographs FOLDER`
+compares the twin with the JPEG images in FOLDER; `views [--out docs/images]` writes `cameras.jpg`, the view of each
+simulator.
 """
 
 from __future__ import annotations
@@ -13,11 +12,9 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -29,15 +26,12 @@ from ds_road import Road, generate
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor
-from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.model import DEFAULT
 from ds_sim.registry import STANDARD, make_simulator, spec_of
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import VehicleState
-from ds_sim_panda.scene.panda_scene import PandaScene
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
-RNG = np.random.default_rng(0)
-LOADS = 10
 
 
 def poses(seed: int) -> list[VehicleState]:
@@ -49,16 +43,6 @@ def poses(seed: int) -> list[VehicleState]:
         VehicleState(x=x, y=y, yaw=yaw, speed=6.0, yaw_rate=rate, steering_angle=0.0, roll=0.01, pitch=0.004)
         for (x, y), yaw, rate in zip(lane[:-1], headings, rates, strict=True)
     ]
-
-
-def median_ms(call: Callable[[VehicleState], object], states: list[VehicleState]) -> float:
-    """Median processor time of a call over some poses, ms."""
-    times = []
-    for state in states:
-        started = time.process_time()
-        call(state)
-        times.append(1e3 * (time.process_time() - started))
-    return float(np.median(times))
 
 
 def image_statistics(image: NDArray[np.uint8]) -> tuple[float, float, float]:
@@ -98,24 +82,25 @@ def compare(folder: Path) -> None:
         print(f"{name:<11} photographs, twin: {'  '.join('/'.join(f'{v:.2f}' for v in values) for values in shares)}")
 
 
-def painted() -> None:
-    """Time the painting cameras."""
-    road, states = generate(np.random.default_rng(4), max_angle=60), poses(4) * 2
-    for name in (name for name in STANDARD if name != "panda"):
-        spec = spec_of(name)
-        ground = paint_ground(road, spec.look)
-        for width, height in ((320, 160), (640, 480)):
-            camera = Camera(replace(spec.camera, width=width, height_px=height), spec.look)
-            camera.render(ground, states[0])
-            milliseconds = median_ms(partial(camera.render, ground), states)
-            print(f"{name:<9} {width} x {height}: {1e3 / milliseconds:5.0f} frames/s")
+def times() -> None:
+    """Print the median processor time of an image of every simulator, ms."""
+    for name in STANDARD:
+        simulator = road_simulator(name)
+        simulator.load(generate(np.random.default_rng(4), max_angle=60), seed=0, conditions=DEFAULT)
+        taken = []
+        for state in poses(4):
+            started = time.process_time()
+            simulator.scene.image(state)
+            taken.append(1e3 * (time.process_time() - started))
+        simulator.close()
+        print(f"{name:<9} {np.median(taken):5.2f} ms")
 
 
-def loaded(road: Road, spec: Any) -> PandaScene:
-    """Scene of a road, ready to draw."""
-    scene = PandaScene(spec)
-    scene.load(road, RNG)
-    return scene
+def road_simulator(name: str) -> RoadSimulator:
+    """Make one of the simulators that are shipped."""
+    simulator = make_simulator(name)
+    assert isinstance(simulator, RoadSimulator)
+    return simulator
 
 
 def standing(lane: NDArray[np.float64], index: int, roll: float = 0.0) -> VehicleState:
@@ -155,54 +140,25 @@ def views() -> NDArray[np.uint8]:
     }
     columns: dict[str, list[NDArray[np.uint8]]] = {}
     for name in STANDARD:
-        simulator = make_simulator(name)
-        assert isinstance(simulator, RoadSimulator)
+        simulator = road_simulator(name)
         for road, share, roll in places.values():
-            simulator.load(road, seed=0, conditions=Conditions())
+            simulator.load(road, seed=0, conditions=DEFAULT)
             state = standing(road.right_lane_centre, int(share * len(road.right_lane_centre)), roll)
             columns.setdefault(name, []).append(simulator.scene.still(state, np.random.default_rng(0)))
         simulator.close()
     return draw_sheet(columns, list(places))
 
 
-def speed() -> None:
-    """Print median processor times, beside the camera of bullet."""
-    road, states, bullet = generate(np.random.default_rng(4), max_angle=60), poses(4), spec_of("bullet")
-    scene, ground = loaded(road, spec_of("panda").camera), paint_ground(road, bullet.look)
-    part = loaded(road, spec_of("panda").camera)
-    part.draw_rows(spec_of("panda").crop_top, 160)
-    part.load(road, RNG)
-    large = loaded(road, replace(spec_of("panda").camera, width=640, height_px=480))
-    camera = Camera(bullet.camera, bullet.look)
-    calls: dict[str, Callable[[VehicleState], object]] = {
-        "bullet, 320 x 160": lambda state: camera.render(ground, state),
-        "panda, 320 x 160": scene.image,
-        "panda, rows that a network sees": part.image,
-        "panda, 640 x 480": large.image,
-    }
-    for name, call in calls.items():
-        call(states[0])
-        print(f"{name:<34} {median_ms(call, states):6.2f} ms")
-
-    def load(state: VehicleState) -> None:
-        part.load(road, RNG)
-        part.image(state)
-
-    print(f"panda, load with its first image   {median_ms(load, states[:LOADS]):6.2f} ms")
-
-
 def main() -> None:
     """Measure what the arguments name."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("what", choices=("painted", "photographs", "panda", "views"))
+    parser.add_argument("what", choices=("times", "photographs", "views"))
     parser.add_argument("folder", type=Path, nargs="?", help="with photographs")
     parser.add_argument("--out", type=Path, default=Path("docs/images"))
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    if arguments.what == "painted":
-        painted()
-    elif arguments.what == "panda":
-        speed()
+    if arguments.what == "times":
+        times()
     elif arguments.what == "views":
         image = views()[:, :, ::-1]
         cv2.imwrite(str(arguments.out / "cameras.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 85])

@@ -16,15 +16,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from benchmarks.camera import draw_sheet, standing
+from benchmarks.camera import draw_sheet, road_simulator, standing
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.image_translation import ImageTranslation, open_set
 from ds_road import Road
-from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
-from ds_sim.registry import STANDARD, make_simulator
-from ds_sim.road_simulator import RoadSimulator
+from ds_sim.registry import STANDARD
 
 CONDITIONS = (
     "",
@@ -41,22 +39,17 @@ ROAD = Road([(125.0, 0.0), (125.0, 25.0), (125.0, 50.0), (130.0, 75.0), (145.0, 
 SEED = 7
 
 
-def picture(simulator: RoadSimulator, conditions: Conditions) -> NDArray[np.uint8]:
-    """Image from the lane, 8 m after its start."""
-    simulator.load(ROAD, seed=SEED, conditions=conditions)
+def pictures(name: str, conditions: Sequence[str]) -> list[NDArray[np.uint8]]:
+    """Images of a simulator under each condition, from the lane, 8 m after its start."""
     lane = ROAD.lane_centre
     index = int(np.searchsorted(np.cumsum(np.hypot(*np.diff(lane, axis=0).T)), 8.0))
-    return simulator.scene.still(standing(lane, index), np.random.default_rng(SEED))
-
-
-def pictures(name: str, conditions: Sequence[str]) -> list[NDArray[np.uint8]]:
-    """Images of a simulator under each condition."""
-    simulator = make_simulator(name)
-    assert isinstance(simulator, RoadSimulator)
-    try:
-        return [picture(simulator, parse_conditions(text)) for text in conditions]
-    finally:
-        simulator.close()
+    simulator = road_simulator(name)
+    taken = []
+    for text in conditions:
+        simulator.load(ROAD, seed=SEED, conditions=parse_conditions(text))
+        taken.append(simulator.scene.still(standing(lane, index), np.random.default_rng(SEED)))
+    simulator.close()
+    return taken
 
 
 def main() -> None:
