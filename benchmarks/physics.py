@@ -15,7 +15,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -27,19 +26,15 @@ from ds_road import Road, generate
 from ds_sim.camera.encodings import png
 from ds_sim.oracle import LaneTracker, Oracle
 from ds_sim.parts import Vehicle
-from ds_sim.registry import STANDARD, colours_of
-from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, Outcome
-from ds_sim_bullet import simulator as bullet
+from ds_sim.registry import STANDARD, colours_of, spec_of
+from ds_sim.simulator import FRAME_TIME, Command, Outcome
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
-from ds_sim_panda.vehicle import parameters as panda
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
-from ds_sim_softbody import simulator as softbody
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.vehicle import SoftbodyVehicle
 from ds_twin_donkey import dynamics
-from ds_twin_donkey import simulator as donkey
 from ds_twin_donkey.dynamics import CarModel
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.vehicle import DonkeyVehicle
@@ -66,51 +61,47 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class Car:
-    """Vehicle that can be made with finer substeps, and settings of its autopilot.
+    """Vehicle of a simulator that can be made with finer substeps.
 
     Attributes:
+        name: of the simulator, which has the autopilot's settings.
         make: makes a vehicle whose number of substeps is a multiple of the nominal one.
-        gains: gains of its autopilot.
-        preview: distance of the autopilot's preview point ahead of the car's centre, m.
-        substep: nominal substep, s.
+        substeps: nominal substeps of a frame.
     """
 
+    name: str
     make: Callable[[int], Vehicle]
-    gains: AutopilotGains
-    preview: float
-    substep: float
+    substeps: int
 
 
 def cars() -> dict[str, Car]:
     """The four vehicles, by name of their simulator."""
-    return {
-        "bullet": _car(_bullet, bullet, BulletParameters().substeps),
-        "softbody": _car(_softbody, softbody, SoftbodyParameters().frame_substeps),
-        "panda": _car(_panda, panda, MultiBodyParameters().substeps),
-        "donkey": _car(_FinerDonkey, donkey, dynamics.SUBSTEPS),
-    }
-
-
-def _car(make: Callable[[int], Vehicle], settings: Any, substeps: int) -> Car:
-    """Take gains and preview distance from the module that has them."""
-    return Car(make=make, gains=settings.GAINS, preview=settings.PREVIEW_DISTANCE, substep=FRAME_TIME / substeps)
+    every = (
+        Car(name="bullet", make=_bullet, substeps=BulletParameters().substeps),
+        Car(name="softbody", make=_softbody, substeps=SoftbodyParameters().frame_substeps),
+        Car(name="panda", make=_panda, substeps=MultiBodyParameters().substeps),
+        Car(name="donkey", make=_FinerDonkey, substeps=dynamics.SUBSTEPS),
+    )
+    return {car.name: car for car in every}
 
 
 def drive(car: Car, vehicle: Vehicle, road: Road) -> Drive:
     """Let the autopilot drive a road until the run ends, as `ds_sim.road_simulator` would."""
     _start(vehicle, road)
-    tracker, pilot = LaneTracker(road.lane_centre), Autopilot(car.gains)
+    spec = spec_of(car.name)
+    tracker, pilot, ahead = LaneTracker(road.lane_centre), Autopilot(spec.autopilot), spec.preview_distance
     oracle = Oracle(tracker.length)
     fitness, rows, outcome, commands = math.inf, [], Outcome.RUNNING, list[Command]()
     for step in range(10_000):
         s = vehicle.state()
         rows.append((s.x, s.y, s.yaw, s.speed))
         lateral, arc = tracker.update(s.x, s.y)
-        fitness = min(fitness, road.lane_width / 2 - abs(lateral))
-        outcome = oracle.judge(step=step, lateral_distance=road.lane_width / 2 - abs(lateral), arc_length=arc)
+        distance = road.lane_width / 2 - abs(lateral)
+        fitness = min(fitness, distance)
+        outcome = oracle.judge(step=step, lateral_distance=distance, arc_length=arc)
         if outcome is not Outcome.RUNNING:
             break
-        preview = tracker.lateral_position(s.x + car.preview * math.cos(s.yaw), s.y + car.preview * math.sin(s.yaw))
+        preview = tracker.lateral_position(s.x + ahead * math.cos(s.yaw), s.y + ahead * math.sin(s.yaw))
         commands.append(pilot.command(preview, s.speed))
         vehicle.advance(commands[-1])
     return Drive(fitness=fitness, outcome=outcome, path=np.array(rows), commands=commands)
@@ -177,11 +168,8 @@ def print_convergence(chosen: dict[str, Car], roads: list[Road], finer: int) -> 
     print("|---|---|---|---|")
     for name, car in chosen.items():
         shifts, distances = (1e3 * np.array(values) for values in fitness_shift(car, roads, finer))
-        apart = distances.max()
-        print(
-            f"| {name} | {1e3 * car.substep:.3g} | {np.median(shifts):.1f}, {shifts.max():.1f} | {apart:.0f} |",
-            flush=True,
-        )
+        substep, median, most = 1e3 * FRAME_TIME / car.substeps, np.median(shifts), shifts.max()
+        print(f"| {name} | {substep:.3g} | {median:.1f}, {most:.1f} | {distances.max():.0f} |", flush=True)
 
 
 def draw_same_commands(chosen: dict[str, Car], road: Road, path: Path) -> None:
