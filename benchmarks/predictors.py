@@ -3,11 +3,9 @@
 
     python -m benchmarks.predictors --foreign FOLDER --out scores         # FOLDER with studies of `ds outcomes import`
 
-Each simulator of a table is the car in turn, predicted from the others. A predictor has two methods:
-
-- `fit(siblings)`: an `OutcomeTable` without the car's outcomes; called once for each car.
-- `predict(drives)`: (tests,) probabilities of failure, of all tests, given the car's drives so far. The outcomes of
-  driven tests are filled in for every predictor.
+Each simulator of a table is the car in turn, predicted from the others. A predictor is a function: of an
+`OutcomeTable` without the car's outcomes it makes another one, which gives (tests,) probabilities of failure, of all
+tests, for the car's drives so far. The outcomes of driven tests are filled in for every predictor.
 
 Tests are drawn at random (mean of `DRAWS` orders). Scores are Brier scores over all tests, intervals are 95% over cars
 and families, resampled together. `calls` counts how often a test is called safe or failing, and is not, and how often
@@ -22,10 +20,10 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -38,7 +36,7 @@ from ds_analysis.prediction.betting import sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.predictors import FEATURES, features_alone, merged
 from ds_analysis.prediction.verdicts import called
-from ds_base.table import Column, Table, Value, write_tables
+from ds_base.table import Table, Value, styled, write_tables
 from ds_cli.output import say
 
 OURS = Path("docs/data/outcomes")
@@ -57,52 +55,35 @@ SHIFT_SCALE = 2.5
 KINDS = ("as it is", "control", "opposite", "other")
 
 
-class Predictor(Protocol):
-    """What is scored; see the module."""
-
-    def fit(self, siblings: OutcomeTable) -> None:
-        """Learn from the siblings."""
-
-    def predict(self, drives: Sequence[Drive]) -> Array:
-        """Predict all tests."""
-        ...
+Predict = Callable[[Sequence[Drive]], Array]
+Predictor = Callable[[OutcomeTable], Predict]
+"""What is scored; see the module."""
 
 
-class Ours:
+def ours(siblings: OutcomeTable) -> Predict:
     """`ds predict`."""
-
-    def fit(self, siblings: OutcomeTable) -> None:
-        """See `Predictor`."""
-        self.before = predict(siblings)
-
-    def predict(self, drives: Sequence[Drive]) -> Array:
-        """See `Predictor`."""
-        return self.before.updated(drives).probabilities()
+    before = predict(siblings)
+    return lambda drives: before.updated(drives).probabilities()
 
 
-class Simple:
+def simple(name: str, siblings: OutcomeTable) -> Predict:
     """A rule of `SIMPLE`, or a merge operator on the siblings' verdicts."""
+    operator = MEAN if name in (CONTROL, RATE) else name
+    if operator in (FEATURES, SHIFTED):
+        before = features_alone(siblings)
+    else:
+        before = merged([siblings.failed(one).astype(np.float64) for one in siblings.siblings])[operator]
 
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def fit(self, siblings: OutcomeTable) -> None:
-        """See `Predictor`."""
-        failed = [siblings.failed(name).astype(np.float64) for name in siblings.siblings]
-        operator = MEAN if self.name in (CONTROL, RATE) else self.name
-        self.before = features_alone(siblings) if operator in (FEATURES, SHIFTED) else merged(failed)[operator]
-
-    def predict(self, drives: Sequence[Drive]) -> Array:
-        """See `Predictor`."""
+    def predicted(drives: Sequence[Drive]) -> Array:
         rows, failed = [one.row for one in drives], np.array([one.failed for one in drives], np.float64)
-        if self.name == RATE:
-            return np.full(len(self.before), (failed.sum() + 0.5) / (len(drives) + 1.0))
-        if not drives or self.name not in (SHIFTED, CONTROL):
-            return self.before.copy()
-        if self.name == CONTROL:  # the mean, moved by the drives' mean deviation, as X4Val and Sim2Val correct a mean
-            logits = logit(np.clip(self.before, 0.05, 0.95))
-            return np.asarray(expit(logits + 4.0 * float((failed - self.before[rows]).mean())))
-        logits = logit(self.before)
+        if name == RATE:
+            return np.full(len(before), (failed.sum() + 0.5) / (len(drives) + 1.0))
+        if not drives or name not in (SHIFTED, CONTROL):
+            return before
+        if name == CONTROL:  # the mean, moved by the drives' mean deviation, as X4Val and Sim2Val correct a mean
+            logits = logit(np.clip(before, 0.05, 0.95))
+            return np.asarray(expit(logits + 4.0 * float((failed - before[rows]).mean())))
+        logits = logit(before)
 
         def loss(shift: float) -> float:
             moved = logits[rows] + shift
@@ -112,10 +93,11 @@ class Simple:
         bounds = (-6 * SHIFT_SCALE, 6 * SHIFT_SCALE)
         return np.asarray(expit(logits + float(minimize_scalar(loss, bounds=bounds, method="bounded").x)))
 
+    return predicted
 
-def predictors() -> dict[str, Predictor]:
-    """Make all of them; a name stands in the tables."""
-    return {MODEL: Ours(), **{name: Simple(name) for name in (*SIMPLE, "product")}}
+
+PREDICTORS: Mapping[str, Predictor] = {MODEL: ours, **{name: partial(simple, name) for name in (*SIMPLE, "product")}}
+"""By their names in the tables."""
 
 
 def sample(table: OutcomeTable) -> OutcomeTable:
@@ -142,25 +124,18 @@ class Scored:
     calls: Mapping[int, Array]
 
 
-def score(hidden: OutcomeTable, failed: Bools, scored: Mapping[str, Predictor]) -> Scored:
-    """Score predictors of one car after every budget.
-
-    Args:
-        hidden: the siblings' outcomes.
-        failed: (tests,) the car's.
-        scored: the predictors.
-    """
+def score(hidden: OutcomeTable, failed: Bools) -> Scored:
+    """Score predictors of one car, whose outcomes are (tests,) `failed`, after every budget; `hidden` has siblings."""
     truth, before = failed.astype(np.float64), predict(hidden)
-    for predictor in scored.values():
-        predictor.fit(hidden)
+    predictors = {name: predictor(hidden) for name, predictor in PREDICTORS.items()}
     errors: dict[tuple[int, str], Array] = {}
     calls: dict[int, Array] = {}
     for budget in BUDGETS:
         for draw in range(DRAWS if budget else 1):
             order = np.random.default_rng([SEED, draw]).choice(len(truth), budget, replace=False)
             drives = [Drive(int(row), bool(failed[row]), drawn=True) for row in order]
-            for name, predictor in scored.items():
-                predicted = np.array(predictor.predict(drives))
+            for name, predictor in predictors.items():
+                predicted = np.array(predictor(drives))
                 predicted[order] = truth[order]
                 share = (predicted - truth) ** 2 / (DRAWS if budget else 1)
                 errors[budget, name] = errors.get((budget, name), 0.0) + share
@@ -168,9 +143,9 @@ def score(hidden: OutcomeTable, failed: Bools, scored: Mapping[str, Predictor]) 
                     left = ~np.isin(np.arange(len(truth)), order)
                     safe, fails = (one[left] for one in called(predicted))
                     wrong = failed[left]
-                    found = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum(), 1]
                     _, low, high = before.updated(drives).failures(np.flatnonzero(left))
-                    calls[budget] = calls.get(budget, np.zeros(6)) + [*found, low <= wrong.sum() <= high]
+                    counts = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum(), 1]
+                    calls[budget] = calls.get(budget, np.zeros(6)) + [*counts, low <= wrong.sum() <= high]
     return Scored(errors=errors, calls=calls)
 
 
@@ -218,13 +193,13 @@ def cars_of(folder: Path) -> Iterator[tuple[str, OutcomeTable, Bools]]:
         yield car, table.with_twin(car).with_twin(None), table.failed(car)
 
 
-def behind(cars: Sequence[Scored], name: str = MODEL) -> dict[int, float]:
-    """By how much a predictor's mean Brier score lies behind the best simple one's, by budget."""
+def behind(cars: Sequence[Scored]) -> dict[int, float]:
+    """By how much our mean Brier score lies behind the best simple one's, by budget."""
 
     def mean(budget: int, one: str) -> float:
         return float(np.mean([car.errors[budget, one].mean() for car in cars]))
 
-    return {budget: mean(budget, name) - min(mean(budget, one) for one in SIMPLE) for budget in BUDGETS}
+    return {budget: mean(budget, MODEL) - min(mean(budget, one) for one in SIMPLE) for budget in BUDGETS}
 
 
 def main() -> None:
@@ -233,7 +208,6 @@ def main() -> None:
     parser.add_argument("--foreign", type=Path, help="folder of studies that are not shipped")
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
-    scored = predictors()
     studies = sorted(one.parent for one in OURS.glob("*/outcomes.parquet"))
     studies += sorted(one.parent for one in arguments.foreign.glob("*/outcomes.parquet")) if arguments.foreign else []
     rows: list[tuple[Value, ...]] = []
@@ -242,7 +216,7 @@ def main() -> None:
     for folder in studies:
         cars, families = [], []
         for car, hidden, failed in cars_of(folder):
-            cars.append(score(hidden, failed, scored))
+            cars.append(score(hidden, failed))
             families.append(hidden.families)
             prediction = predict(hidden)
             for order in range(HELP_ORDERS):
@@ -257,26 +231,19 @@ def main() -> None:
         for budget in BUDGETS:
             calls.append((folder.name, budget, *map(int, np.sum([car.calls[budget] for car in cars], axis=0))))
         say(f"{folder.name}: {', '.join(f'{k}: {v:+.3f}' for k, v in behind(cars).items())} behind the best simple one")
-    names = ["table", "tests", "cars", "drives", "predictor", "Brier", "low", "high"]
-    of_calls = [
-        "table",
-        "drives",
-        "called safe",
-        "of them fail",
-        "called failing",
-        "of them do not fail",
-        "intervals",
-        "hold",
-    ]
-    of_help = ["table", "car", "drives", "helped", "misled", "open"]
+    said_of_siblings = ("helped", "misled", "open")
     helped: list[tuple[Value, ...]] = [
-        (*key, *(said[*key, answer] for answer in ("helped", "misled", "open")))
-        for key in dict.fromkeys(one[:3] for one in said)
+        (*key, *(said[*key, answer] for answer in said_of_siblings)) for key in dict.fromkeys(one[:3] for one in said)
     ]
-    written = {"predictors": (names, rows), "predictor_calls": (of_calls, calls), "sibling_help": (of_help, helped)}
+    called_as = ("called safe", "of them fail", "called failing", "of them do not fail", "intervals", "hold")
+    scores = ("table", "tests", "cars", "drives", "predictor", "Brier", "low", "high")
     tables = [
-        Table(name=name, title=name, columns=[Column(one) for one in columns], rows=of)
-        for name, (columns, of) in written.items()
+        Table(name=name, title=name, columns=styled("text", *columns), rows=of)
+        for name, columns, of in (
+            ("predictors", scores, rows),
+            ("predictor_calls", ("table", "drives", *called_as), calls),
+            ("sibling_help", ("table", "car", "drives", *said_of_siblings), helped),
+        )
     ]
     write_tables(tables, arguments.out)
 
