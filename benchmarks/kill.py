@@ -21,23 +21,25 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import psutil
 
 from ds_driver.networks.pilot import Frame
 
-CONFIG = """
+DRIVER = "benchmarks.kill:Swerving"
+CONFIG = f"""
 siblings: [bullet, softbody]
 twin: donkey
-driver: {driver}
+driver: {DRIVER}
 seed: 3
 search: {{population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}}
 """
 SIMULATORS, EXECUTIONS = 3, 12
 WHOLE = "undisturbed"
-DRIVER = "benchmarks.kill:Swerving"
 KINDS = ("simulator", "driver", "worker", "orchestrator", "two", "sigterm", "sigint")
 """What to kill: `worker` is all processes of one graph, `two` are any two processes, and the last two are signals to
 the orchestrator."""
@@ -61,33 +63,21 @@ class Swerving:
         return float(frame.image[80:].mean()) / 510.0
 
 
-@dataclass
 class Session:
     """One process of the orchestrator, with all its descendants."""
 
-    folder: Path
-    driver: str
-    workers: int
-    resume: bool = False
-    process: subprocess.Popen[str] = field(init=False)
-    began: float = field(init=False)
-    written: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        config = self.folder.with_suffix(".yaml")
-        config.write_text(CONFIG.format(driver=self.driver))
-        what = (
-            ["resume", str(self.folder), "--trust", self.driver]
-            if self.resume
-            else ["run", str(config), "--out", str(self.folder)]
-        )
+    def __init__(self, folder: Path, workers: int, *, resume: bool = False) -> None:
+        self.folder, self.errors = folder, folder.with_suffix(".err")
+        config = folder.with_suffix(".yaml")
+        config.write_text(CONFIG)
+        words = ["resume", str(folder), "--trust", DRIVER] if resume else ["run", str(config), "--out", str(folder)]
         # Background jobs of a shell ignore SIGINT, and child processes inherit that.
         command = ["env", "--default-signal=INT", sys.executable, "-m", "ds_cli.main"]
-        command += ["campaign", *what, "--workers", str(self.workers)]
+        command += ["campaign", *words, "--workers", str(workers)]
         path = os.pathsep.join(filter(None, (str(Path.cwd()), os.environ.get("PYTHONPATH"))))
-        environment = os.environ | {_MARK: str(self.folder), "PYTHONPATH": path}
+        environment = os.environ | {_MARK: str(folder), "PYTHONPATH": path}
         self.written = self.lines()
-        with self.folder.with_suffix(".err").open("a") as errors:
+        with self.errors.open("a") as errors:
             self.process = subprocess.Popen(
                 command, env=environment, stdout=subprocess.DEVNULL, stderr=errors, text=True, start_new_session=True
             )
@@ -95,8 +85,7 @@ class Session:
 
     def lines(self) -> int:
         """Number of lines of progress written by all sessions."""
-        path = self.folder.with_suffix(".err")
-        return path.read_bytes().count(b"\n") if path.exists() else 0
+        return self.errors.read_bytes().count(b"\n") if self.errors.exists() else 0
 
     def wait_until(self, line: int, delay: float) -> None:
         """Wait until `delay` seconds after a line of this session, or until its end."""
@@ -119,37 +108,32 @@ class Session:
         """Choose processes to kill; the orchestrator if there is currently no process of this kind."""
         me = self.process.pid
         graph = {pid: domain for pid, domain in marked(self.folder).items() if pid != me}
-        lines = {pid: command_line(pid) for pid in graph}  # a process may hold a simulator and its driver
-        parts = {"driver": "ds_driver", "simulator": "simulator:="}
         if kind == "worker" and graph:
             domain = rng.choice(sorted(set(graph.values())))
             return [pid for pid, own in graph.items() if own == domain]
         if kind == "two" and graph:
             return [int(pid) for pid in rng.choice(sorted([me, *graph]), 2, replace=False)]
-        chosen = sorted(pid for pid, line in lines.items() if kind in parts and parts[kind] in line)
+        part = {"driver": "ds_driver", "simulator": "simulator:="}.get(kind)
+        chosen = sorted(pid for pid in graph if part and part in command_line(pid))
         return [int(rng.choice(chosen))] if chosen else [me]
 
 
 def marked(folder: Path) -> dict[int, str]:
     """Running processes that descend from a campaign's command, and the ROS domain of each."""
-    found = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            try:
-                environment = (entry / "environ").read_bytes().decode(errors="replace").split("\0")
-                state = (entry / "stat").read_text().rpartition(")")[2].split()[0]
-            except OSError:
-                continue
-            if f"{_MARK}={folder}" in environment and state != "Z":
-                found[int(entry.name)] = next((v for v in environment if v.startswith("ROS_DOMAIN_ID=")), "")
-    return found
+    domains = {}
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            environment = process.environ()
+            if environment.get(_MARK) == str(folder) and process.status() != psutil.STATUS_ZOMBIE:
+                domains[process.pid] = environment.get("ROS_DOMAIN_ID", "")
+    return domains
 
 
 def command_line(pid: int) -> str:
     """Command line of a process; "" if it has ended."""
     try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-    except OSError:
+        return " ".join(psutil.Process(pid).cmdline())
+    except psutil.Error:
         return ""
 
 
@@ -165,14 +149,10 @@ def stored(folder: Path) -> dict[tuple[str, str], tuple[object, ...]]:
     path = folder / "campaign.sqlite"
     if not path.exists():
         return {}
-    db = sqlite3.connect(path)
-    try:
-        rows = db.execute("SELECT t.road_id, e.* FROM executions e JOIN tests t USING (test_id)").fetchall()
-    except sqlite3.OperationalError:
-        return {}
-    finally:
-        db.close()
-    return {(row[1], row[2]): row for row in rows}
+    query = "SELECT t.road_id, e.* FROM executions e JOIN tests t USING (test_id)"
+    with closing(sqlite3.connect(path)) as db, suppress(sqlite3.OperationalError):
+        return {(row[1], row[2]): row for row in db.execute(query)}
+    return {}
 
 
 def driven(folder: Path) -> Counter[tuple[str, str]]:
@@ -202,7 +182,7 @@ def lines_of(session: Session) -> list[float]:
         now = time.monotonic() - session.began
         times += [now] * (session.lines() - len(times) + 1)
     if session.wait():
-        raise RuntimeError(f"the campaign failed: {session.folder.with_suffix('.err').read_text()[-500:]}")
+        raise RuntimeError(f"the campaign failed: {session.errors.read_text()[-500:]}")
     return [*times, time.monotonic() - session.began]
 
 
@@ -224,26 +204,20 @@ class Report:
 def disturbed(folder: Path, times: list[float], kind: str, workers: int, rng: np.random.Generator) -> Report:
     """Run the campaign, kill processes at a random moment, resume to the end, and look for differences.
 
-    Args:
-        folder: folder of the campaign, beside that of the undisturbed one.
-        times: times of the lines and of the end of the undisturbed campaign, s.
-        kind: one of `KINDS`.
-        workers: number of graphs at the same time.
-        rng: source of the moment and of the process to kill.
+    The campaign's folder is beside that of the undisturbed one, whose lines and end were at `times`, s. The generator
+    gives the moment, and the process to kill.
     """
     moment = float(rng.uniform(times[1], times[EXECUTIONS + 2]))  # first stage's start to last run's end
     line = int(np.searchsorted(times[:-1], moment, side="right")) - 1
     report = Report(line, moment - times[line], kind, workers)
-    session = Session(folder, DRIVER, workers)
+    session = Session(folder, workers)
     session.wait_until(report.line, report.delay)
     victims = session.victims(kind, rng)
     report.killed = ", ".join(sorted(name_of(pid, session.process.pid) for pid in victims))
     number = {"sigterm": signal.SIGTERM, "sigint": signal.SIGINT}.get(kind, signal.SIGKILL)
     for pid in victims:
-        try:
+        with suppress(ProcessLookupError):
             os.kill(pid, number)
-        except ProcessLookupError:
-            report.killed += " (had ended)"
     before = stored(folder)
     report.kept = len(before)
     status = session.wait() if session.process.pid not in victims else session.process.wait(ORPHAN_TIME)
@@ -253,7 +227,7 @@ def disturbed(folder: Path, times: list[float], kind: str, workers: int, rng: np
         report.problems.append(f"status {status}")
     while status and report.sessions < SESSIONS:
         report.sessions += 1
-        status = Session(folder, DRIVER, workers, resume=bool(before)).wait()
+        status = Session(folder, workers, resume=bool(before)).wait()
     if status:
         report.problems.append(f"final status {status}")
     if left := processes_left(folder):
@@ -276,10 +250,10 @@ def name_of(pid: int, orchestrator: int) -> str:
 def differences(folder: Path, whole: Path, before: dict[tuple[str, str], tuple[object, ...]]) -> list[str]:
     """Differences from the undisturbed campaign, and from the store at the moment of the kill."""
     problems = []
-    found, expected = results(folder), results(whole)
-    for name in sorted(found.keys() | expected.keys()):
-        if found.get(name) != expected.get(name):
-            what = "missing" if name not in found else "left over" if name not in expected else "different"
+    ours, expected = results(folder), results(whole)
+    for name in sorted(ours.keys() | expected.keys()):
+        if ours.get(name) != expected.get(name):
+            what = "missing" if name not in ours else "left over" if name not in expected else "different"
             problems.append(f"{name} {what}")
     after, reference = stored(folder), stored(whole)
     if after != reference or len(reference) != EXECUTIONS:
@@ -288,8 +262,7 @@ def differences(folder: Path, whole: Path, before: dict[tuple[str, str], tuple[o
         )
     problems += [f"{'/'.join(key)} changed" for key, row in before.items() if after.get(key) != row]
     runs = driven(folder)
-    twice = [key for key, row in before.items() if runs[(key[1], str(row[0]))] != 1]
-    problems += [f"{'/'.join(key)} was kept and driven {runs[(key[1], str(before[key][0]))]} times" for key in twice]
-    errors = folder.with_suffix(".err").read_text()
-    problems += ["a traceback"] * ("Traceback" in errors)
-    return problems
+    for (test, simulator), (road, *_) in before.items():
+        if (times := runs[simulator, str(road)]) != 1:
+            problems.append(f"{test}/{simulator} was kept and driven {times} times")
+    return [*problems, "a traceback"] if "Traceback" in folder.with_suffix(".err").read_text() else problems

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.kill import (
-    DRIVER,
     EXECUTIONS,
     KINDS,
     WHOLE,
@@ -46,8 +45,8 @@ def campaigns(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[floa
         Their folder; the seconds at which the first printed its lines; the ROS domains of each.
     """
     folder = tmp_path_factory.mktemp("kill")
-    two = Session(folder / "two", DRIVER, 2)
-    one = Session(folder / WHOLE, DRIVER, 1)
+    two = Session(folder / "two", 2)
+    one = Session(folder / WHOLE, 1)
     domains: list[set[str]] = [set(), set()]
 
     def watch() -> None:
