@@ -20,7 +20,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -55,12 +54,13 @@ SEGMENTS = 3
 
 
 class ChangedVehicle(Vehicle):
-    """Vehicle on worse tyres, or whose steering follows with a first-order lag."""
+    """Vehicle on worse tyres, whose steering follows with a first-order lag, or whose commands are late (both in s)."""
 
     conditions = VEHICLE_CONDITIONS
 
-    def __init__(self, vehicle: Vehicle, grip: float = 1.0, lag: float = 0.0) -> None:
-        self._vehicle, self._grip, self._lag, self._steering = vehicle, grip, lag, 0.0
+    def __init__(self, vehicle: Vehicle, *, grip: float = 1.0, lag: float = 0.0, delay: float = 0.0) -> None:
+        self._vehicle, self._grip, self._lag = vehicle, grip, lag
+        self.command_delay = delay
 
     def adjust(self, *, friction: float, payload: float) -> None:
         """Change grip and load for the runs to come."""
@@ -69,10 +69,13 @@ class ChangedVehicle(Vehicle):
     def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
         """Build the physics from scratch."""
         self._steering = 0.0
+        self._sent = deque([Command(0.0, 0.0)] * round(self.command_delay / FRAME_TIME))
         self._vehicle.reset(x, y, yaw, rng)
 
     def advance(self, command: Command) -> None:
         """Advance by one step."""
+        self._sent.append(command)
+        command = self._sent.popleft()
         share = 1.0 if not self._lag else min(FRAME_TIME / self._lag, 1.0)
         self._steering += share * (command.steering - self._steering)
         self._vehicle.advance(Command(min(max(self._steering, -1.0), 1.0), command.throttle))
@@ -87,24 +90,9 @@ class ChangedVehicle(Vehicle):
 
 
 class LateVehicle(ChangedVehicle):
-    """Vehicle that receives its commands late by whole frames."""
+    """One whose delay may be exchanged."""
 
     delays_commands = True
-
-    def __init__(self, vehicle: Vehicle, seconds: float) -> None:
-        super().__init__(vehicle)
-        self.command_delay = seconds
-        self._sent = deque[Command]()
-
-    def reset(self, x: float, y: float, yaw: float, rng: np.random.Generator) -> None:
-        """Build the physics from scratch."""
-        self._sent = deque([Command(0.0, 0.0)] * round(self.command_delay / FRAME_TIME))
-        super().reset(x, y, yaw, rng)
-
-    def advance(self, command: Command) -> None:
-        """Advance by one step."""
-        self._sent.append(command)
-        super().advance(self._sent.popleft())
 
 
 class MadeCar(RoadSimulator):
@@ -129,7 +117,7 @@ class MadeCar(RoadSimulator):
         elif plant == "lagging":
             vehicle = ChangedVehicle(vehicle, lag=strength)
         elif plant == "late_commands":
-            vehicle = LateVehicle(vehicle, strength)
+            vehicle = LateVehicle(vehicle, delay=strength)
         else:
             camera = replace(camera, latency=round(strength))
         super().__init__(replace(spec, camera=camera, look=look), vehicle)
@@ -157,11 +145,25 @@ class MadeExperiment(Experiment):
 
     Attributes:
         base: simulator that was changed.
-        planted: its changed part.
+        plant: its change, of `PLANTS`.
+        strength: of the change.
     """
 
     base: SimulatorName
-    planted: str
+    plant: str
+    strength: float
+
+    @property
+    def planted(self) -> str:
+        """The changed part."""
+        return PLANTS[self.plant][0]
+
+    @classmethod
+    def on(cls, test: Test, base: SimulatorName, plant: str, strength: float) -> MadeExperiment:
+        """Exchange the parts of a made car."""
+        name, against = made_name(base, plant, strength), AGAINST[base]
+        parts = {" and ".join(parts): parts for parts in differing_parts(exchangeable(against), exchangeable(name))}
+        return cls(test=test, fails=name, against=against, base=base, plant=plant, strength=strength, parts=parts)
 
     def drive(self, of_failing: Subset) -> tuple[SimulatorName, Test]:
         """Simulator and test of a drive; see `Experiment`."""
@@ -170,15 +172,7 @@ class MadeExperiment(Experiment):
         return name, self.test
 
 
-class Pair(NamedTuple):
-    """A road on which a made car fails."""
-
-    plant: str
-    strength: float
-    experiment: MadeExperiment
-
-
-def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
+def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[MadeExperiment]:
     """Find the pairs: on the first roads that the simulators as they were complete, drive every made car."""
     tests = [
         Test(f"road-0-{k:04d}", scenario) for k, scenario in enumerate(candidate_roads(roads, 1, segments=SEGMENTS))
@@ -191,52 +185,35 @@ def pairs(roads: int, settings: DriveSettings, folder: Path) -> list[Pair]:
     failed = failed_on(dict.fromkeys(AGAINST, tests), "as_they_were")
     tests = [test for test in tests if not any((test.test_id, base) in failed for base in AGAINST)][:roads]
     keys = [(test, base, plant) for test in tests for base in AGAINST for plant in PLANTS]
-    found: dict[tuple[Test, SimulatorName, str], float] = {}
+    strengths: dict[tuple[Test, SimulatorName, str], float] = {}
     for stage in range(2):
-        left = {key: PLANTS[key[2]][1][stage] for key in keys if key not in found}
+        left = {key: PLANTS[key[2]][1][stage] for key in keys if key not in strengths}
         work: dict[SimulatorName, list[Test]] = {}
         for (test, base, plant), strength in left.items():
             work.setdefault(made_name(base, plant, strength), []).append(test)
         failed = failed_on(work, f"made_{stage}")
-        found |= {
+        strengths |= {
             (test, base, plant): strength
             for (test, base, plant), strength in left.items()
             if (test.test_id, made_name(base, plant, strength)) in failed
         }
-    print(f"{len(found)} of {len(keys)} made cars fail on {len(tests)} roads", flush=True)
-    return [
-        Pair(plant, found[test, base, plant], _experiment(test, base, plant, found[test, base, plant]))
-        for test, base, plant in keys
-        if (test, base, plant) in found
-    ]
+    print(f"{len(strengths)} of {len(keys)} made cars fail on {len(tests)} roads", flush=True)
+    return [MadeExperiment.on(*key, strengths[key]) for key in keys if key in strengths]
 
 
-def _experiment(test: Test, base: SimulatorName, plant: str, strength: float) -> MadeExperiment:
-    name, against = made_name(base, plant, strength), AGAINST[base]
-    parts = {" and ".join(parts): parts for parts in differing_parts(exchangeable(against), exchangeable(name))}
-    return MadeExperiment(
-        test=test,
-        fails=SimulatorName(name),
-        against=SimulatorName(against),
-        base=base,
-        planted=PLANTS[plant][0],
-        parts=parts,
-    )
-
-
-def row(pair: Pair, found: Explanation) -> dict[str, object]:
+def row(pair: MadeExperiment, explained: Explanation) -> dict[str, object]:
     """Describe one pair."""
-    planted = pair.experiment.planted
+    largest = next(iter(explained.shares), "")
     return {
-        "test": found.test_id,
-        "base": pair.experiment.base,
+        "test": explained.test_id,
+        "base": pair.base,
         "plant": pair.plant,
         "strength": pair.strength,
-        "planted": planted,
-        "repeats": found.repeats,
-        "largest": next(iter(found.shares), ""),
-        "shares": found.shares,
-        "recovered": next(iter(found.shares), "") == planted,
+        "planted": pair.planted,
+        "repeats": explained.repeats,
+        "largest": largest,
+        "shares": explained.shares,
+        "recovered": largest == pair.planted,
     }
 
 
@@ -253,9 +230,8 @@ def main() -> None:
         siblings=(), driver=DriverName.parse(options.driver), gates="none", workers=options.workers
     )
     chosen = pairs(options.roads, settings, options.out / "made_cars")
-    experiments = [pair.experiment for pair in chosen]
-    found = drive_experiments(experiments, settings, options.out / "exchanges", Callbacks())
-    rows = [row(pair, pair.experiment.explained(found)) for pair in chosen]
+    results = drive_experiments(chosen, settings, options.out / "exchanges", Callbacks())
+    rows = [row(pair, pair.explained(results)) for pair in chosen]
     (options.out / "result.json").write_text(json.dumps(rows, indent=1) + "\n")
     for plant in (*PLANTS, ""):
         of = [one for one in rows if plant in ("", one["plant"])]
