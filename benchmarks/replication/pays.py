@@ -93,11 +93,9 @@ def _r(values: Array, truth: Array, filled: Array) -> Array:
     """Pearson's r over the filled cells of each resample; NaN if constant."""
     weights = filled / filled.sum(axis=1, keepdims=True)
     one, other = (x - (weights * x).sum(axis=1, keepdims=True) for x in (values, truth))
+    squares = (weights * one**2).sum(axis=1) * (weights * other**2).sum(axis=1)
     with np.errstate(invalid="ignore"):
-        return np.asarray(
-            (weights * one * other).sum(axis=1)
-            / np.sqrt((weights * one**2).sum(axis=1) * (weights * other**2).sum(axis=1))
-        )
+        return np.asarray((weights * one * other).sum(axis=1) / np.sqrt(squares))
 
 
 def main() -> None:
@@ -106,26 +104,20 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("docs/data/when_product_pays.csv"))
     arguments = parser.parse_args()
     tables = [*(TABLES / f"{name}.parquet" for name in NETWORKS), *filter(Path.exists, map(third_table, NETWORKS))]
-    found = [case for table in tables for case in cases_of(table)]
+    cases = [case for table in tables for case in cases_of(table)]
     with arguments.out.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         heads = ["campaign", "twin", "sibling", "other sibling", "sibling's rate", "other's rate", "twin's rate"]
         of_gains = [f"{operator}, {end}" for operator in OPERATORS for end in ("gain", "low", "high")]
         writer.writerow([*heads, "case", "stated", "r of the better", *of_gains])
-        for one in found:
+        for one in cases:
             numbers = [one.better, *(value for operator in OPERATORS for value in one.gains[operator])]
             campaign, *simulators = one.key
             base = campaign.removesuffix(f"_{THIRD}")
-            row = [
-                campaign.replace(base, title_of(base)),
-                *simulators,
-                *(f"{rate:.4f}" for rate in one.rates),
-                one.case,
-                one.stated,
-            ]
-            writer.writerow([*row, *(f"{value:z.4f}" for value in numbers)])
+            head = [campaign.replace(base, title_of(base)), *simulators, *(f"{rate:.4f}" for rate in one.rates)]
+            writer.writerow([*head, one.case, one.stated, *(f"{value:z.4f}" for value in numbers)])
     for case in reversed(BY_RATES):
-        of_case = [one for one in found if one.case == case]
+        of_case = [one for one in cases if one.case == case]
         right = sum(one.stated == case for one in of_case)
         wrong = sum(one.stated not in (case, "drive") for one in of_case)
         row = [case, str(len(of_case)), f"{right}, {wrong}"]

@@ -93,12 +93,7 @@ def write_table(data: CampaignData, path: Path) -> None:
 
 
 def restore(table: Path, folder: Path) -> None:
-    """Write the store of a campaign without gates from a table that `write_table` wrote.
-
-    Args:
-        table: one of docs/data.
-        folder: campaign folder, created if missing.
-    """
+    """Write the store of a campaign without gates from a table of docs/data; creates the folder if missing."""
     content = pq.read_table(table)
     notes = {key.decode(): value.decode() for key, value in content.schema.metadata.items()}
     config = json.loads(notes["config"])
@@ -110,19 +105,8 @@ def restore(table: Path, folder: Path) -> None:
             road, conditions = road_from_json(json.loads(row["road"])), parse_conditions(row["conditions"])
             origin = Origin(row["sibling"], row["run"], row["number"])
             store.add_test(Test(row["test_id"], Scenario(road, conditions, seed=row["seed"]), origin))
-            execution = Execution(
-                test_id=row["test_id"],
-                simulator=row["simulator"],
-                outcome=Outcome[row["outcome"]],
-                message=row["message"] or "",
-                fitness=row["fitness"],
-                max_lateral_position=row["max_lateral_position"],
-                steps=row["steps"],
-                simulated_seconds=row["simulated_seconds"],
-                trajectory_sha256=row["trajectory_sha256"],
-                drive=NO_DRIVE,
-            )
-            store.add_execution(execution)
+            driven = {name: row[name] for name in ("test_id", "simulator", *_DRIVE)} | {"message": row["message"] or ""}
+            store.add_execution(Execution(**driven, outcome=Outcome[row["outcome"]], drive=NO_DRIVE))
 
 
 def read(table: Path) -> CampaignData:

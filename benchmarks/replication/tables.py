@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -36,6 +36,7 @@ from ds_base.palette import SERIES as GROUPS
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
+from ds_orchestrator.store.model import Test
 from ds_sim import SimulatorName
 from ds_sim.camera.encodings import png
 from ds_sim.registry import NO_SIMULATOR, PANDA
@@ -92,14 +93,16 @@ def third_table(network: str) -> Path:
 
 def of_runs(data: CampaignData, runs: Collection[int]) -> CampaignData:
     """The tests of some runs of every sibling's search."""
-    tests = tuple(test for test in data.tests if test.run in runs)
-    ids = {test.test_id for test in tests}
-    return replace(data, tests=tests, executions=tuple(one for one in data.executions if one.test_id in ids))
+    return _chosen(data, lambda test: test.run in runs)
 
 
 def with_tests(data: CampaignData, most: int) -> CampaignData:
     """The first tests of every run, as a search of fewer iterations makes them."""
-    tests = tuple(test for test in data.tests if test.number < most)
+    return _chosen(data, lambda test: test.number < most)
+
+
+def _chosen(data: CampaignData, is_chosen: Callable[[Test], bool]) -> CampaignData:
+    tests = tuple(filter(is_chosen, data.tests))
     ids = {test.test_id for test in tests}
     return replace(data, tests=tests, executions=tuple(one for one in data.executions if one.test_id in ids))
 
@@ -113,17 +116,13 @@ def is_complete(data: CampaignData) -> bool:
 def scores_of(maps: Mapping[MapId, FeatureMap], config: CampaignConfig) -> dict[str, dict[str, Score]]:
     """Question -> role -> score."""
     assert config.twin
-    found = evaluate(maps, config.siblings, config.twin)
-    return {
-        question: {
-            role_of(one.map.simulator, config.siblings): Score(
-                np.nan if one.r is None else one.r, np.nan if one.auc is None else one.auc
-            )
-            for one in found
-            if one.value == value
-        }
-        for question, (value, _) in QUESTIONS.items()
-    }
+    scores: dict[str, dict[str, Score]] = {question: {} for question in QUESTIONS}
+    for one in evaluate(maps, config.siblings, config.twin):
+        for question, (value, _) in QUESTIONS.items():
+            if one.value == value:
+                score = Score(*(np.nan if number is None else number for number in (one.r, one.auc)))
+                scores[question][role_of(one.map.simulator, config.siblings)] = score
+    return scores
 
 
 def over_runs(values: Sequence[float]) -> tuple[float, float, float]:
@@ -160,19 +159,19 @@ def _computed_otherwise(driven: Driven, main: dict[str, dict[str, Score]]) -> It
     """The merged map minus the better sibling as the authors' package computes them, and with every operator."""
     data = driven.data
     assert data.config.twin
-    found: dict[tuple[str, str, str], dict[str, float]] = {}
+    scores: dict[tuple[str, str, str], dict[str, float]] = {}
     for check in check_robustness(driven.maps, data.config.siblings, data.config.twin):
         question = next(question for question, (value, _) in QUESTIONS.items() if value == check.value)
         for measure, score in (("r", None if check.what.startswith("AUC") else check.r), ("auc", check.auc)):
             if check.against == MapId.twin(data.config.twin) and score is not None:
                 role = role_of(check.map.simulator, data.config.siblings)
-                found.setdefault((question, measure, check.what), {})[role] = score
+                scores.setdefault((question, measure, check.what), {})[role] = score
     only_elites = data.config.model_copy(update={"migration": "elites"})
     elites = scores_of(maps_of(replace(data, config=only_elites)), only_elites)
     for question, measure in product(QUESTIONS, Score._fields):
         by_role = {role: getattr(elites[question][role], measure) for role in ROLES}
-        found[question, measure, "only the elites of each run (maxitwo)"] = by_role
-    for (question, measure, what), by_role in found.items():
+        scores[question, measure, "only the elites of each run (maxitwo)"] = by_role
+    for (question, measure, what), by_role in scores.items():
         if "DSS" in by_role:  # operators change the merged map only
             better = max(by_role.get(role, getattr(main[question][role], measure)) for role in ("DS1", "DS2"))
             yield (question, f"{measure}: {what}", BETTER), (np.nan, by_role["DSS"] - better, *UNDEFINED)
@@ -202,17 +201,17 @@ def _counts(driven: Driven) -> Iterator[Row]:
     merged, truth = driven.maps[MapId.merged()].cells, driven.maps[MapId.twin(SimulatorName(twin))].cells
     fails = {cell for cell, value in truth.items() if value.probability > 0}
     alarms = {cell for cell, value in merged.items() if value.probability > 0}
-    found = {"failing on the twin": fails, "on the twin": truth, "alarms": alarms, "false alarms": alarms - fails}
-    for who, of_these in found.items():
+    cells = {"failing on the twin": fails, "on the twin": truth, "alarms": alarms, "false alarms": alarms - fails}
+    for who, of_these in cells.items():
         yield ("counts", "cells", who), (np.nan, len(of_these), *UNDEFINED)
 
 
 SCALE = LinearSegmentedColormap.from_list("maps", [PASS, BETWEEN, FAIL])
 
 
-def _draw_map(found: FeatureMap, axes: Axes, title: str) -> AxesImage:
+def _draw_map(drawn: FeatureMap, axes: Axes, title: str) -> AxesImage:
     """Draw the failure probabilities of a map of turns and curvature."""
-    (turns, curvature), values = zip(*found.cells, strict=True), found.cells.values()
+    (turns, curvature), values = zip(*drawn.cells, strict=True), drawn.cells.values()
     grid = np.full((max(curvature) + 1, max(turns) + 1), np.nan)
     grid[curvature, turns] = [cell.probability for cell in values]
     extent = (-0.5, max(turns) + 0.5, -0.005, max(curvature) / 100 + 0.005)
@@ -264,8 +263,8 @@ def draw_claims(networks: Sequence[str], cells: Mapping[tuple[str, ...], tuple[f
         figure.suptitle("Merging minus a sibling: below 0, the merged map predicts the twin worse", x=0.01, ha="left")
         panels = figure.subplots(1, len(CLAIMS), sharey=True)
         for (question, measure, who), axes in zip(CLAIMS, panels, strict=True):
-            found = np.array([cells[network, question, measure, who] for network in networks])
-            paper, ours, _, low, high = found.T
+            rows = np.array([cells[network, question, measure, who] for network in networks])
+            paper, ours, _, low, high = rows.T
             places = np.arange(len(networks))
             axes.axvline(0.0, color="black", linewidth=0.8)
             axes.hlines(places, low, high, color=GROUPS[0], linewidth=2.0, label="95% interval over five runs")
@@ -311,13 +310,8 @@ def main() -> None:
                     cells |= {(name, *key): values for key, values in _counts(Driven(run, (run,)))}
         for (network, *key), values in cells.items():
             base, comma, part = network.partition(",")
-            writer.writerow(
-                [
-                    f"{title_of(base)}{comma}{part}",
-                    *key,
-                    *("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values),
-                ]
-            )
+            numbers = ("" if np.isnan(one) else one if isinstance(one, int) else f"{one:.3f}" for one in values)
+            writer.writerow([f"{title_of(base)}{comma}{part}", *key, *numbers])
     (arguments.pictures / "replication_maps.png").write_bytes(png(draw_maps(drawn)))
     (arguments.pictures / "idea.png").write_bytes(png(draw_idea(SHOWN, drawn[SHOWN])))
     (arguments.pictures / "replication_claims.png").write_bytes(png(draw_claims(list(drawn), cells)))

@@ -35,11 +35,11 @@ def main() -> None:
         here = data.config.model_copy(update={"engine": "local", "workers": arguments.workers})
         settings = replace(here.drive_settings(), siblings=(THIRD,), twin=None)
         progress = Callbacks(listen=ScreenListener)
-        found = drive_tests(settings, {THIRD: data.tests}, arguments.folder / network, progress)
+        results = drive_tests(settings, {THIRD: data.tests}, arguments.folder / network, progress)
         config = here.model_copy(update={"siblings": [*here.siblings, THIRD]})
-        driven = replace(data, config=config, executions=(*data.executions, *found.executions.values()))
+        driven = replace(data, config=config, executions=(*data.executions, *results.executions.values()))
         write_table(driven, table)
-        print(f"{network}: {len(found.executions)} of {len(data.tests)} tests driven on {THIRD}")
+        print(f"{network}: {len(results.executions)} of {len(data.tests)} tests driven on {THIRD}")
 
 
 if __name__ == "__main__":
