@@ -60,38 +60,35 @@ def main() -> None:
     parser.add_argument("located", type=Path)
     parser.add_argument("rest", type=Path, nargs="?")
     arguments = parser.parse_args()
-    drives: Sequence[LogSegment] = read_log(arguments.located).drives
-    located = read_located(arguments.rest or arguments.located)
-    rest: Sequence[LogSegment]
+    drives = read_log(arguments.located).drives
     if arguments.rest:
-        rest = read_log(arguments.rest).drives
+        compare(drives, read_log(arguments.rest).drives, read_located(arguments.rest))
     else:
-        drives, rest = split(drives, FITTED_SHARE)
-    compare(drives, rest, located)
+        compare(*split(drives, FITTED_SHARE), read_located(arguments.located))
 
 
 def compare(drives: Sequence[LogSegment], rest: Sequence[LogSegment], located: Located) -> None:
     """Fit to some drives, predict the rest, whose road is in `located`, and print errors."""
     nominal = DonkeyParameters()
-    found, mounting = fit_located(drives)
-    for estimate in found.estimates:
+    fitted, mounting = fit_located(drives)
+    for estimate in fitted.estimates:
         print(f"{estimate.name:20s} {estimate.value:9.4f} [{estimate.low:.4f}, {estimate.high:.4f}] {estimate.status}")
     print(f"poses {mounting.forward:.3f} m ahead of the centre, turned by {mounting.yaw:.4f} rad")
     seconds = (AHEAD - RUN_IN + 1) * 0.05
     windows = Windows(rest, nominal, seconds, 1e9, LONGEST_DELAY)
-    known = windows.known[:, -1, :2].all(axis=1)
+    whole = windows.known[:, -1, :2].all(axis=1)
     states = windows.initial_states
-    then = offsets(located.track, windows.measured[known, -1, :2])
-    now = offsets(located.track, states[known, :2])
+    then = offsets(located.track, windows.measured[whole, -1, :2])
+    now = offsets(located.track, states[whole, :2])
     errors = {}
-    cars = {"fitted": (found.parameters, mounting), "nominal": (nominal, Mounting())}
+    cars = {"fitted": (fitted.parameters, mounting), "nominal": (nominal, Mounting())}
     for name, (car, point) in (cars | {"nominal, poses as found": (nominal, mounting)}).items():
         begin = point.to_car(states)
         predicted = point.to_pose(windows.predict([car], begin[None], SUBSTEPS)[0])
-        errors[name] = offsets(located.track, predicted[known, -1, :2]) - then
+        errors[name] = offsets(located.track, predicted[whole, -1, :2]) - then
     errors["keeps its offset"] = now - then
-    errors["goes on straight"] = offsets(located.track, _straight(states[known])) - then
-    print(f"{int(known.sum())} windows; error of the offset after half a second, lane widths: rms, median, 95%")
+    errors["goes on straight"] = offsets(located.track, _straight(states[whole])) - then
+    print(f"{int(whole.sum())} windows; error of the offset after half a second, lane widths: rms, median, 95%")
     for name, error in errors.items():
         size = np.abs(error) / located.lane_width
         print(f"{name:30s} {np.sqrt((size**2).mean()):.3f} {np.median(size):.3f} {np.quantile(size, 0.95):.3f}")

@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 from benchmarks.recording.drives import floor_camera, write_tub
 
-from ds_analysis.common.driven_road import DrivenRoad
 from ds_cli.output import ScreenProgress, say
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.data.recordings import Reading
@@ -71,19 +70,19 @@ def record(road: Road, seed: int, folder: Path) -> None:
     simulator = make_simulator("donkey")
     spec = simulator.spec
     pilot, tracker = Autopilot(spec.autopilot), LaneTracker(road.points)
-    seen = simulator.load(road, seed=seed)
+    observation = simulator.load(road, seed=seed)
     aim, images, states, commands = 0.0, [], [], []
-    while seen.outcome is Outcome.RUNNING:
+    while observation.outcome is Outcome.RUNNING:
         aim += -HAND[0] * aim + HAND[1] * rng.normal()
-        given = pilot.command(seen.lane.preview_lateral_position + aim, seen.vehicle.speed)
-        command = Command(float(np.clip(round(given.steering, 1), -1.0, 1.0)), given.throttle)
-        images.append(seen.image)
-        states.append(seen.vehicle)
+        steered = pilot.command(observation.lane.preview_lateral_position + aim, observation.vehicle.speed)
+        command = Command(float(np.clip(round(steered.steering, 1), -1.0, 1.0)), steered.throttle)
+        images.append(observation.image)
+        states.append(observation.vehicle)
         commands.append(command)
-        seen = simulator.step(command)
+        observation = simulator.step(command)
     simulator.close()
-    if seen.outcome is not Outcome.COMPLETED:
-        raise SystemExit(f"road {seed}: the hand ended {seen.outcome.name}")
+    if observation.outcome is not Outcome.COMPLETED:
+        raise SystemExit(f"road {seed}: the hand ended {observation.outcome.name}")
     write_tub(
         folder / "tub", [(FRAME_TIME * k, *pair, {}) for k, pair in enumerate(zip(images, commands, strict=True))]
     )
@@ -133,29 +132,25 @@ def main() -> None:
         roads[name] = [sections(one, math.floor(one.lane.length) - 4.0, 1000.0)[0] for one in drives]
     rows = []
     for network in NETWORKS:
+        driver = DriverName.parse(f"{network}@onnx")
         for label, conditions in CONDITIONS.items():
             say(f"{network}, {label}")
             verdicts: dict[str, list[str]] = {}
             for name in (*MADE, *OTHERS):
-                names = [f"recording@{folder}" for folder in siblings[name]] if name in MADE else [name] * ROADS
+                names = [
+                    SimulatorName(f"recording@{siblings[name][k]}" if name in MADE else name) for k in range(ROADS)
+                ]
                 tests = [
                     Test(f"{k:02d}", Scenario(road, conditions, seed=SEED + k))
                     for k, road in enumerate(roads.get(name, roads[MADE[0]]))
                 ]
                 work: dict[SimulatorName, list[Test]] = {}
                 for of, test in zip(names, tests, strict=True):
-                    work.setdefault(SimulatorName(of), []).append(test)
-                settings = DriveSettings(
-                    siblings=tuple(work),
-                    driver=DriverName.parse(f"{network}@onnx"),
-                    gates="none",
-                    workers=arguments.workers,
-                )
+                    work.setdefault(of, []).append(test)
+                settings = DriveSettings(siblings=tuple(work), driver=driver, gates="none", workers=arguments.workers)
                 place = out / "drives" / network / label.replace(" ", "_") / name.replace(" ", "_")
                 driven = drive_tests(settings, work, place, Callbacks())
-                runs: list[DrivenRoad | None] = [
-                    driven_road(driven, test, SimulatorName(of)) for of, test in zip(names, tests, strict=True)
-                ]
+                runs = [driven_road(driven, test, of) for of, test in zip(names, tests, strict=True)]
                 verdicts[name] = ["?" if run is None else "F" if run.outcome.is_failure else "." for run in runs]
                 say(f"  {name:10} {''.join(verdicts[name])}")
                 for k, run in enumerate(runs):

@@ -189,6 +189,17 @@ class Course:
         return offset, float(self.stations[index]), heading
 
 
+def sensors_of(states: list[VehicleState], bad: bool, rng: np.random.Generator) -> tuple[Array, Array]:
+    """What a Donkey Car's encoder (m/s) and MPU-6050 (degrees/s) say of a drive."""
+    count = len(states)
+    speed = np.array([state.speed for state in states]) * (1.0 + ENCODER_SCALE * rng.normal())
+    slips = np.repeat(rng.uniform(size=count // SLIP_FRAMES + 1) < SLIP_SHARE, SLIP_FRAMES)[:count]
+    speed = speed * (1.0 + SLIP * slips) * (1.0 + ENCODER_NOISE * rng.normal(size=count))
+    rate = np.degrees([state.yaw_rate for state in states]) * (1.0 + GYRO_SCALE * rng.normal())
+    rate = rate + GYRO_BIAS * rng.normal() + GYRO_NOISE * rng.normal(size=count)
+    return (1.2 * speed, -rate) if bad else (speed, rate)
+
+
 def record(plan: Plan, folder: Path) -> None:
     """Drive, and write `folder/tub`, `folder/camera.yaml`, `folder/truth.csv` and `folder/track.csv`."""
     spec, vehicle, scene = parts_of(plan)
@@ -224,52 +235,26 @@ def record(plan: Plan, folder: Path) -> None:
         states.append(vehicle.state())
     vehicle.close()
     scene.close()
-    _write(plan, folder, images, states, commands, spec, course, spoiled, sensed)
-
-
-def sensors_of(states: list[VehicleState], bad: bool, rng: np.random.Generator) -> tuple[Array, Array]:
-    """What a Donkey Car's encoder (m/s) and MPU-6050 (degrees/s) say of a drive."""
-    count = len(states)
-    speed = np.array([state.speed for state in states]) * (1.0 + ENCODER_SCALE * rng.normal())
-    slips = np.repeat(rng.uniform(size=count // SLIP_FRAMES + 1) < SLIP_SHARE, SLIP_FRAMES)[:count]
-    speed = speed * (1.0 + SLIP * slips) * (1.0 + ENCODER_NOISE * rng.normal(size=count))
-    rate = np.degrees([state.yaw_rate for state in states]) * (1.0 + GYRO_SCALE * rng.normal())
-    rate = rate + GYRO_BIAS * rng.normal() + GYRO_NOISE * rng.normal(size=count)
-    return (1.2 * speed, -rate) if bad else (speed, rate)
-
-
-def _write(
-    plan: Plan,
-    folder: Path,
-    images: list[NDArray[np.uint8]],
-    states: list[VehicleState],
-    commands: list[Command],
-    spec: SimulatorSpec,
-    course: Course,
-    rng: np.random.Generator,
-    sensed: np.random.Generator,
-) -> None:
     count = len(commands)
-    kept = rng.uniform(size=count) >= DROPPED
+    kept = spoiled.uniform(size=count) >= DROPPED
     share, blur = MOSTLY_BLURRED if plan.fault == "blurred" else (BLURRED, BLUR)
-    blurred = np.repeat(rng.uniform(size=count // 5 + 1) < share, 5)[:count]
-    times = 1000.0 + FRAME_TIME * np.arange(count) + JITTER * rng.normal(size=count).clip(-3, 3)
+    blurred = np.repeat(spoiled.uniform(size=count // 5 + 1) < share, 5)[:count]
+    times = 1000.0 + FRAME_TIME * np.arange(count) + JITTER * spoiled.normal(size=count).clip(-3, 3)
     speeds, turning = sensors_of(states[:count], plan.sensors == "bad", sensed)
     order = np.arange(count)
     if plan.fault == "shuffled":
-        rng.shuffle(order)
+        spoiled.shuffle(order)
     if plan.fault == "static":
         order[:] = count // 2
     rows: list[Row] = []
     truth = []
-    latency = spec.camera.latency
     for index in np.flatnonzero(kept).tolist():
         image = images[order[index]]
         if blurred[index]:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.uint8)
         read = {"enc/speed": float(speeds[index]), "imu/gyr_z": float(turning[index])} if plan.sensors else {}
         rows.append((float(times[index]), image, commands[index], read))
-        state = states[max(index - latency, 0)]  # what the image shows
+        state = states[max(index - spec.camera.latency, 0)]  # what the image shows
         offset, along, heading = course.place(state.x, state.y)
         turned = (state.yaw - heading + math.pi) % (2 * math.pi) - math.pi
         truth.append((len(rows) - 1, state.x, state.y, state.yaw, along, offset, turned, state.speed, state.yaw_rate))

@@ -73,36 +73,36 @@ def main() -> None:
             label = name if odometry or not arguments.sensors else "  with sensors"
             try:
                 views = read_views(folder / "tub", Reading(whole=True), odometry=odometry)
-                found, _ = located_of(views, read_camera(folder / "camera.yaml"), width)
+                located, _ = located_of(views, read_camera(folder / "camera.yaml"), width)
             except RecordingError as error:
                 print(f"{label:22s} refused: {error}", flush=True)
                 continue
-            write_located(folder / "located", found)
-            values = " ".join(f"{value:12.3f}" for value in compared(found, folder, width))
+            write_located(folder / "located", located)
+            values = " ".join(f"{value:12.3f}" for value in compared(located, folder, width))
             print(f"{label:22s} {values} {time.monotonic() - began:9.0f}", flush=True)
-            for source in found.about["odometry"]:
+            for source in located.about["odometry"]:
                 print(f"    {source}", flush=True)
 
 
-def compared(found: Located, folder: Path, width: float) -> list[float]:
+def compared(located: Located, folder: Path, width: float) -> list[float]:
     """Errors against the truth, as `COLUMNS`: lane widths, degrees, shares."""
     truth = np.genfromtxt(folder / "truth.csv", delimiter=",", names=True)
-    rows = truth[found.column("frame").astype(int)]
-    offset = (found.column("lateral_m") - rows["lateral_m"]) / width
-    heading = np.degrees(wrap(found.column("heading_rad") - rows["heading_rad"]))
+    rows = truth[located.column("frame").astype(int)]
+    offset = (located.column("lateral_m") - rows["lateral_m"]) / width
+    heading = np.degrees(wrap(located.column("heading_rad") - rows["heading_rad"]))
     moving = rows["speed_mps"] > 1.0
-    speed = found.column("speed_mps")[moving] / rows["speed_mps"][moving] - 1.0
-    times = found.column("time_s")
+    speed = located.column("speed_mps")[moving] / rows["speed_mps"][moving] - 1.0
+    times = located.column("time_s")
     middle = slice(None, -1)
     pair = [
-        follow_steering(times, found.column("steering"), speeds[middle] / width, rates[middle])
+        follow_steering(times, located.column("steering"), speeds[middle] / width, rates[middle])
         for speeds, rates in (
-            (found.column("speed_mps"), found.column("yaw_rate_radps")),
+            (located.column("speed_mps"), located.column("yaw_rate_radps")),
             (rows["speed_mps"], rows["yaw_rate_radps"]),
         )
     ]
     gain = pair[0].gain / pair[1].gain - 1.0 if pair[0] and pair[1] else np.nan
-    covered = np.abs(offset) <= 2.0 * found.column("std_lateral_m") / width
+    covered = np.abs(offset) <= 2.0 * located.column("std_lateral_m") / width
     return [
         float(np.median(offset)),
         float(np.percentile(np.abs(offset), 95)),
@@ -111,8 +111,8 @@ def compared(found: Located, folder: Path, width: float) -> list[float]:
         float(np.median(speed)),
         float(np.sqrt((speed**2).mean())),
         gain,
-        _track_error(found, rows, folder) / width,
-        _driven(found.table[:, 2:4]) / _driven(np.column_stack((rows["x_m"], rows["y_m"]))) - 1.0,
+        _track_error(located, rows, folder) / width,
+        _driven(located.table[:, 2:4]) / _driven(np.column_stack((rows["x_m"], rows["y_m"]))) - 1.0,
         len(rows) / len(truth),
         float(covered.mean()),
     ]
@@ -123,14 +123,14 @@ def _driven(places: Array) -> float:
     return float(np.hypot(*np.diff(places, axis=0).T).sum())
 
 
-def _track_error(found: Located, rows: NDArray[np.void], folder: Path) -> float:
+def _track_error(located: Located, rows: NDArray[np.void], folder: Path) -> float:
     """95% of the distances of the centre line's points from the true one, m, after the best rigid motion."""
     line = np.loadtxt(folder / "track.csv", delimiter=",", skiprows=1)
     true = np.stack((rows["x_m"], rows["y_m"]), axis=1)
-    ours = np.stack((found.column("x_m"), found.column("y_m")), axis=1)
-    low, high = found.column("along_m").min(), found.column("along_m").max()
-    stations = found.track.stations[: len(found.track.points)]
-    placed = moved(ours, true, found.track.points[(stations >= low) & (stations <= high)])
+    ours = np.stack((located.column("x_m"), located.column("y_m")), axis=1)
+    low, high = located.column("along_m").min(), located.column("along_m").max()
+    stations = located.track.stations[: len(located.track.points)]
+    placed = moved(ours, true, located.track.points[(stations >= low) & (stations <= high)])
     dense = np.concatenate([np.linspace(a, b, 10) for a, b in zip(line[:-1], line[1:], strict=True)])
     away = np.sqrt(((placed[:, None] - dense[None]) ** 2).sum(axis=2).min(axis=1))
     return float(np.percentile(away, 95))
