@@ -22,7 +22,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,7 @@ from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import RoadTable, table_of_runs
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.siblings.analysis import analyse, analysis_tables
-from ds_base.table import Column, Table, Value, write_tables
+from ds_base.table import Table, Value, styled, write_tables
 from ds_cli.output import say
 from ds_cli.progress import ScreenListener
 from ds_driver.data.collection import unseen_roads
@@ -49,9 +48,6 @@ from ds_studies.same_roads import driven_road
 
 Runs = dict[SimulatorName, list[DrivenRoad | None]]
 """Simulator -> its drives in the tests' order; None for one that is not there."""
-Gates = dict[SimulatorName, Mapping[Key, Gate]]
-"""Simulator -> what is known of the tests' validity there."""
-
 KINDS = {"convolutional": False, "residual": False, "transformer": False, "stacked": True, "recurrent": True}
 """Network -> whether it has memory."""
 CONDITIONS = {"line_contrast": {"low": 0.4, "high": 1.0}, "visibility": {"low": 100.0, "high": 1000.0}}
@@ -69,29 +65,23 @@ def draw_tests(conditions: bool) -> list[Test]:
 
 
 def drive(
-    out: Path, driver: str, tests: list[Test], workers: int, *, gates: Gates | None, simulators: list[SimulatorName]
-) -> tuple[Runs, set[int]]:
-    """Drive the tests on every simulator; also the rows that some gate excludes."""
+    folder: Path, settings: DriveSettings, tests: list[Test], gates: dict[Key, Gate], simulators: list[SimulatorName]
+) -> Runs:
+    """Drive the tests on every simulator; `gates`, which has what earlier networks' drives left, grows."""
     runs: Runs = {}
-    invalid: set[int] = set()
     for name in simulators:
-        say(f"{driver} on {name}")
-        settings = DriveSettings(
-            siblings=(name,), driver=DriverName.parse(driver), gates="none" if gates is None else "all", workers=workers
-        )
-        known = None if gates is None else gates.get(name)
-        found = drive_tests(settings, {name: tests}, out / driver / name, Callbacks(listen=ScreenListener), gates=known)
-        if gates is not None:
-            gates[name] = {**gates.get(name, {}), **found.gates}
-        runs[name] = [driven_road(found, test, name) for test in tests]
-        invalid |= {k for k, test in enumerate(tests) if (test.test_id, name) in found.excluded}
-    return runs, invalid
+        say(f"{settings.driver} on {name}")
+        one = replace(settings, siblings=(name,))
+        results = drive_tests(one, {name: tests}, folder / name, Callbacks(listen=ScreenListener), gates=gates)
+        gates |= results.gates
+        runs[name] = [driven_road(results, test, name) for test in tests]
+    return runs
 
 
 def table_of(runs: Runs, tests: list[Test], rows: list[int]) -> RoadTable:
     """Outcomes of the tests that are valid everywhere, for every network."""
-    known = {name: [run for k in rows if (run := of[k]) is not None] for name, of in runs.items()}
-    return table_of_runs(known, conditions=[tests[k].conditions for k in rows])
+    driven = {name: [run for k in rows if (run := of[k]) is not None] for name, of in runs.items()}
+    return table_of_runs(driven, conditions=[tests[k].conditions for k in rows])
 
 
 def agreement(lateral: Array, rows: Indices) -> float:
@@ -99,8 +89,7 @@ def agreement(lateral: Array, rows: Indices) -> float:
     ranks = np.apply_along_axis(rankdata, 0, lateral[rows])
     if (ranks.std(axis=0) == 0.0).any():
         return float("nan")
-    found = np.corrcoef(ranks.T)
-    return float(np.mean([found[pair] for pair in combinations(range(lateral.shape[1]), 2)]))
+    return float(np.corrcoef(ranks.T)[np.triu_indices(lateral.shape[1], 1)].mean())
 
 
 def contrast(lateral: Mapping[str, Array]) -> tuple[float, float, float]:
@@ -123,23 +112,25 @@ def main() -> None:
     parser.add_argument("--sims", default=",".join(STANDARD))
     parser.add_argument("--workers", type=int, default=1)
     arguments = parser.parse_args()
-    simulators = arguments.sims.split(",")
+    simulators = [SimulatorName(name) for name in arguments.sims.split(",")]
     rows: list[tuple[Value, ...]] = []
     tables: list[Table] = []
     for name in ("plain", "mild"):
         tests = draw_tests(name == "mild")
-        gates: Gates | None = {} if name == "mild" else None
-        found: dict[str, Runs] = {}
-        invalid: set[int] = set()
+        gates: dict[Key, Gate] = {}
+        driven: dict[str, Runs] = {}
         for network in KINDS:
-            place = arguments.out / name
-            found[network], excluded = drive(
-                place, network, tests, arguments.workers, gates=gates, simulators=simulators
+            settings = DriveSettings(
+                siblings=(),
+                driver=DriverName.parse(network),
+                gates="all" if name == "mild" else "none",
+                workers=arguments.workers,
             )
-            invalid |= excluded
-        kept = [k for k in range(TESTS) if k not in invalid]
+            driven[network] = drive(arguments.out / name / network, settings, tests, gates, simulators)
+        invalid = {test_id for (test_id, _), gate in gates.items() if not gate.is_valid}
+        kept = [k for k, test in enumerate(tests) if test.test_id not in invalid]
         lateral = {}
-        for network, runs in found.items():
+        for network, runs in driven.items():
             table = table_of(runs, tests, kept)
             lateral[network] = table.lateral
             say(f"{name}, {network}: {len(table)} tests")
@@ -149,12 +140,12 @@ def main() -> None:
             rows.append((name, network, KINDS[network], *map(int, failed.sum(axis=1)), agrees, apart, None, None))
             analysis = analyse(table, ())
             tables += [replace(one, name=f"{name}_{network}_{one.name}") for one in analysis_tables(analysis)[:4]]
-        difference = contrast(lateral)
-        say(f"{name}: with memory minus without: {difference[0]:.3f} [{difference[1]:.3f}, {difference[2]:.3f}]")
+        difference, low, high = contrast(lateral)
+        say(f"{name}: with memory minus without: {difference:.3f} [{low:.3f}, {high:.3f}]")
         of_all = [None] * (len(simulators) + 1)
-        rows.append((name, "with memory minus without", *of_all, difference[0], None, *difference[1:]))
+        rows.append((name, "with memory minus without", *of_all, difference, None, low, high))
     columns = ["tests", "network", "memory", *simulators, "agreement", "not unanimous", "low", "high"]
-    summary = Table(name="memory", title="Agreement", columns=[Column(one) for one in columns], rows=rows, notes=[])
+    summary = Table(name="memory", title="Agreement", columns=styled("text", *columns), rows=rows)
     write_tables([summary, *tables], arguments.out)
 
 
