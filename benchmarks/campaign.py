@@ -88,30 +88,19 @@ def main() -> None:
     parser.add_argument("--case", action="append", help="ENGINE:DRIVER; repeatable")
     arguments = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
-    columns = (
-        "engine",
-        "driver",
-        "drives",
-        "frames",
-        "frames / CPU s",
-        "frames / s",
-        "CPU s / drive",
-        "idle",
-        "start s",
-    )
-    table = Table(*columns)
-    seen: dict[str, object] = {}
+    paces = ("frames / CPU s", "frames / s", "CPU s / drive")
+    table = Table("engine", "driver", "drives", "frames", *paces, "idle", "start s")
+    digests: dict[str, object] = {}
     for case in arguments.case or CASES:
         engine, _, driver = case.partition(":")
         with ProcessPoolExecutor(1, get_context("spawn")) as own:
-            found = own.submit(drive, engine, driver, arguments.drives, arguments.workers).result()
-        if seen.setdefault(driver, found["digest"]) != found["digest"]:
+            measures = own.submit(drive, engine, driver, arguments.drives, arguments.workers).result()
+        if digests.setdefault(driver, measures["digest"]) != measures["digest"]:
             sys.exit(f"error: {case} gives other trajectories than another engine with the same driver")
-        idle = 1.0 - found["processor"] / (cores * (found["wall"] + found["start"]))
-        frames, processor = found["frames"], found["processor"]
-        paces = f"{frames / processor:.0f}", f"{frames / found['wall']:.0f}", f"{processor / found['drives']:.2f}"
-        rest = f"{max(idle, 0.0):.0%}", f"{found['start']:.1f}"
-        table.add_row(engine, driver, str(found["drives"]), str(frames), *paces, *rest)
+        drives, frames, wall, processor = (measures[name] for name in ("drives", "frames", "wall", "processor"))
+        idle = max(1.0 - processor / (cores * (wall + measures["start"])), 0.0)
+        times = f"{frames / processor:.0f}", f"{frames / wall:.0f}", f"{processor / drives:.2f}", f"{idle:.0%}"
+        table.add_row(engine, driver, str(drives), str(frames), *times, f"{measures['start']:.1f}")
     Console(width=120).print(table)
 
 

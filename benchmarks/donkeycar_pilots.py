@@ -37,12 +37,12 @@ CONSTANT = {"behavior": [1.0, 0.0], "imu": [0.0] * 6}
 
 def frames() -> NDArray[np.uint8]:
     """Draw blocks of frames, each a mixture of the one before and of new ones."""
-    rng, seen = np.random.default_rng(5), []
+    rng, blocks = np.random.default_rng(5), []
     last = np.zeros((5, 10, 3))
     for _ in range(FRAMES):
         last = 0.3 * last + 0.7 * rng.uniform(0, 255, last.shape)
-        seen.append(last.astype(np.uint8))
-    return np.stack(seen)
+        blocks.append(last.astype(np.uint8))
+    return np.stack(blocks)
 
 
 def pilots() -> dict[str, Callable[[Any], Any]]:
@@ -78,7 +78,7 @@ def main(out: Path) -> None:
     import tf2onnx  # type: ignore[import-not-found]
     from donkeycar.parts.interpreter import KerasInterpreter  # type: ignore[import-not-found]
 
-    seen = frames()
+    blocks = frames()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_LZMA) as packed, tempfile.TemporaryDirectory() as folder:
 
         def keep(name: str, array: NDArray[Any]) -> None:
@@ -86,7 +86,7 @@ def main(out: Path) -> None:
             np.save(held, array)
             packed.writestr(name, held.getvalue())
 
-        keep("frames.npy", seen)
+        keep("frames.npy", blocks)
         for kind, make in pilots().items():
             tf.keras.backend.clear_session()
             tf.keras.utils.set_random_seed(7)
@@ -95,11 +95,11 @@ def main(out: Path) -> None:
             model = pilot.interpreter.model
             model.set_weights([rounded(one, rng) for one in model.get_weights()])
             answers = []
-            for frame in seen:
+            for frame in blocks:
                 whole = np.kron(frame, np.ones((32, 32, 1), np.uint8))
                 small = cv2.resize(whole, pilot.input_shape[1::-1], interpolation=cv2.INTER_LINEAR)
-                found = pilot.run(small, *([CONSTANT[kind]] if kind in CONSTANT else []))
-                answers.append([float(np.squeeze(one)) for one in found[:2]])
+                answer = pilot.run(small, *([CONSTANT[kind]] if kind in CONSTANT else []))
+                answers.append([float(np.squeeze(one)) for one in answer[:2]])
             keep(f"{kind}.npy", np.array(answers))
             tf2onnx.convert.from_keras(model, opset=13, output_path=f"{folder}/{kind}.onnx")
             packed.write(f"{folder}/{kind}.onnx", f"{kind}.onnx")

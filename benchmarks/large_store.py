@@ -141,8 +141,8 @@ def main() -> None:
                 with ProcessPoolExecutor(1, get_context("spawn")) as own:
                     own.submit(write_campaign, folder, size).result()
         for verb in arguments.verbs.split(","):
-            found = (measure(verb, folder) for folder in folders.values())
-            table.add_row(verb, *(f"{seconds:.1f} s {memory:.0f} MB" for seconds, memory in found))
+            measured = (measure(verb, folder) for folder in folders.values())
+            table.add_row(verb, *(f"{seconds:.1f} s {memory:.0f} MB" for seconds, memory in measured))
     Console(width=120).print(table)
 
 

@@ -26,9 +26,7 @@ def main() -> None:
     parser.add_argument("--seeds", default="1,2,3,4,5")
     parser.add_argument("--drives", type=int, default=12, help="number of drives of 30.5 s each")
     arguments = parser.parse_args()
-    close = dict.fromkeys(FITTED, 0)
-    inside = dict.fromkeys(FITTED, 0)
-    determined = dict.fromkeys(FITTED, 0)
+    close, inside, determined = (dict.fromkeys(FITTED, 0) for _ in range(3))
     seeds = [int(seed) for seed in arguments.seeds.split(",")]
     for seed in seeds:
         rng = np.random.default_rng(seed)
@@ -37,9 +35,9 @@ def main() -> None:
         car = nominal.changed(**hidden)
         drives = [simulated_recording(car, rng, manoeuvres(rng)) for _ in range(arguments.drives)]
         began = time.process_time()
-        found = fit(drives, nominal.changed(**start))
-        print(f"seed {seed}: {found.windows} windows, {time.process_time() - began:.0f} s of CPU", flush=True)
-        for e in found.estimates:
+        fitted = fit(drives, nominal.changed(**start))
+        print(f"seed {seed}: {fitted.windows} windows, {time.process_time() - began:.0f} s of CPU", flush=True)
+        for e in fitted.estimates:
             true = hidden[e.name]
             size = TRIM_SCALE if e.name == "steering_trim" else true
             close[e.name] += abs(e.value - true) <= 0.05 * size
