@@ -155,14 +155,18 @@ def _described(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipp
     return [network, path], str(path), card
 
 
-def _offline(found: Mapping[str, OpenLoopAnswers]) -> dict[str, dict[str, float]]:
-    """What a card says of the answers to another data set, by simulator."""
-    errors = {name: answers.absolute_errors for name, answers in found.items()}
-    return {
-        "images": {name: len(values) for name, values in errors.items()},
-        "mean_squared_error": {name: round(float(np.mean(values**2)), 6) for name, values in errors.items()},
-        "steering_gain": {name: round(_gain(answers), 3) for name, answers in found.items()},
-    }
+def _offline(by_simulator: Mapping[str, OpenLoopAnswers]) -> dict[str, dict[str, float]]:
+    """What a card says of the answers to another data set, by simulator.
+
+    The gain is the slope of the network's steering over the autopilot's, by least squares through the origin.
+    """
+    card: dict[str, dict[str, float]] = {"images": {}, "mean_squared_error": {}, "steering_gain": {}}
+    for name, answers in by_simulator.items():
+        gain = float((answers.answered * answers.recorded).sum() / (answers.recorded**2).sum())
+        card["images"][name] = len(answers.errors)
+        card["mean_squared_error"][name] = round(float(np.mean(answers.absolute_errors**2)), 6)
+        card["steering_gain"][name] = round(gain, 3)
+    return card
 
 
 def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[str, float]]:
@@ -170,17 +174,12 @@ def _success_rates(driver: str, roads: list[Road], seed: int) -> dict[str, dict[
     settings = DriveSettings(siblings=STANDARD, driver=DriverName(driver), gates="none")
     rates: dict[str, dict[str, float]] = {name: {} for name in STANDARD}
     for way, driven in (("forward", roads), ("reverse", [road.reversed() for road in roads])):
-        for name, found in drive_same_roads(settings, driven, seed, None, Callbacks()).items():
-            completed = [one.outcome is Outcome.COMPLETED for one in found if one.outcome.is_verdict]
+        for name, ends in drive_same_roads(settings, driven, seed, None, Callbacks()).items():
+            completed = [one.outcome is Outcome.COMPLETED for one in ends if one.outcome.is_verdict]
             if len(completed) < len(roads):
                 sys.exit(f"{name}, {way}: {len(roads) - len(completed)} drives ended in errors: fix them and try again")
             rates[name][way] = sum(completed) / len(roads)
     return rates
-
-
-def _gain(answers: OpenLoopAnswers) -> float:
-    """Slope of the network's steering over the autopilot's, by least squares through the origin; 1 is right."""
-    return float((answers.answered * answers.recorded).sum() / (answers.recorded**2).sum())
 
 
 if __name__ == "__main__":

@@ -59,12 +59,7 @@ class Need:
 
 
 def describe(command: str | Path, variables: Mapping[str, str] | None = None) -> Python | None:
-    """Ask an interpreter for its description; None if it does not run.
-
-    Args:
-        command: interpreter.
-        variables: environment variables of the interpreter; those of this process if None.
-    """
+    """Ask an interpreter for its description, with these variables or those of this process; None if it fails."""
     try:
         answer = subprocess.run(
             [str(command), "-c", _DESCRIBE],
@@ -86,39 +81,34 @@ def find_python(wanted: str, *, with_rclpy: bool = False, variables: Mapping[str
     Args:
         wanted: the user's choice, "" for none.
         with_rclpy: accept only one that finds rclpy, for a sourced ROS.
-        variables: environment variables of the interpreter; those of this process if None.
+        variables: as `describe` takes them.
 
     Raises:
         SetupError: there is none.
     """
     system = ["/usr/bin/python3", *(f"python{major}.{minor}" for major, minor in PYTHON_VERSIONS)]
-    seen: list[str] = []
+    refused: list[str] = []
     for command in [wanted] if wanted else [sys.executable, "python3", *system]:
         python = describe(command, variables)
         if python is None:
             continue
         if python.fits and (python.has_rclpy or not with_rclpy):
             return python
-        seen.append(".".join(map(str, python.version)))
-    found = f"found {', '.join(sorted(set(seen)))}" if seen else "found none"
+        refused.append(".".join(map(str, python.version)))
+    others = f"found {', '.join(sorted(set(refused)))}" if refused else "found none"
     if with_rclpy:
         raise SetupError(
-            f"ROS 2 Jazzy is sourced, but no Python 3.11 or 3.12 imports its rclpy ({found}): "
+            f"ROS 2 Jazzy is sourced, but no Python 3.11 or 3.12 imports its rclpy ({others}): "
             "apt-get install -y ros-jazzy-rclpy, or open a shell without it"
         )
     raise SetupError(
-        f"Python 3.11 or 3.12 is needed, {found}: apt-get install -y python3 python3-dev python3-venv "
+        f"Python 3.11 or 3.12 is needed, {others}: apt-get install -y python3 python3-dev python3-venv "
         "on Debian 12 or Ubuntu 24.04, or name one with PYTHON=/path/to/python3.12"
     )
 
 
 def find_needs(python: Python, which: Callable[[str], str | None] = shutil.which) -> list[Need]:
-    """List everything that the system lacks for an interpreter.
-
-    Args:
-        python: interpreter for the environment.
-        which: finds a program by its name.
-    """
+    """List everything that the system lacks for an interpreter; `which` finds a program by its name."""
     series = debian_series(python)
     checks = (
         (any(which(name) for name in ("c++", "g++", "clang++")), Need("a C++ compiler", "g++")),
@@ -139,14 +129,14 @@ def find_renderer_needs(
         folders: where Mesa's drivers may be.
     """
     needs = []
-    for library, what, package in (
-        ("libEGL.so.1", "EGL", "libegl1"),
-        ("libEGL_mesa.so.0", "Mesa's EGL", "libegl-mesa0"),
+    for library, need in (
+        ("libEGL.so.1", Need("EGL", "libegl1")),
+        ("libEGL_mesa.so.0", Need("Mesa's EGL", "libegl-mesa0")),
     ):
         try:
             load(library)
         except OSError:
-            needs.append(Need(what, package))
+            needs.append(need)
     if not any(next(folder.glob("*swrast_dri.so"), None) for folder in folders):
         needs.append(Need("Mesa's software renderer", "libgl1-mesa-dri"))
     return needs

@@ -95,15 +95,12 @@ def environment_of_wheels(environment: Path, variables: Mapping[str, str]) -> di
         environment: root of the virtual environment.
         variables: without another ROS or Python.
     """
-    folders = [environment / "lib", *sorted(environment.glob("lib/python3.*/site-packages/ros_*.libs"))]
-    libraries = [str(folder) for folder in folders]
+    libraries = [environment / "lib", *sorted(environment.glob("lib/python3.*/site-packages/ros_*.libs"))]
     present = [p for p in variables.get("LD_LIBRARY_PATH", "").split(os.pathsep) if p]
-    prefix = str(environment)
     return {
         **variables,
-        "AMENT_PREFIX_PATH": prefix,
-        "CMAKE_PREFIX_PATH": prefix,
-        "LD_LIBRARY_PATH": os.pathsep.join([*present, *libraries]),
+        **dict.fromkeys(("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH"), str(environment)),
+        "LD_LIBRARY_PATH": os.pathsep.join([*present, *map(str, libraries)]),
         BOOTSTRAP_DONE: "1",
     }
 
@@ -126,17 +123,11 @@ def adapt_wheels(environment: Path, variables: Mapping[str, str]) -> None:
         raise SetupError(f"the virtual environment is not complete ({reason}): `make clean`, then again") from None
     python_headers, numpy_headers = json.loads(answer.stdout)
     for export in environment.glob("share/*/cmake/*Export.cmake"):
-        use_headers(export, python_headers, numpy_headers)
-
-
-def use_headers(export: Path, python_headers: str, numpy_headers: str) -> bool:
-    """Replace the builder's include folders in one exported CMake file; True if it had any."""
-    text = export.read_text()
-    fixed = _NUMPY_HEADERS.sub(lambda _: numpy_headers, text)
-    fixed = _PYTHON_HEADERS.sub(lambda _: python_headers, fixed)
-    if fixed != text:
-        export.write_text(fixed)
-    return fixed != text
+        text = export.read_text()
+        fixed = _NUMPY_HEADERS.sub(lambda _: numpy_headers, text)
+        fixed = _PYTHON_HEADERS.sub(lambda _: python_headers, fixed)
+        if fixed != text:
+            export.write_text(fixed)
 
 
 def _lies_in(path: Path, folders: list[Path]) -> bool:

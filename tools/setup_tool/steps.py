@@ -27,8 +27,8 @@ from importlib.metadata import PackageNotFoundError, distribution
 for pin in sys.argv[1:]:
     name, _, version = pin.partition("==")
     try:
-        found = distribution(name)
-        print(found._path if found.version.partition("+")[0] == version else pin)
+        here = distribution(name)
+        print(here._path if here.version.partition("+")[0] == version else pin)
     except PackageNotFoundError:
         print(pin)
 """
@@ -84,7 +84,7 @@ class Setup:
         self._reinstall = False
 
     def is_complete(self) -> bool:
-        """Check whether all steps are done, and what they made is there; takes milliseconds."""
+        """Whether all steps are done, and what they made is there; takes milliseconds."""
         environment_files = (self.environment / "env.sh", self.workspace / "install/setup.bash")
         return all(self._is_done(step) for step in self._steps()) and all(file.is_file() for file in environment_files)
 
@@ -229,22 +229,15 @@ class Setup:
 
     def _make_environment(self) -> None:
         assert self._python is not None
-        options = ["--system-site-packages"] if self._prefix else []
+        packages = ["--system-site-packages"] if self._prefix else []
         self.console.run(
-            [self._python.executable, "-m", "venv", *options, self.environment],
+            [self._python.executable, "-m", "venv", *packages, self.environment],
             environment=ros.clean_environment(os.environ),
             folder=self.root,
             advice="is there space on the disk? see the log",
         )
-        pip: list[str | Path] = [
-            self.environment / "bin/python",
-            "-m",
-            "pip",
-            "install",
-            "--no-deps",
-            "--no-compile",
-            "--no-input",
-        ]
+        options = ["--no-deps", "--no-compile", "--no-input"]
+        pip: list[str | Path] = [self.environment / "bin/python", "-m", "pip", "install", *options]
         self.console.run([*pip, self._pins("build")["uv"]], environment=self._variables(), folder=self.root)
         (self.environment / ".setup/python").write_text(self._wanted_python)
         (self.environment / ".setup/ros-prefix").write_text(str(self._prefix or ""))
@@ -261,15 +254,10 @@ class Setup:
         """
         # A hard link into uv's cache would let later steps change what other checkouts install.
         options = ("--no-deps", "--no-progress", "--link-mode", "copy", *["--reinstall"] * self._reinstall)
-        command: list[str | Path] = [
-            self.environment / "bin/uv",
-            "pip",
-            "install",
-            "--python",
-            self.environment / "bin/python",
-            *options,
-        ]
-        self.console.run([*command, *arguments], environment=self._variables() | self._indexes(), folder=self.root)
+        folder = self.environment / "bin"
+        command: list[str | Path] = [folder / "uv", "pip", "install", "--python", folder / "python"]
+        variables = self._variables() | self._indexes()
+        self.console.run([*command, *options, *arguments], environment=variables, folder=self.root)
 
     def _install_torch(self, pin: str) -> None:
         """Install the build without CUDA, from pip's indexes or else PyTorch's own, otherwise the one with CUDA."""
