@@ -104,8 +104,8 @@ class Attention(nn.Module):
         """(n, patches, width) -> the same."""
         n, patches, width = x.shape
         parts = self.ask(self.first(x)).reshape(n, patches, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
-        seen = nn.functional.scaled_dot_product_attention(parts[0], parts[1], parts[2])
-        x = x + self.mix(seen.transpose(1, 2).reshape(n, patches, width))
+        mixed = nn.functional.scaled_dot_product_attention(parts[0], parts[1], parts[2])
+        x = x + self.mix(mixed.transpose(1, 2).reshape(n, patches, width))
         return x + self.think(self.second(x))
 
 
@@ -141,10 +141,10 @@ class Recurrent(nn.Module):
     def over(self, windows: Tensor) -> Tensor:
         """(n, frames, 3, 80, 160) -> (n, frames)."""
         n, frames = windows.shape[:2]
-        seen = self.see(windows.flatten(0, 1)).reshape(n, frames, STATE)
+        features = self.see(windows.flatten(0, 1)).reshape(n, frames, STATE)
         state, answers = torch.zeros(n, STATE), []
         for k in range(frames):
-            state = self.cell(seen[:, k], state)
+            state = self.cell(features[:, k], state)
             answers.append(self.steer(state)[:, 0])
         return torch.stack(answers, 1)
 
@@ -225,25 +225,25 @@ def batch_of(images: Images, chosen: NDArray[np.int64], kind: str, seed: list[in
     """Return inputs of a network and the labels of its answers."""
     frames, stride = {"stacked": (STACK, STRIDE), "recurrent": (WINDOW, 1)}.get(kind, (1, 1))
     back = [k * stride for k in reversed(range(frames))]
-    found = [images.window(int(k), back, None if seed is None else [*seed, int(k)]) for k in chosen]
-    pixels = torch.from_numpy(np.stack([one for one, _ in found])).float() / 255.0
-    labels = torch.tensor([one for _, one in found], dtype=torch.float32)
+    windows = [images.window(int(k), back, None if seed is None else [*seed, int(k)]) for k in chosen]
+    pixels = torch.from_numpy(np.stack([one for one, _ in windows])).float() / 255.0
+    labels = torch.tensor([one for _, one in windows], dtype=torch.float32)
     return (pixels, labels[:, UNSCORED:]) if kind == "recurrent" else (pixels.flatten(1, 2), labels[:, -1:])
 
 
 def answers(network: nn.Module, pixels: Tensor) -> Tensor:
     """Return answers (n, answers) with labels."""
-    found: Tensor = network.over(pixels)[:, UNSCORED:] if isinstance(network, Recurrent) else network(pixels)
-    return found
+    steering: Tensor = network.over(pixels)[:, UNSCORED:] if isinstance(network, Recurrent) else network(pixels)
+    return steering
 
 
 def train(images: Images, training: list[int], validation: list[int], plan: Plan, out: Path) -> nn.Module:
     """Train."""
     torch.manual_seed(plan.seed)
     network = MAKE[plan.kind]()
-    size = plan.batch // WINDOW if plan.kind == "recurrent" else plan.batch
-    count = len(training) // WINDOW if plan.kind == "recurrent" else len(training)
-    steps = count // size
+    window = WINDOW if plan.kind == "recurrent" else 1
+    size = plan.batch // window
+    steps = len(training) // window // size
     optimizer = torch.optim.AdamW(network.parameters(), lr=plan.rate, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimizer, plan.rate, total_steps=steps * plan.epochs, pct_start=0.05
@@ -259,8 +259,8 @@ def train(images: Images, training: list[int], validation: list[int], plan: Plan
             pixels, labels = batch_of(images, chosen, plan.kind, [plan.seed, epoch])
             # Attention gains nothing from it.
             with torch.autocast("cpu", torch.bfloat16, enabled=has_bfloat16() and plan.kind != "transformer"):
-                found = answers(network, pixels)
-            loss = nn.functional.mse_loss(found.float(), labels)
+                steering = answers(network, pixels)
+            loss = nn.functional.mse_loss(steering.float(), labels)
             optimizer.zero_grad()
             loss.backward()
             nn.utils.clip_grad_norm_(network.parameters(), 1.0)
@@ -290,21 +290,18 @@ def train(images: Images, training: list[int], validation: list[int], plan: Plan
 
 def export(network: nn.Module, kind: str, out: Path) -> None:
     """Write the network as ONNX, and its description beside it."""
-    described: dict[str, Any] = {
-        "file": f"{kind}.onnx",
-        "input": {"size": list(SIZE), "crop": "simulator", "divide": 255.0},
-    }
-    given: tuple[Tensor, ...] = (torch.zeros(1, 3, *SIZE),)
-    names = ["image"], ["steering"]
+    described: dict[str, Any] = {"file": f"{kind}.onnx"}
+    described["input"] = {"size": list(SIZE), "crop": "simulator", "divide": 255.0}
+    inputs, outputs = {"image": torch.zeros(1, 3, *SIZE)}, ["steering"]
     if kind == "stacked":
         described["input"] |= {"frames": STACK, "stride": STRIDE}
-        given = (torch.zeros(1, 3 * STACK, *SIZE),)
+        inputs["image"] = torch.zeros(1, 3 * STACK, *SIZE)
     if kind == "recurrent":
         described["inputs"] = {"state": {"state": "next_state"}}
-        given = (*given, torch.zeros(1, STATE))
-        names = ["image", "state"], ["steering", "next_state"]
-    file = str(out / f"{kind}.onnx")
-    torch.onnx.export(network, given, file, input_names=names[0], output_names=names[1], opset_version=17, dynamo=False)
+        inputs["state"] = torch.zeros(1, STATE)
+        outputs.append("next_state")
+    zeros, file = tuple(inputs.values()), str(out / f"{kind}.onnx")
+    torch.onnx.export(network, zeros, file, input_names=[*inputs], output_names=outputs, opset_version=17, dynamo=False)
     (out / f"{kind}.yaml").write_text(yaml.safe_dump(described, sort_keys=False))
 
 
