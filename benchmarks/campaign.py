@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Speed of a campaign with each engine, from its first drive to its last.
 
-`python benchmarks/campaign.py [--drives 200] [--case ENGINE:DRIVER ...] [--workers 2]` drives the same small campaign
+`python -m benchmarks.campaign [--drives 200] [--case ENGINE:DRIVER ...] [--workers 2]` drives the same small campaign
 once per case, each in a process of its own, and prints frames per second of processor time (of all processes together)
 and of wall-clock time, and the share of the cores that was idle. Every case must give the same trajectories for the
 same back end, or the benchmark fails.

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compares inference backends on one thread: speed and steering.
 
-`python benchmarks/inference.py` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a
+`python -m benchmarks.inference` measures Dave-2, Chauffeur and Epoch, alternating between backends, so that a
 busy machine slows down all alike. It prints the CPU time of this process, which other programs affect little. The
 processor must have bfloat16.
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Processor time and memory of the verbs that read a campaign, over its size.
 
-`python benchmarks/large_store.py [--sizes 1200,10000,100000] [--verbs status,maps] [--keep FOLDER]` writes campaigns
+`python -m benchmarks.large_store [--sizes 1200,10000,100000] [--verbs status,maps] [--keep FOLDER]` writes campaigns
 without driving: real roads, made-up outcomes and trajectories. Each verb runs in a process of its own.
 """
 

@@ -2,7 +2,7 @@
 """Accuracy of fitted parameters of the twin for noisy drives with known parameters and a start 30% off.
 
 Prints a row per seed and parameter, then per parameter how many seeds are within 5% and inside the 95% interval.
-`python benchmarks/twin_fit.py --seeds 1,2,3,4,5 --drives 12`; about half a minute per seed on an idle core.
+`python -m benchmarks.twin_fit --seeds 1,2,3,4,5 --drives 12`; about half a minute per seed on an idle core.
 """
 
 from __future__ import annotations

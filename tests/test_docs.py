@@ -43,3 +43,11 @@ def keys(model: BaseModel, prefix: str = "") -> dict[str, Any]:
 def test_the_configuration_page_has_every_key_with_its_default() -> None:
     rows = re.findall(r"^\| `([a-z0-9_.]+)` \| `(.*?)` \|", (DOCS / "configuration.md").read_text(), re.MULTILINE)
     assert {key: json.loads(default) for key, default in rows} == keys(CampaignConfig())
+
+
+def test_every_benchmark_that_a_page_names_can_be_started() -> None:
+    """As a module from the root: a file that is started by its path cannot import the others."""
+    pages = "".join(page.read_text() for page in DOCS.glob("*.md"))
+    modules = set(re.findall(r"python -m (benchmarks[\w.]+)", pages))
+    assert len(modules) > 10 and all((ROOT / f"{name.replace('.', '/')}.py").is_file() for name in modules)
+    assert "python benchmarks/" not in pages
