@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from progress_lines import ProgressLines
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
@@ -78,6 +79,22 @@ def test_equal_errors_have_no_test_and_no_effect() -> None:
 def test_a_network_with_only_large_errors_is_refused() -> None:
     with pytest.raises(OpenLoopError, match=r"every error on one of the simulators is above 0\.6"):
         compare_errors({"a": np.full(9, 0.9)}, TWIN)
+
+
+@pytest.mark.parametrize(
+    ("siblings", "twin", "message"),
+    [
+        ({}, TWIN, "expected at least one sibling"),
+        ({"a": TWIN[:0]}, TWIN, "no image of a has an error"),
+        ({"a": TWIN}, TWIN[:0], "no image of the twin has an error"),
+    ],
+)
+def test_a_comparison_needs_errors_of_a_sibling_and_of_the_twin(
+    siblings: dict[str, NDArray[np.float64]], twin: NDArray[np.float64], message: str
+) -> None:
+    for compare in (compare_errors, check_error_robustness):
+        with pytest.raises(OpenLoopError, match=message):
+            compare(siblings, twin)
 
 
 def test_predictions_over_a_data_set(tmp_path: Path) -> None:

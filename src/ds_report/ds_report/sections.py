@@ -60,13 +60,14 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
     certified = "" if car.certificate is None else car.certificate.sentence
+    has_cells = any(cell.tests for cell in car.verdicts.cells)  # a feature of one.s own may have no value
     command = ds_command("real", "propose", folder)
     undecided = "" if car.drives else f"A few drives on the car decide most cells: `{command}` draws them."
     return AnswerSection(
         sentence=car.sentence,
         reading=" ".join(filter(None, (_reading(car.verdicts, len(car.drives)), undecided, car.table.sample_note))),
         notes=[one for one in (car.help.sentence, certified) if one],
-        picture=data_address(draw_verdicts(car.verdicts, "Predicted failures on a car")),
+        picture=data_address(draw_verdicts(car.verdicts, "Predicted failures on a car")) if has_cells else "",
         cells=cell_table(car.verdicts),
     )
 

@@ -164,14 +164,14 @@ def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComp
     """Compare each sibling's absolute steering errors, and those of all siblings together, with the twin's.
 
     Raises:
-        OpenLoopError: every error on one of the simulators is too large to compare.
+        OpenLoopError: there is no sibling, one of the simulators has no errors, or all of its errors are too large.
     """
-    return [_compare(name, errors, twin) for name, errors in _with_merged(siblings).items()]
+    return [_compare(name, errors, twin) for name, errors in _with_merged(siblings, twin).items()]
 
 
 def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[ErrorRobustnessCheck]:
     """Compare errors in other ways; see `compare_errors`."""
-    groups = _with_merged(siblings)
+    groups = _with_merged(siblings, twin)
     checks = []
     for name, errors in groups.items():
         binned, twin_binned = shares(errors), shares(twin)
@@ -202,7 +202,12 @@ def _variance(values: Array) -> float:
     return float(np.var(values, ddof=1)) if len(values) > 1 else 0.0
 
 
-def _with_merged(siblings: Mapping[str, Array]) -> dict[str, Array]:
+def _with_merged(siblings: Mapping[str, Array], twin: Array) -> dict[str, Array]:
+    if not siblings:
+        raise OpenLoopError("no sibling's errors to compare: expected at least one sibling")
+    for name, errors in (*siblings.items(), ("the twin", twin)):
+        if not errors.size:
+            raise OpenLoopError(f"no image of {name} has an error to compare: expected recorded steering")
     return {**siblings, MERGED: np.concatenate(list(siblings.values()))}
 
 

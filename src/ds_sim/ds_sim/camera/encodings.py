@@ -12,15 +12,21 @@ JPEG_QUALITY = 95
 
 
 def png(image: NDArray[np.uint8]) -> bytes:
-    """Encode a picture, (rows, columns, 3) uint8 RGB, as PNG; the same pixels give the same bytes."""
+    """Encode a picture, (rows, columns, 3) uint8 RGB, as PNG; the same pixels give the same bytes.
+
+    Raises:
+        ValueError: OpenCV cannot encode it, as it is too wide or too high.
+    """
     return _encoded(image, ".png")
 
 
 def jpeg(image: NDArray[np.uint8], quality: int = JPEG_QUALITY) -> bytes:
-    """Encode an image, (rows, columns, 3) uint8 RGB, as JPEG of a quality from 0 to 100."""
+    """Encode an image, (rows, columns, 3) uint8 RGB, as JPEG of a quality from 0 to 100; errors as in `png`."""
     return _encoded(image, ".jpg", cv2.IMWRITE_JPEG_QUALITY, quality)
 
 
 def _encoded(image: NDArray[np.uint8], suffix: str, *parameters: int) -> bytes:
-    _, data = cv2.imencode(suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), parameters)
+    done, data = cv2.imencode(suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR), parameters)
+    if not done:
+        raise ValueError(f"a picture of shape {image.shape} cannot be encoded as {suffix}")
     return bytes(data.tobytes())

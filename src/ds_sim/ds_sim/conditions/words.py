@@ -63,11 +63,11 @@ def conditions_in_words(name: str, low: float, high: float | None = None, side: 
     The side says which values beside a single one are meant.
 
     Examples:
-        >>> in_words("line_cover", 0.259, side="or more")
+        >>> conditions_in_words("line_cover", 0.259, side="or more")
         'where a quarter or more of the line paint is missing (line_cover 0.259)'
-        >>> in_words("camera_pitch", -0.093, side="or less")
+        >>> conditions_in_words("camera_pitch", -0.093, side="or less")
         'with the camera tilted 5.3 degrees or more up (camera_pitch -0.093 rad)'
-        >>> in_words("visibility", 40.0, 50.0)
+        >>> conditions_in_words("visibility", 40.0, 50.0)
         'in fog or haze with a visibility of 40 to 50 m (visibility)'
     """
     phrase, unit = PHRASES[name], f" {FIELDS[name].unit}".rstrip()

@@ -292,6 +292,8 @@ def _cannot_drive(network: Network) -> str:
     """Why a network cannot be driven as it was; "" if it can."""
     from ds_driver.networks.network_driver import driver_sha256
 
+    if network.driver.is_node:
+        return "it is a ROS node that you start"
     try:
         return "" if driver_sha256(network.driver) == network.sha256 else "its files have changed since"
     except (DriverError, ValueError, OSError) as error:
