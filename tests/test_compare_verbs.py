@@ -114,6 +114,14 @@ def test_a_network_drives_the_tests_of_a_campaign_once(tmp_path: Path, engine: l
     assert again.stdout == done.stdout and len(engine) == 2
 
 
+def test_a_campaign_of_a_node_is_compared_by_its_known_outcomes(tmp_path: Path, engine: list[OfDriver]) -> None:
+    old = campaign(tmp_path / "old", driver="ros@my_node")
+    done = ds("compare", old, "other", "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "its known outcomes were not checked: it is a ROS node that you start" in done.stderr
+    assert [len(executor.roads) for executor in engine] == [24]
+
+
 def test_a_moved_comparison_finds_its_roads(
     tmp_path: Path, engine: list[OfDriver], monkeypatch: pytest.MonkeyPatch
 ) -> None:
