@@ -79,8 +79,8 @@ def _sbft(folder: Path, n: int) -> Path:
     return folder / "sbft"
 
 
-def _road(n: int) -> Road:
-    return Road.from_road_points([(100.0 + x, 100.0 + np.sin(x / 20)) for x in np.linspace(0, 60, n)])
+def _road(n: int, height: float = 1.0) -> Road:
+    return Road.from_road_points([(100.0 + x, 100.0 + height * np.sin(x / 20)) for x in np.linspace(0, 60, n)])
 
 
 def _opendrive(folder: Path, n: int) -> Path:
@@ -140,7 +140,7 @@ def _tables(folder: Path, n: int) -> Path:
 
 
 def _comparison(folder: Path, n: int) -> Path:
-    write_roads([_road(20 + k) for k in range(n)], folder / "roads.json")
+    write_roads([_road(20, 1 + k / n) for k in range(n)], folder / "roads.json")
     from ds_road import read_roads
 
     found = [
