@@ -60,7 +60,7 @@ def answer_section(folder: Path, data: CampaignData) -> AnswerSection:
     except (OutcomeTableError, RecordError, StoreError) as error:
         return AnswerSection(sentence=f"No prediction for a car: {error}.")
     certified = "" if car.certificate is None else car.certificate.sentence
-    has_cells = any(cell.tests for cell in car.verdicts.cells)  # a feature of one.s own may have no value
+    has_cells = any(cell.tests for cell in car.verdicts.cells)  # a feature of one's own may have no value
     command = ds_command("real", "propose", folder)
     undecided = "" if car.drives else f"A few drives on the car decide most cells: `{command}` draws them."
     return AnswerSection(

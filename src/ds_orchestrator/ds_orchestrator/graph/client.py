@@ -347,9 +347,8 @@ class GraphClient:
             now = simulator.clock.now()
             if self._thread.stopped or now - simulator.alive > silence:
                 return None
-            if (
-                now - max(asked, simulator.alive) > ASK_AGAIN
-            ):  # a result is lost that comes while neither knows the other
+            # A result that comes while neither node knows the other is lost.
+            if now - max(asked, simulator.alive) > ASK_AGAIN:
                 asked, future = now, self._thread.send(handle.get_result_async, SERVICE_TIME) or future
             if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
                 return None
