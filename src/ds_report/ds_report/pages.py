@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import base64
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from ds_base import palette
@@ -38,9 +40,14 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.filters |= {"count": count, "duration": duration}
+    environment.filters |= {"count": count, "duration": duration, "code": _code}
     environment.globals["palette"] = palette
     return environment
+
+
+def _code(sentence: str) -> Markup:
+    """Escape a sentence that a terminal shows, too, and set what stands between its backticks as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(sentence)))
 
 
 def data_address(picture: NDArray[np.uint8]) -> str:

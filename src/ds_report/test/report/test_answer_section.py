@@ -82,6 +82,9 @@ def test_a_campaign_without_a_twin_has_an_answer(tmp_path: Path) -> None:
     data = data_of(tmp_path, CONFIG.model_copy(update={"twin": None}))
     section = answer_section(tmp_path, data)
     assert section.picture and "predicted from a:One and b:Two without" in section.sentence
+    html = write_report(tmp_path, data, *results(data), answer=section).read_text()
+    assert re.search("<code>[^<`]*ds real propose [^<`]*</code>", html) and "`" in section.reading
+    assert "`" not in html[html.index('id="answer"') : html.index('id="comparison"')]
 
 
 @pytest.mark.parametrize("what", ["few", "damaged", "foreign"])
