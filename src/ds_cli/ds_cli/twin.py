@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer, say, stopped
+from ds_cli.output import Result, ScreenProgress, answer, say
 from ds_sim.conditions.text import format_3sf
 
 MISFIT = 2.0
@@ -38,15 +38,14 @@ def twin_fit_command(
 ) -> None:
     """Fit the digital twin's parameters to recorded drives.
 
-    `--sim donkey@FILE` then drives with them. The same command resumes an interrupted fit.
+    `--sim donkey@FILE` then drives with them.
 
     Example: ds twin fit located --out car.yaml
     """
     from ds_report.fit_picture import draw_fit
     from ds_twin_donkey.car_files import read_start
-    from ds_twin_donkey.fit import FitSettings, fit
-    from ds_twin_donkey.fit_state import Kept
-    from ds_twin_donkey.located import LOCATED, fit_located
+    from ds_twin_donkey.fit import fit
+    from ds_twin_donkey.located import fit_located
     from ds_twin_donkey.logs import read_log
     from ds_twin_donkey.parameter_file import document_of, write_parameters
 
@@ -57,15 +56,11 @@ def twin_fit_command(
         say(f"taken from {start}: {', '.join(initial.taken)}")
     drives = [drive for log in recorded for drive in log.drives]
     located = all(log.kind == "located" for log in recorded)
-    settings = LOCATED if located else FitSettings()
     mounting = None
-    state = out.with_name(f"{out.name}.state")
-    kept = Kept(state)
-    with stopped(lambda: f"the same command goes on from {state}" if state.exists() else ""):
-        if located:
-            fitted, mounting = fit_located(drives, begin, settings, ScreenProgress(), kept)
-        else:
-            fitted = fit(drives, begin, settings, ScreenProgress(), kept)
+    if located:
+        fitted, mounting = fit_located(drives, begin, progress=ScreenProgress())
+    else:
+        fitted = fit(drives, begin, progress=ScreenProgress())
     for name, ratio in fitted.misfit.items():
         if ratio > MISFIT:
             say(
@@ -80,7 +75,6 @@ def twin_fit_command(
             "with a camera there, add that to forward_m in camera.yaml, and locate again"
         )
     write_parameters(out, document)
-    kept.forget()
     picture = out.parent / "fit.png"
     draw_fit(fitted, picture)
     document |= {"file": str(out), "picture": str(picture)}

@@ -45,7 +45,6 @@ from ds_report.track_page import write_track_page
 from ds_road import Road, write_roads
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
-from ds_twin_donkey.fit_state import Kept
 from ds_twin_donkey.located import fit_located
 from ds_twin_donkey.logs import LogError, read_log
 from ds_twin_donkey.parameter_file import document_of, write_parameters
@@ -215,10 +214,9 @@ def _sha256(path: Path, without: Path | None = None) -> str:
 def _fit_twin(folder: Path, progress: Progress) -> None:
     """Fit the twin, or say why the nominal one is used."""
     fitted, cautions = False, []
-    kept = Kept(folder / f"{CAR}.state")
     try:
         log = read_log(folder)
-        fitted_twin, mounting = fit_located(log.drives, progress=progress, kept=kept)
+        fitted_twin, mounting = fit_located(log.drives, progress=progress)
     except (FitError, LogError) as error:
         cautions.append(f"The twin is not fitted, it is the nominal car: {error}.")
     else:
@@ -235,7 +233,6 @@ def _fit_twin(folder: Path, progress: Progress) -> None:
                 "forward_m in the camera's file, and test again in another folder."
             )
     write_json(folder / TWIN, {"fitted": fitted, "cautions": cautions})
-    kept.forget()
 
 
 def _driven(

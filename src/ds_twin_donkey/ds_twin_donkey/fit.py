@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from ds_base.progress import SILENT, Progress
 from ds_twin_donkey.dynamics import SUBSTEPS
-from ds_twin_donkey.fit_state import FORGETFUL, FitState, Kept, digest_of
 from ds_twin_donkey.logs import CHANNELS, LogSegment
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.residuals import FLOORS, MAX_FACTOR, SCALES, Problem
@@ -108,16 +107,14 @@ def fit(
     start: DonkeyParameters | None = None,
     settings: FitSettings | None = None,
     progress: Progress = SILENT,
-    kept: Kept = FORGETFUL,
 ) -> TwinFit:
-    """Fit parameters to recorded drives; deterministic, also where an interrupted fit goes on.
+    """Fit parameters to recorded drives; deterministic.
 
     Args:
         drives: recorded drives.
         start: initial values, and values of all parameters that are not fitted; nominal if omitted.
         settings: see `FitSettings`.
         progress: counts the work of all phases; an iteration has a line.
-        kept: where an interrupted fit of the same drives goes on, after the last finished round.
 
     Raises:
         FitError: no drive is long enough, or the model does not follow the drives at all.
@@ -125,32 +122,22 @@ def fit(
     start, settings = start or DonkeyParameters(), settings or FitSettings()
     names = list(settings.names)
     theta, eta, sigma = np.zeros(len(names)), np.zeros((0, UNKNOWNS)), None
-    state = kept.begin(digest_of(drives, repr((start, settings))))
-    if state is not None:
-        theta, eta, sigma = state.theta, state.eta, state.sigma
     # Residuals of a start that is far off count as noise at first: that keeps initial states free and steps large. The
     # noise shrinks from round to round to that of the sensors.
     stages = [(settings.window_seconds, settings.max_seconds)]
     if settings.window_seconds > ROUGH_SECONDS:
         stages.insert(0, (ROUGH_SECONDS, min(ROUGH_TOTAL, settings.max_seconds)))
     phases = _Phases(progress, first=3 - len(stages))
-    if state is not None:
-        progress.describe(f"an interrupted fit goes on after round {state.round} of phase {state.phase}")
     for phase, (seconds, max_total) in enumerate(stages, start=3 - len(stages)):
         windows = Windows(drives, start, seconds, max_total, MAX_FACTOR * start.command_delay)
         problem = Problem(windows, start, ROUGH_SUBSTEPS)
         counts = f"{problem.windows.count} windows of {seconds:g} s, {int(problem.windows.known.sum())} measured values"
         phases.begin(phase, counts)
-        if state is None or state.phase <= phase:
-            of_phase = state if state is not None and state.phase == phase else None
-            theta, eta = _rounds(problem, names, theta, sigma, settings, phases.iterated, phase, kept, of_phase)
-            sigma = problem.sigma
-    assert sigma is not None
-    problem.substeps, problem.sigma = SUBSTEPS, sigma
+        theta, eta = _rounds(problem, names, theta, sigma, settings.max_evaluations, phases.iterated)
+        sigma = problem.sigma
+    problem.substeps = SUBSTEPS
     phases.begin(3, "the model at its full rate")
-    if state is None or state.phase < 3:
-        theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-5, phases.iterated)
-        kept.keep(FitState(phase=3, round=1, settled=True, theta=theta, eta=eta, sigma=problem.sigma))
+    theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-5, phases.iterated)
     held = _undetermined(problem, names, theta, eta)
     if held:
         progress.describe(f"not determined, left at their start: {', '.join(held)}")
@@ -213,30 +200,21 @@ def _rounds(
     names: Sequence[str],
     theta: Array,
     sigma: Array | None,
-    settings: FitSettings,
+    evaluations: int,
     iterated: Callable[[str], None],
-    phase: int,
-    kept: Kept,
-    state: FitState | None,
 ) -> tuple[Array, Array]:
-    """Alternate weighting and solving until the noise has settled; `sigma` is the noise to start with, if known.
-
-    Every round is kept; `state` is that after which an interrupted phase goes on.
-    """
-    eta = problem.windows.initial_states.copy() if state is None else state.eta
+    """Alternate weighting and solving until the noise has settled; `sigma` is the noise to start with, if known."""
+    eta = problem.windows.initial_states.copy()
     if sigma is None:
         problem.weigh(names, theta, eta)
     else:
         problem.sigma = sigma.copy()
-    settled, first = (False, 1) if state is None else (state.settled, state.round + 1)
-    for turn in range(first, MAX_ROUNDS + 1):
-        if settled:
-            break
+    for _ in range(MAX_ROUNDS):
         before = problem.sigma.copy()
-        theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-3, iterated)
+        theta, eta = problem.solve(names, theta, eta, evaluations, 1e-3, iterated)
         problem.weigh(names, theta, eta)
-        settled = bool(np.all(np.abs(np.log(problem.sigma / before)) < SETTLED))
-        kept.keep(FitState(phase=phase, round=turn, settled=settled, theta=theta, eta=eta, sigma=problem.sigma))
+        if np.all(np.abs(np.log(problem.sigma / before)) < SETTLED):
+            break
     return theta, eta
 
 

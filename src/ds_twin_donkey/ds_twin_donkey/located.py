@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from ds_base.progress import SILENT, Progress
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.fit import ROUGH_SUBSTEPS, ROUGH_TOTAL, FitSettings, TwinFit, fit
-from ds_twin_donkey.fit_state import FORGETFUL, Kept
 from ds_twin_donkey.logs import LogSegment
 from ds_twin_donkey.parameters import GRAVITY, DonkeyParameters
 from ds_twin_donkey.windows import Windows
@@ -117,9 +116,7 @@ def rough_start(drives: Sequence[LogSegment], start: DonkeyParameters) -> Donkey
 def fit_located(
     drives: Sequence[LogSegment],
     start: DonkeyParameters | None = None,
-    settings: FitSettings = LOCATED,
     progress: Progress = SILENT,
-    kept: Kept = FORGETFUL,
 ) -> tuple[TwinFit, Mounting]:
     """Fit parameters to a located recording; see `ds_twin_donkey.fit.fit`.
 
@@ -129,4 +126,4 @@ def fit_located(
     start = start or DonkeyParameters()
     mounting = find_mounting(drives, start)
     drives = mounting.centred(drives)
-    return fit(drives, rough_start(drives, start), settings, progress, kept), mounting
+    return fit(drives, rough_start(drives, start), LOCATED, progress), mounting

@@ -25,7 +25,6 @@ from ds_report.fit_picture import draw_fit
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
 from ds_twin_donkey.fit import FitSettings, _Phases, fit
-from ds_twin_donkey.fit_state import FitState, Kept, digest_of
 from ds_twin_donkey.located import Mounting, find_mounting, fit_located, rough_start
 from ds_twin_donkey.logs import Log, LogError, LogSegment, drives_of, read_log
 from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
@@ -326,47 +325,6 @@ def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
         with pytest.raises(ParameterFileError, match=message) as caught:
             read_parameters(file)
         assert "\n" not in str(caught.value)
-
-
-class _StopsAfter(Kept):
-    """Stops a fit after so many states."""
-
-    def __init__(self, path: Path, states: int) -> None:
-        super().__init__(path)
-        self._left = states
-
-    def keep(self, state: FitState) -> None:
-        super().keep(state)
-        self._left -= 1
-        if self._left == 0:
-            raise KeyboardInterrupt
-
-
-def test_a_fit_that_is_stopped_after_any_round_ends_the_same(tmp_path: Path) -> None:
-    rng = np.random.default_rng(2)
-    drives = [simulated_recording(P, rng, random_commands(rng, 5.0), MOTION_CAPTURE)]
-    settings = FitSettings(window_seconds=1.0, max_evaluations=2, names=("full_duty",))
-    start, state, stops = P.changed(full_duty=1.2 * P.full_duty), tmp_path / "car.yaml.state", 0
-    whole = fit(drives, start, settings)
-    while True:
-        try:
-            again = fit(drives, start, settings, kept=_StopsAfter(state, 1))
-            break
-        except KeyboardInterrupt:
-            stops += 1
-    assert stops >= 2
-    assert again.estimates == whole.estimates and again.fitted.tobytes() == whole.fitted.tobytes()
-    inputs = digest_of(drives, "settings")
-    kept = Kept(state)
-    assert kept.begin(inputs) is None  # that state is of other settings
-    kept.keep(FitState(phase=2, round=3, settled=False, theta=np.ones(1), eta=np.ones((2, 7)), sigma=np.ones(5)))
-    known = Kept(state).begin(inputs)
-    assert known is not None and (known.phase, known.round, known.settled) == (2, 3, False)
-    assert Kept(state).begin(digest_of([*drives, *drives], "settings")) is None
-    state.write_text('{"inputs": 3')
-    assert Kept(state).begin(inputs) is None
-    kept.forget()
-    assert not state.exists()
 
 
 def test_a_fit_says_how_long_it_still_takes() -> None:
