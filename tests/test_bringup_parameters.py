@@ -7,6 +7,7 @@ import ast
 import os
 import runpy
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -56,8 +57,6 @@ def launched(
             if words is not None and args and isinstance(args[0], str):
                 words.setdefault(type(self).__name__, set()).add(args[0])
 
-        def add_action(self, _action: Any) -> None: ...
-
         def perform(self, _context: Any) -> str:
             return arguments.get(self.args[0], str(FOLDER.parent / "demo.yaml"))
 
@@ -66,13 +65,25 @@ def launched(
             super().__init__(**kwargs)
             made.append(kwargs)
 
+    class IncludeLaunchDescription(Anything):
+        def __init__(self, source: Any, launch_arguments: Iterable[tuple[str, str]]) -> None:
+            *_, file = source.args[0].args[0]
+            included: dict[str, set[str]] = {}
+            made.extend(launched(WATCH.with_name(file), monkeypatch, included))
+            assert {name for name, _ in launch_arguments} <= included["DeclareLaunchArgument"]
+
     def stand_in_for(name: str) -> Any:
-        return {"Node": Node, "Shutdown": _Shutdown}.get(name) or type(name, (Anything,), {})
+        own: dict[str, type] = {
+            "Node": Node,
+            "Shutdown": _Shutdown,
+            "IncludeLaunchDescription": IncludeLaunchDescription,
+        }
+        return own.get(name) or type(name, (Anything,), {})
 
     for module in (
-        "launch", "launch.actions", "launch.conditions", "launch.substitutions", "launch.event_handlers",
-        "launch.events", "launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions",
-        "launch_ros.substitutions",
+        "launch", "launch.actions", "launch.conditions", "launch.launch_description_sources", "launch.substitutions",
+        "launch.event_handlers", "launch.events", "launch_ros", "launch_ros.actions",
+        "launch_ros.parameter_descriptions", "launch_ros.substitutions",
     ):  # fmt: skip
         stand_in = ModuleType(module)
         stand_in.__getattr__ = stand_in_for  # type: ignore[method-assign]
@@ -126,9 +137,9 @@ def test_what_a_launch_file_names_is_there(path: Path, monkeypatch: pytest.Monke
     }
     assert modules - set(sys.stdlib_module_names) <= depends
     assert {node["package"] for node in made} - TOOLS <= depends
-    assert words["LaunchConfiguration"] <= words["DeclareLaunchArgument"] and words.get("FindPackageShare", set()) <= {
-        "ds_bringup"
-    }
+    assert words.get("LaunchConfiguration", set()) <= words["DeclareLaunchArgument"] and words.get(
+        "FindPackageShare", set()
+    ) <= {"ds_bringup"}
     for node in made:
         if node["package"] in TOOLS:
             continue

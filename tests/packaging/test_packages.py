@@ -68,8 +68,11 @@ WITHOUT_IMPORT = {
     ),  # made by the names in ds_sim/registry.py
     "ds_bringup": (
         "ds_cli",  # what the executables of ds_orchestrator run
+        "ds_sim_bullet",
         "ds_sim_panda",
-        "ds_sim_ros",  # simulators by name
+        "ds_sim_ros",
+        "ds_sim_softbody",
+        "ds_twin_donkey",  # simulators by name
         "ros2launch",
     ),
     "ds_sim": ("builtin_interfaces", "geometry_msgs"),  # imported by the names of messages in ds_sim/messages.py
