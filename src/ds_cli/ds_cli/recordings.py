@@ -124,8 +124,7 @@ def locate_command(
     recording = LocationInputs(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
     )
-    with stopped(lambda: f"what is finished is in {out}: the same command goes on"):
-        located, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
+    located, page = locate_recording(recording, out, ScreenProgress(every=EVERY))
     document = located.about | {"out": str(out), "page": str(page)}
 
     def show() -> None:

@@ -5,9 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.hints import Hint, HintFinder
-from ds_recording.kept_arrays import KeptArrays, arrays_of, digest_of, evidence_of
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Motion, MotionFinder
@@ -46,7 +43,6 @@ CLOSED_TURNS, WORSE_CLOSED = 10, 0.03
 """Smoother's steps on a closed line, and share of points it may lose; chosen: a wrong lap loses a third of them."""
 LEAST_LOCATED = 0.5
 """Share of the stretch's images that must be located."""
-FORGETFUL = KeptArrays()
 LIBRARIES = ("numpy", "opencv-python-headless", "scipy")
 
 
@@ -138,7 +134,7 @@ def check_evidence(evidence: Evidence) -> None:
         )
 
 
-def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: KeptArrays = FORGETFUL) -> SolvedStretch:
+def solve(evidence: Evidence, progress: Progress = SILENT) -> SolvedStretch:
     """Guess the road, smooth the run, and join the ends of a lap where there is one."""
     steps, last = [], np.zeros(3)
     for index, seconds in enumerate(np.diff(evidence.times), start=1):
@@ -154,11 +150,11 @@ def solve(evidence: Evidence, progress: Progress = SILENT, unfinished: KeptArray
         )
     progress.start(TURNS + CLOSED_TURNS)
     smoother = Smoother(evidence, poses, track)
-    solution = smoother.solve(TURNS, progress, unfinished.load("open"), partial(unfinished.keep, "open"))
+    solution = smoother.solve(TURNS, progress)
     lap = close_lap(solution.track, solution.along, solution.lateral, solution.heading)
     if lap is not None:
         smoother = Smoother(evidence, lap.poses, lap.track, lap.pieces)
-        closed = smoother.solve(CLOSED_TURNS, progress, unfinished.load("closed"), partial(unfinished.keep, "closed"))
+        closed = smoother.solve(CLOSED_TURNS, progress)
         if np.nanmean(closed.agree) > np.nanmean(solution.agree) - WORSE_CLOSED:
             solution = closed
     located = _trusted(evidence, solution)
@@ -240,9 +236,9 @@ def in_metres(
 
 
 def located_of(
-    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT, folder: Path | None = None
+    views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT
 ) -> tuple[Located, SolvedStretch]:
-    """Locate a stretch; what an interrupted call has left in the folder is not done again.
+    """Locate a stretch.
 
     Raises:
         RecordingError: it cannot carry a location; with the reason, and the share of images that failed.
@@ -256,16 +252,11 @@ def located_of(
     if not camera.mounted:
         calibration = "chessboard"
         camera = mount(views, camera, lane_width)
-    unfinished = KeptArrays(folder, digest_of(views, camera, lane_width)) if folder else FORGETFUL
-    kept = unfinished.load("evidence")
-    evidence = gather(views, camera, lane_width, progress) if kept is None else evidence_of(kept)
-    if kept is None:
-        unfinished.keep("evidence", arrays_of(evidence))
+    evidence = gather(views, camera, lane_width, progress)
     check_evidence(evidence)
     checked: list[Checked] = []
     if views.odometry:
         evidence, checked = with_odometry(evidence, views, camera, lane_width, progress)
     progress.describe("lines and motion found; solving for the whole run")
-    fit = solve(evidence, progress, unfinished)
-    unfinished.forget()
+    fit = solve(evidence, progress)
     return in_metres(views, fit, camera, lane_width, calibration, checked), fit

@@ -12,9 +12,8 @@ steps along a chain of frames; a factorisation needs one. Lengths are in lane wi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +48,6 @@ LONGER = 1.5
 """Factor by which a line may grow before the search counts as lost."""
 _TRIES = 5
 """Shorter and shorter steps that are tried."""
-_NUMBERS = ("gain", "trim", "delay", "lag", "std", "explained")
 NEAR = 1.5
 """Distance of the line's points that are used first, lane widths."""
 TURNS = 16
@@ -163,27 +161,10 @@ class Smoother:
         spread = spread + np.diag(np.square(MOTION_FLOOR))
         self._whitening = np.linalg.inv(np.linalg.cholesky(spread))
 
-    def solve(
-        self,
-        turns: int = TURNS,
-        progress: Progress = SILENT,
-        kept: Mapping[str, NDArray[Any]] | None = None,
-        keep: Callable[[dict[str, NDArray[Any]]], None] = lambda arrays: None,
-    ) -> Solution:
-        """Run Gauss-Newton, with the gates closing, and return what was found.
-
-        `keep` takes the state after each step; `kept` is what it got last, to go on from there.
-        """
-        step_damping, done = 1e-5, 0
-        if kept is not None:
-            step_damping, done = float(kept["step_damping"]), int(kept["done"])
-            self._poses, self._pieces, self._nearest = kept["poses"], kept["pieces"], kept["nearest"]
-            self._track = Track(kept["points"], bool(kept["closed"]))
-            if "gain" in kept:
-                numbers = {name: float(kept[name]) for name in _NUMBERS}
-                self._steering = Steering(**numbers, curvatures=kept["curvatures"])
-            progress.advance(done, "steps of the solution kept from before")
-        for turn in range(done, turns):
+    def solve(self, turns: int = TURNS, progress: Progress = SILENT) -> Solution:
+        """Run Gauss-Newton, with the gates closing, and return what was found."""
+        step_damping = 1e-5
+        for turn in range(turns):
             # From near to far: what is far away turns a road that is only guessed by too much.
             self._far = NEAR + 1.0 * turn
             gate = max(1.0, 6.0 * 0.6**turn)
@@ -201,18 +182,9 @@ class Smoother:
                 step_damping = max(10.0 * step_damping, 1e-4)
             if turn in (4, 8):
                 self._steering = self._follow()
-            keep(self._state(step_damping, turn + 1))
             progress.advance(line="steps of the solution for the whole run")
         progress.describe("how sure it is, image by image")
         return self._solution()
-
-    def _state(self, step_damping: float, done: int) -> dict[str, NDArray[Any]]:
-        state: dict[str, Any] = {"step_damping": step_damping, "done": done, "poses": self._poses}
-        state |= {"pieces": self._pieces, "nearest": self._nearest}
-        state |= {"points": self._track.points, "closed": self._track.closed}
-        if self._steering is not None:
-            state |= {name: getattr(self._steering, name) for name in (*_NUMBERS, "curvatures")}
-        return {name: np.asarray(value) for name, value in state.items()}
 
     @property
     def _count(self) -> int:

@@ -14,12 +14,9 @@ import pytest
 from numpy.typing import NDArray
 from tubs import write_tub
 
-from ds_base.progress import Silent
 from ds_driver.data.recordings import Reading
-from ds_recording import locate
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
-from ds_recording.kept_arrays import KeptArrays
 from ds_recording.lines import line_pixels, points_on_floor
 from ds_recording.locate import SolvedStretch, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
@@ -162,41 +159,6 @@ def _centre(points: Array) -> Array:
     """Centre of the circle through points, by linear least squares."""
     rows = np.column_stack((2 * points, np.ones(len(points))))
     return np.asarray(np.linalg.lstsq(rows, (points**2).sum(axis=1), rcond=None)[0][:2])
-
-
-class Stopped(Exception):
-    """The user stops a location."""
-
-
-class StopsAt(Silent):
-    """Stops after so many reported steps of a kind."""
-
-    def __init__(self, line: str, after: int) -> None:
-        self._line, self._left = line, after
-
-    def advance(self, amount: float = 1, line: str = "") -> None:
-        self._left -= line.startswith(self._line)
-        if self._left < 0:
-            raise Stopped
-
-
-def test_a_location_that_was_stopped_goes_on_to_the_same_bits(
-    tmp_path: Path, pictures: list[NDArray[np.uint8]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tub = tub_of(tmp_path / "tub", pictures, TIMES, np.sin(TIMES))
-    views, folder = read_views(tub, Reading(whole=True)), tmp_path / "out"
-    whole, _ = located_of(views, CAMERA, WIDTH)
-    for after in (3, 12):  # before and after the steering is followed
-        with pytest.raises(Stopped):
-            located_of(views, CAMERA, WIDTH, StopsAt("steps of the solution", after), folder)
-        assert sorted(path.name for path in folder.iterdir()) == ["unfinished_evidence.npz", "unfinished_open.npz"]
-    (folder / "unfinished_closed.npz").write_bytes(b"damaged")
-    assert KeptArrays(folder, "other inputs").load("open") is None
-    monkeypatch.setattr(locate, "gather", None)  # images are not looked at again
-    resumed, _ = located_of(views, CAMERA, WIDTH, folder=folder)
-    np.testing.assert_array_equal(resumed.table, whole.table)
-    np.testing.assert_array_equal(resumed.track.points, whole.track.points)
-    assert resumed.about == whole.about and not list(folder.iterdir())
 
 
 def test_the_files_come_back_and_the_page_stands_alone(solved: Solved, tmp_path: Path) -> None:

@@ -115,14 +115,12 @@ class TrackTest:
 def locate_recording(of: LocationInputs, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
     """Locate a recording, and write a folder; its page, whose path is returned, too, is written last.
 
-    What an interrupted call has left in the folder is not done again.
-
     Raises:
         ds_recording.errors.RecordingError: it cannot carry a location.
     """
     camera = read_camera(of.camera)
     views = read_views(of.source, of.reading, of.odometry, of.centre)
-    located, fit = located_of(views, camera, of.lane_width, progress, folder)
+    located, fit = located_of(views, camera, of.lane_width, progress)
     about = {"source": os.path.relpath(of.source, folder), "topic": of.reading.camera}
     located = replace(located, about=located.about | about)
     write_located(folder, located)
