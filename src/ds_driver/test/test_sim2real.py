@@ -30,13 +30,12 @@ from ds_driver.sim2real.generator import (
     Sim2RealError,
     StoredGenerator,
     Window,
-    check_fits,
     generator_input,
     load_generator,
     save_generator,
 )
 from ds_driver.sim2real.image_translation import open_set
-from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, align_lane, lane_shapes, pair_lanes
+from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, LanePairs, align_lane, lane_shapes, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, find_lines, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, InstanceNorm, to_batch, to_images
 from ds_driver.sim2real.preparation import network_window, prepare_domains, read_sources
@@ -86,9 +85,13 @@ def domains(rng: np.random.Generator) -> Domains:
     return Domains(
         simulated=images[0],
         real=images[1],
-        pairs=rng.integers(0, 5, (5, 3)),
-        simulated_lanes=places,
-        real_lanes=places[::-1],
+        pairs=LanePairs(
+            simulated=np.arange(5),
+            photographs=rng.integers(0, 5, (5, 3)),
+            simulated_lanes=places,
+            photographed_lanes=places[::-1],
+            apart=0.0,
+        ),
         shown_simulated=images[2][:1],
         shown_real=images[3][:1],
         simulator="bullet",
@@ -102,6 +105,11 @@ def tiny_generator(path: Path, seed: int = 1, simulator: str = "bullet") -> Stor
     tensors = {name: value.numpy() for name, value in Generator(TINY).state_dict().items()}
     save_generator(path, tensors, simulator=simulator, shape=TINY, window=Window(54, 160, 0, 320), real_window=WHOLE)
     return load_generator(path)
+
+
+def small(of: Translator, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Translate an image of the generator's size."""
+    return of._runner.compute(image[None])[0][0]
 
 
 def test_the_networks_of_the_paper_have_its_numbers_of_parameters() -> None:
@@ -133,7 +141,7 @@ def test_a_stored_generator_computes_in_onnx_what_pytorch_computes(tmp_path: Pat
     image = np.random.default_rng(1).integers(0, 256, (*TINY.size, 3), dtype=np.uint8)
     with torch.inference_mode():
         expected = to_images(network(to_batch(torch.from_numpy(image[None]))))[0].numpy()
-    found = Translator(stored).small(image)
+    found = small(Translator(stored), image)
     assert found.shape == expected.shape and np.abs(found.astype(int) - expected).max() <= 1
     assert np.ptp(found) > 0
 
@@ -154,7 +162,7 @@ def test_four_pixels_at_once_have_the_bits_of_a_plain_convolution(
     plain = Translator(generator, backend)
     assert b"DepthToSpace" in graph and b"DepthToSpace" not in generator_to_onnx(generator)
     for image in images:
-        assert np.array_equal(at_once.small(image), plain.small(image)) and np.ptp(plain.small(image)) > 0
+        assert np.array_equal(small(at_once, image), small(plain, image)) and np.ptp(small(plain, image)) > 0
 
 
 def test_a_pool_returns_earlier_images_half_of_the_time() -> None:
@@ -278,7 +286,7 @@ def test_a_training_draws_real_images_from_the_pairs(tmp_path: Path) -> None:
     data = domains(np.random.default_rng(3))
     changed = data.real.copy()
     changed[4] = 0
-    pairs = np.array([[i % 4] for i in range(5)])
+    pairs = replace(data.pairs, photographs=np.array([[i % 4] for i in range(5)]))
     results = []
     for name, real in (("one", data.real), ("other", changed)):
         (tmp_path / name).mkdir()
@@ -352,7 +360,7 @@ def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Pa
     content, written = file.read_bytes(), file.stat().st_mtime_ns
     translate(data, out, translator, SILENT)
     assert file.stat().st_mtime_ns == written
-    translate(data, tmp_path / "again", translator, SILENT, workers=2)
+    translate(data, tmp_path / "again", translator, SILENT, workers=1)
     assert drive_path(tmp_path / "again", "bullet", "r", "forward").read_bytes() == content
     other = Translator(tiny_generator(tmp_path / "other.safetensors", seed=2))
     with pytest.raises(Sim2RealError, match="another generator"):
@@ -405,9 +413,7 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
 
 def test_generators_that_are_damaged_or_of_another_simulator_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "g.safetensors"
-    stored = tiny_generator(path)
-    with pytest.raises(Sim2RealError, match="translates images of bullet, these are of donkey"):
-        check_fits(stored, "donkey")
+    tiny_generator(path)
     content = path.read_bytes()
     for damaged in (content[:-40], b"", b"x" * 100, content.replace(b'filters\\": 2', b'filters\\": 3')):
         path.write_bytes(damaged)

@@ -19,14 +19,13 @@ from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import STATE, BagReader, read_run
 from ds_bags.verification import COMPRESSED, IMAGE
-from ds_base.bounded_file import FileError, read_regular
 from ds_base.folder_files import place_folder
 from ds_base.left_out import LeftOut
 from ds_base.progress import Progress, counted, logger_of
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
-from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of_file, rgb_of_message
+from ds_driver.networks.images import Crop, ImageError, fit_to_network, read_rgb, rgb_of_message
 from ds_driver.networks.pilot import NOT_SIMULATED, Frame
 from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import label_of, received_simulator, simulators, spec_of
@@ -36,8 +35,6 @@ MOTION = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "geometry_msgs/msg/Pos
 """Types whose times are compared with those of the images."""
 NEAR = 0.1
 """Largest time between an image and its steering value in other bags, s; chosen: two frames at 20 Hz."""
-MAX_IMAGE_FILE = 64 * 2**20
-"""Largest image file of a tub, bytes."""
 _PROJECT_BAG = "bag of ours"
 """Kind of a bag of this project; existing data sets store this text."""
 Truth = Literal["recorded", "autopilot"]
@@ -194,9 +191,9 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
     for record, file in pictures:
         image, trouble = None, ""
         try:
-            image = recording.reading.fitted(rgb_of_file(read_regular(file, MAX_IMAGE_FILE)))
-        except (OSError, ImageError, FileError) as error:
-            trouble = f"{file}: {getattr(error, 'strerror', None) or error}"
+            image = recording.reading.fitted(read_rgb(file))
+        except ImageError as error:
+            trouble = f"{file}: {error}"
         yield RecordedFrame(
             index=record.index,
             seconds=record.seconds - pictures[0][0].seconds,

@@ -4,18 +4,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 
 Pixels = NDArray[np.uint8]
 MAX_PIXELS = 2**26
 """Largest number of pixels of an image; chosen: 8192 x 8192, more than any vehicle camera has."""
+MAX_IMAGE_FILE = 64 * 2**20
+"""Largest file of an image, bytes."""
 _TO_RGB: dict[str, tuple[int, int | None]] = {
     "rgb8": (3, None),
     "8UC3": (3, cv2.COLOR_BGR2RGB),
@@ -171,6 +175,18 @@ def rgb_of_file(data: bytes) -> Pixels:
     if image is None:
         raise ImageError("an image is damaged, or neither JPEG nor PNG")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+
+
+def read_rgb(path: Path) -> Pixels:
+    """Read a JPEG or PNG file as (height, width, 3) uint8 RGB.
+
+    Raises:
+        ImageError: the file is missing, or larger than `MAX_IMAGE_FILE`; or see `rgb_of_file`.
+    """
+    try:
+        return rgb_of_file(read_regular(path, MAX_IMAGE_FILE))
+    except (OSError, FileError) as error:
+        raise ImageError(getattr(error, "strerror", None) or str(error)) from None
 
 
 def _declared_size(data: bytes) -> tuple[int, int] | None:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,9 +22,10 @@ IR_VERSION = 8
 
 
 class OnnxGraph:
-    """Graph under construction; values are named in the order of their nodes."""
+    """Graph under construction, of layers whose `tensors` are named LAYER.weight and LAYER.bias."""
 
-    def __init__(self) -> None:
+    def __init__(self, tensors: Mapping[str, NDArray[np.float32]]) -> None:
+        self._tensors = tensors
         self._nodes: list[onnx.NodeProto] = []
         self._constants: list[onnx.TensorProto] = []
 
@@ -39,6 +40,10 @@ class OnnxGraph:
         name = f"constant_{len(self._constants)}"
         self._constants.append(numpy_helper.from_array(np.asarray(value), name))
         return name
+
+    def parameters(self, layer: str) -> list[str]:
+        """Add the weights and the biases of a layer; return their names."""
+        return [self.constant(self._tensors[f"{layer}.{part}"]) for part in ("weight", "bias")]
 
     def scaled(self, image: str) -> str:
         """Convert (n, rows, columns, 3) uint8 to (n, 3, rows, columns) in -1 to 1; OpenVINO needs no transposition."""
@@ -73,10 +78,10 @@ def to_onnx(weights: Weights) -> bytes:
     The input is `image`, (1, 160, 320, 3) uint8 YUV from `ds_driver.networks.images.prepare`; the output is
     `steering`, (1, 1) float32.
     """
-    graph = OnnxGraph()
+    graph = OnnxGraph(weights.tensors)
     value = graph.scaled("image")
     for name, layer in weights.architecture.layers():
-        value = _layer(graph, layer, name, weights.tensors, value)
+        value = _layer(graph, layer, name, value)
     return graph.file(
         weights.architecture.title,
         ("image", TensorProto.UINT8, [1, IMAGE_HEIGHT, IMAGE_WIDTH, 3]),
@@ -84,16 +89,15 @@ def to_onnx(weights: Weights) -> bytes:
     )
 
 
-def _layer(graph: OnnxGraph, layer: Layer, name: str, tensors: dict[str, NDArray[np.float32]], value: str) -> str:
-    """Add a layer with a value as its input; return the name of its output."""
+def _layer(graph: OnnxGraph, layer: Layer, name: str, value: str) -> str:
     if isinstance(layer, Dropout):
         return value
     if isinstance(layer, MaxPool):
         return graph.node("MaxPool", [value], kernel_shape=[layer.size] * 2, strides=[layer.size] * 2)
-    if isinstance(layer, (Conv, Dense)):
-        inputs = [value, *(graph.constant(tensors[f"{name}.{part}"]) for part in ("weight", "bias"))]
-        if isinstance(layer, Dense):
-            return graph.node("Gemm", inputs, transB=1)
+    if isinstance(layer, Dense):
+        return graph.node("Gemm", [value, *graph.parameters(name)], transB=1)
+    if isinstance(layer, Conv):
         before, after = layer.padding
-        return graph.node("Conv", inputs, strides=[layer.stride] * 2, pads=[before, before, after, after])
+        pads = [before, before, after, after]
+        return graph.node("Conv", [value, *graph.parameters(name)], strides=[layer.stride] * 2, pads=pads)
     return graph.node(layer.kind, [value])

@@ -194,19 +194,6 @@ def load_generator(path: Path) -> StoredGenerator:
     )
 
 
-def check_fits(generator: StoredGenerator, simulator: str) -> None:
-    """Refuse a generator for the images of another simulator.
-
-    Raises:
-        Sim2RealError: the generator was trained for another simulator.
-    """
-    if generator.simulator != simulator:
-        raise Sim2RealError(
-            f"the generator translates images of {generator.simulator}, these are of {simulator}: choose the "
-            f"generator of {simulator}, or train one"
-        )
-
-
 def _whole(value: object) -> int:
     if type(value) is not int:
         raise ValueError(f"{value!r:.40} is not a whole number")

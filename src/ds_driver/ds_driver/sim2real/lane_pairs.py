@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pairs simulated images with photographs that show the lane alike, so that a generator gains nothing by moving lines.
 
-CycleGAN makes the distribution of translated images that of the photographs, including that of where the lines are. A
-car on straight roads of a simulator and one in the bends of a real track differ in that: without pairs, a generator
-bends lines. Paired photographs still show the lane a few pixels elsewhere, so they are aligned row by row: then a
-discriminator learns nothing about translated images from where lines are.
+CycleGAN gives translated images the distribution of the photographs, also in where the lines are: where simulated roads
+are straight and the real track is not, it bends lines. So photographs are paired with simulated images of the same lane
+and aligned row by row: then a discriminator learns nothing from where lines are.
 """
 
 from __future__ import annotations
@@ -72,10 +71,7 @@ class LanePairs:
 
 
 def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Measure the columns of both lines at `HEIGHTS`.
-
-    Args:
-        images: (n, rows, columns, 3) uint8 RGB, prepared for a generator.
+    """Measure the columns of both lines at `HEIGHTS` in images for a generator, (n, rows, columns, 3) uint8 RGB.
 
     Returns:
         (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that
@@ -86,7 +82,6 @@ def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def _lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float64]:
-    """Measure both lines, from `lane_borders`, of one image at `HEIGHTS`: (2 * heights,), as `lane_shapes` does."""
     rows = len(borders)
     first, at = round(FIRST_ROW * rows), np.array(HEIGHTS) * rows
     shape = np.full((2, len(HEIGHTS)), np.nan)
@@ -96,26 +91,24 @@ def _lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float6
         if visible.size < LEAST_ROWS * rows or span < LEAST_SPAN:
             break
         degree = next(degree for least, degree in DEGREES if span >= least)
-        line = np.polynomial.Polynomial.fit(visible, borders[visible, side], degree)
+        line = Polynomial.fit(visible, borders[visible, side], degree)
         # A line that left the picture is not followed any further.
         shape[side] = (line(at) / columns).clip(-0.25, 1.25)
     return shape.ravel()
 
 
 def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> LanePairs:
-    """Find photographs that show the lane where simulated images do; both (n, rows, columns, 3) uint8 RGB, prepared.
+    """Find photographs that show the lane where simulated images do; both as `lane_shapes` takes them.
 
     Raises:
         Sim2RealError: too few images show both lines.
     """
     shapes = [lane_shapes(images) for images in (simulated, photographs)]
     visible = [np.flatnonzero(np.isfinite(part).all(axis=1)) for part in shapes]
-    for name, with_lines, images in zip(
-        ("simulated images", "photographs"), visible, (simulated, photographs), strict=True
-    ):
+    for name, with_lines, part in zip(("simulated images", "photographs"), visible, shapes, strict=True):
         if len(with_lines) < FEWEST:
             raise Sim2RealError(
-                f"{len(with_lines)} of {len(images)} {name} show both lines of the lane, expected at least {FEWEST}: "
+                f"{len(with_lines)} of {len(part)} {name} show both lines of the lane, expected at least {FEWEST}: "
                 "take more photographs from the right lane"
             )
     tree = KDTree(shapes[1][visible[1]])
@@ -135,13 +128,8 @@ def align_lane(
 ) -> NDArray[np.uint8]:
     """Shift and stretch the rows of a photograph so that its lane is where another image has it.
 
-    Args:
-        photograph: (rows, columns, 3) uint8 RGB.
-        shown: (2 * heights,) where it shows the lines, from `ds_driver.sim2real.lane_pairs.lane_shapes`.
-        wanted: the same of the other image.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB; what it does not show is mirrored at its sides.
+    The photograph is (rows, columns, 3) uint8 RGB, as is the result, mirrored at the sides where it ends. `shown` and
+    `wanted`, (2 * heights,) from `lane_shapes`, are the lines of the photograph and of the other image.
     """
     rows, columns = photograph.shape[:2]
     at = np.array(HEIGHTS) * rows
@@ -159,13 +147,6 @@ def align_lane(
     x = np.arange(columns) / columns
     source = (middle[:, None] + stretch[:, None] * (x - wanted_middle[:, None])) * columns
     y = np.broadcast_to(every[:, None], source.shape)
-    return np.asarray(
-        cv2.remap(
-            photograph,
-            source.astype(np.float32),
-            y.astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_REFLECT_101,
-        ),
-        np.uint8,
-    )
+    x_map, y_map = source.astype(np.float32), y.astype(np.float32)
+    aligned = cv2.remap(photograph, x_map, y_map, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+    return np.asarray(aligned, np.uint8)

@@ -7,6 +7,7 @@ Nothing here is trained, so it cannot learn the mistakes of a generator; `docs/s
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -57,8 +58,7 @@ LEAST_KEPT = 0.6
 """Least share of the simulator's view that is kept without a warning; chosen: both lines and 20 m of road are in it."""
 
 
-@dataclass(frozen=True, slots=True)
-class Lines:
+class Lines(NamedTuple):
     """Pixels, (rows, columns), of the yellow line to the left of the lane, and of the white edges of the road."""
 
     yellow: Mask
@@ -66,12 +66,7 @@ class Lines:
 
 
 def find_lines(image: NDArray[np.uint8], colour: tuple[float, float] = YELLOW) -> Lines:
-    """Find the lines in an image.
-
-    Args:
-        image: (rows, columns, 3) uint8 RGB.
-        colour: of the line to the left of the lane, as weights of a and b of CIE Lab.
-    """
+    """Find the lines in an image, (rows, columns, 3) uint8 RGB; the left one by weights of a and b of CIE Lab."""
     lab = cv2.cvtColor(image.astype(np.float32) / 255.0, cv2.COLOR_RGB2LAB)
     lightness, a, b = lab[..., 0], lab[..., 1], lab[..., 2]
     side = max(3, round(WIDEST * image.shape[1])) | 1
@@ -103,7 +98,7 @@ def lane_borders(lines: Lines) -> NDArray[np.float64]:
 
 
 def _ridges(values: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """Height of what is narrower than a square of `side` pixels above what is around it (a top-hat)."""
+    """Height of what is narrower than `side` pixels above what is around it."""
     reach = side // 2
     padded = cv2.copyMakeBorder(values, reach, reach, reach, reach, cv2.BORDER_REPLICATE)
     opened = cv2.morphologyEx(padded, cv2.MORPH_TOPHAT, np.ones((side, side), np.uint8))
@@ -119,7 +114,7 @@ def _without_specks(mask: Mask, smallest: int) -> Mask:
 
 def _run_middles(row: Mask) -> NDArray[np.float64]:
     """Middles of the runs of a row that do not touch its ends."""
-    change = np.flatnonzero(np.diff(np.concatenate(([0], row.astype(np.int8), [0]))))
+    change = np.flatnonzero(np.diff(row, prepend=False, append=False))
     begins, ends = change[::2], change[1::2]
     inside = (begins > 0) & (ends < row.size)
     return (begins[inside] + ends[inside] - 1) / 2.0
@@ -172,6 +167,12 @@ class LaneView:
         """Return the columns of both lines at a row."""
         return self.yellow[0] * row + self.yellow[1], self.white[0] * row + self.white[1]
 
+    def medians_in(self, window: Window) -> NDArray[np.float64]:
+        """Return the medians at `HEIGHTS` of a window, in its widths."""
+        rows = window.top + HEIGHTS * (window.bottom - window.top)
+        medians = self.medians[rows.astype(int).clip(0, self.rows - 1)]
+        return (medians - window.left) / (window.right - window.left)
+
     def seen_through(self, window: Window) -> LanePosition:
         """Return where the lane is in a window."""
         yellow, white = self.at(window.bottom)
@@ -184,16 +185,8 @@ class LaneView:
 
 
 def lane_difference(views: tuple[LaneView, LaneView], windows: tuple[Window, Window]) -> float:
-    """Compare where the lines are in two windows: the larger mean difference of the two, in widths; see `BOUND`.
-
-    Medians are compared as they were measured, so that this also judges the straight lines that the windows come from.
-    """
-    places = []
-    for view, window in zip(views, windows, strict=True):
-        rows = window.top + HEIGHTS * (window.bottom - window.top)
-        medians = view.medians[rows.astype(int).clip(0, view.rows - 1)]
-        places.append((medians - window.left) / (window.right - window.left))
-    apart = np.abs(places[0] - places[1])
+    """Compare the medians of both lines in two windows: the larger mean difference, in widths; see `BOUND`."""
+    apart = np.abs(views[0].medians_in(windows[0]) - views[1].medians_in(windows[1]))
     if not np.isfinite(apart).any(axis=0).all():
         return 1.0
     return float(np.nanmean(apart, axis=0).max())
@@ -268,17 +261,14 @@ class Match:
 def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
     """Find the crops with which photographs show the lane as a simulator does in the window that a network sees.
 
-    For each top and bottom row in the photographs, least squares give the left and right border with which both lines
-    are where the simulator's window has them, at all of `HEIGHTS`. What of it lies outside the photographs is cut off
-    in both domains. Of the crops that differ by at most half of `BOUND` the largest is used, or else the one that
-    differs least.
+    For each top and bottom row in the photographs, least squares over `HEIGHTS` give the left and right border. What
+    lies outside the photographs is cut off in both domains. Of the crops that differ by at most half of `BOUND` the
+    largest is used, or else the one that differs least.
 
     Raises:
         Sim2RealError: no crop shows the lane alike.
     """
-    rows = window.top + HEIGHTS * (window.bottom - window.top)
-    wanted = simulated.medians[rows.astype(int).clip(0, simulated.rows - 1)]
-    wanted = (wanted - window.left) / (window.right - window.left)
+    wanted = simulated.medians_in(window)
     best: Match | None = None
     best_rank = (-np.inf, -np.inf, -np.inf)
     for top in range(round(HIGHEST_TOP * real.rows)):

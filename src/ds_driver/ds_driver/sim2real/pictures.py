@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
-from ds_base.bounded_file import FileError, read_regular
 from ds_base.progress import counted
-from ds_driver.data.recordings import MAX_IMAGE_FILE, Reading, open_recording
-from ds_driver.networks.images import ImageError, rgb_of_file
+from ds_driver.data.recordings import Reading, open_recording
+from ds_driver.networks.images import ImageError, read_rgb
 from ds_driver.sim2real.generator import Sim2RealError, resize
 from ds_driver.sim2real.settings import HELD_OUT
 
@@ -37,8 +36,9 @@ def read_photographs(source: Path, *, limit: int | None = None) -> NDArray[np.ui
         ds_bags.layout.BagError: the tub or bag is damaged.
     """
     images: list[NDArray[np.uint8]] = []
-    for name, image in read_images(source, limit):
-        image = _reduced(image)
+    for name, image in _read_images(source, limit):
+        if image.shape[1] > LARGEST_WIDTH:
+            image = resize(image, (round(image.shape[0] * LARGEST_WIDTH / image.shape[1]), LARGEST_WIDTH))
         if images and image.shape != images[0].shape:
             sizes = " and ".join(f"{shape[1]} x {shape[0]}" for shape in (images[0].shape, image.shape))
             raise Sim2RealError(f"{name}: photographs of {sizes} px, expected one size: sort them into folders by size")
@@ -55,15 +55,13 @@ def split(photographs: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np
     return photographs[:first], photographs[first:]
 
 
-def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[np.uint8]]]:
-    """Read up to `limit` images in their order, with the name of each; raises as `read_photographs` does."""
+def _read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+    """Read images with the name of each; see `read_photographs`."""
     if not source.exists():
         raise Sim2RealError(f"{source} does not exist: expected a tub, a bag, or a folder of photographs")
     if is_tub(source):
-        pictures = read_tub(source).pictures
-        yield from (_decoded(pictures[i][1]) for i in counted(evenly(len(pictures), limit), str(source)))
-        return
-    if (source / "metadata.yaml").exists() or source.suffix in (".bag", ".mcap", ".db3"):
+        files = [file for _, file in read_tub(source).pictures]
+    elif (source / "metadata.yaml").exists() or source.suffix in (".bag", ".mcap", ".db3"):
         recording = open_recording(source, Reading())
         wanted = None if limit is None else set(evenly(sum(1 for _ in recording.frames()), limit))
         for number, frame in enumerate(recording.frames()):  # twice, as all images at once fill the memory
@@ -73,24 +71,18 @@ def read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[
                 raise Sim2RealError(f"{frame.trouble}: remove that image, or record it again")
             yield f"{source}, image {frame.index}", frame.image
         return
-    if not source.is_dir():
+    elif not source.is_dir():
         raise Sim2RealError(f"{source} is a file: expected a tub, a bag, or a folder of photographs")
-    files = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
+    else:
+        files = sorted(p for p in source.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
     yield from (_decoded(files[i]) for i in counted(evenly(len(files), limit), str(source)))
-
-
-def _reduced(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    if image.shape[1] <= LARGEST_WIDTH:
-        return image
-    return resize(image, (round(image.shape[0] * LARGEST_WIDTH / image.shape[1]), LARGEST_WIDTH))
 
 
 def _decoded(file: Path) -> tuple[str, NDArray[np.uint8]]:
     try:
-        return str(file), rgb_of_file(read_regular(file, MAX_IMAGE_FILE))
-    except (OSError, ImageError, FileError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise Sim2RealError(f"{file}: {reason}: remove that file, or copy it again") from None
+        return str(file), read_rgb(file)
+    except ImageError as error:
+        raise Sim2RealError(f"{file}: {error}: remove that file, or copy it again") from None
 
 
 def evenly(count: int, limit: int | None) -> NDArray[np.int64]:

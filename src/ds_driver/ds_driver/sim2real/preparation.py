@@ -95,16 +95,14 @@ def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains,
     domains = Domains(
         simulated=small[pairs.simulated],
         real=small_real,
-        pairs=pairs.photographs,
-        simulated_lanes=pairs.simulated_lanes,
-        real_lanes=pairs.photographed_lanes,
+        pairs=pairs,
         shown_simulated=_prepared(shown, match.simulated, size),
         shown_real=_prepared(held_out_real[evenly(len(held_out_real), SHOWN)], match.real, size),
         simulator=sources.simulator,
         window=match.simulated,
         real_window=match.real,
     )
-    _write_card(out / CARD, source, sources, domains, pairs)
+    _write_card(out / CARD, source, sources, domains)
     return domains, _warnings(match, pairs)
 
 
@@ -114,7 +112,6 @@ def network_window(spec: SimulatorSpec) -> Window:
 
 
 def _warnings(match: Match, pairs: LanePairs) -> tuple[str, ...]:
-    """Say what still differs between the domains."""
     warnings = []
     if match.difference > BOUND:
         warnings.append(
@@ -132,8 +129,8 @@ def _warnings(match: Match, pairs: LanePairs) -> tuple[str, ...]:
     return tuple(warnings)
 
 
-def _write_card(path: Path, source: Path, sources: Sources, domains: Domains, pairs: LanePairs) -> None:
-    match = sources.match
+def _write_card(path: Path, source: Path, sources: Sources, domains: Domains) -> None:
+    match, pairs = sources.match, domains.pairs
     card = {
         "simulator": sources.simulator,
         "photographs": source.resolve().name,

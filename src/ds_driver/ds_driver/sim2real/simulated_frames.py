@@ -52,13 +52,11 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
     Raises:
         Sim2RealError: a road is in a data set.
     """
-    roads = sim2real_roads(settings)
-    ids = {road.road_id for road in roads}
+    ids = {road.road_id for road in sim2real_roads(settings)}
     for folder in data_sets:
-        ids_there = road_ids(folder)
-        if ids & ids_there:
+        if used := ids & road_ids(folder):
             raise Sim2RealError(
-                f"{len(ids & ids_there)} of the roads are in {folder}, too, expected new ones: choose another --seed"
+                f"{len(used)} of the roads are in {folder}, too, expected new ones: choose another --seed"
             )
 
 
@@ -74,20 +72,22 @@ def simulated_frames(
     identity = json.dumps({"simulator": simulator, **relevant})
     roads = sim2real_roads(settings)
     if file.exists():
-        return _read(file, identity, len(roads))
-    drives, work = [], partial(_drive, simulator, settings, roads)
-    progress.start(len(roads))
-    for drive in map_in_processes(work, range(len(roads)), workers=settings.threads):
-        drives.append(drive)
-        progress.advance(line=f"{simulator}: {len(drive)} images")
-    images = np.concatenate(drives)
-    numbers = np.concatenate([np.full(len(drive), index, np.int32) for index, drive in enumerate(drives)])
-    with whole_file(file) as unfinished, unfinished.open("wb") as stream:
-        np.savez(stream, images=images, drives=numbers, identity=np.array(identity))
-    return SimulatedFrames(images=images, held_out=numbers >= _first_held_out(len(roads)))
+        images, numbers = _read(file, identity)
+    else:
+        drives, work = [], partial(_drive, simulator, settings, roads)
+        progress.start(len(roads))
+        for drive in map_in_processes(work, range(len(roads)), workers=settings.threads):
+            drives.append(drive)
+            progress.advance(line=f"{simulator}: {len(drive)} images")
+        images = np.concatenate(drives)
+        numbers = np.repeat(np.arange(len(drives), dtype=np.int32), list(map(len, drives)))
+        with whole_file(file) as unfinished, unfinished.open("wb") as stream:
+            np.savez(stream, images=images, drives=numbers, identity=np.array(identity))
+    held_out_roads = max(1, round(HELD_OUT * len(roads) / 2))  # each driven both ways
+    return SimulatedFrames(images=images, held_out=numbers >= len(roads) - 2 * held_out_roads)
 
 
-def _read(file: Path, identity: str, roads: int) -> SimulatedFrames:
+def _read(file: Path, identity: str) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
     try:
         with open_regular(file) as content, np.load(content, allow_pickle=False) as stored:
             identity_there = str(stored["identity"])
@@ -98,18 +98,11 @@ def _read(file: Path, identity: str, roads: int) -> SimulatedFrames:
         raise Sim2RealError(f"{file} cannot be read ({type(error).__name__}): delete it and train again") from None
     if identity_there != identity:
         raise Sim2RealError(f"{file} has other simulated drives: choose another --out, or delete the folder")
-    return SimulatedFrames(images=images, held_out=drives >= _first_held_out(roads))
-
-
-def _first_held_out(roads: int) -> int:
-    """Index of the first drive that is held out; each road is driven both ways."""
-    return roads - 2 * max(1, round(HELD_OUT * roads / 2))
+    return images, drives
 
 
 def _drive(name: str, settings: Sim2RealSettings, roads: tuple[Road, ...], index: int) -> NDArray[np.uint8]:
-    """Drive one road, and keep every n-th image."""
-    simulator = simulator_of_process(name)
-    longest = settings.longest
+    simulator, longest = simulator_of_process(name), settings.longest
     driver = make_driver(AUTOPILOT, simulator.spec)
     seed = int(np.random.default_rng([settings.seed, index]).integers(2**31))
     observation = simulator.load(roads[index], seed=seed)

@@ -22,7 +22,7 @@ from ds_base.atomic_files import write_whole
 from ds_base.folder_files import enter_folder
 from ds_base.progress import Progress
 from ds_driver.sim2real.generator import Sim2RealError, Window, save_generator
-from ds_driver.sim2real.lane_pairs import align_lane
+from ds_driver.sim2real.lane_pairs import LanePairs, align_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, to_batch, to_images
 from ds_driver.sim2real.pictures import sheet
 from ds_driver.sim2real.settings import Sim2RealSettings
@@ -45,10 +45,7 @@ class Domains:
     Attributes:
         simulated: for training.
         real: for training.
-        pairs: (simulated images, k) for each of them, indices of the real images to draw from; see
-            `ds_driver.sim2real.lane_pairs`.
-        simulated_lanes: (simulated images, 2 * heights) where they show the lines.
-        real_lanes: (real images, 2 * heights), the same.
+        pairs: of the simulated images, the real ones to draw from, and where both show the lines.
         shown_simulated: held-out ones for the sheets.
         shown_real: held-out ones for the sheets.
         simulator: name of the simulator.
@@ -58,9 +55,7 @@ class Domains:
 
     simulated: NDArray[np.uint8]
     real: NDArray[np.uint8]
-    pairs: NDArray[np.int64]
-    simulated_lanes: NDArray[np.float64]
-    real_lanes: NDArray[np.float64]
+    pairs: LanePairs
     shown_simulated: NDArray[np.uint8]
     shown_real: NDArray[np.uint8]
     simulator: str
@@ -69,8 +64,8 @@ class Domains:
 
     def pair(self, simulated: int, real: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """Return a simulated image and a real one, aligned to it."""
-        aligned = align_lane(self.real[real], self.real_lanes[real], self.simulated_lanes[simulated])
-        return self.simulated[simulated], aligned
+        shown, wanted = self.pairs.photographed_lanes[real], self.pairs.simulated_lanes[simulated]
+        return self.simulated[simulated], align_lane(self.real[real], shown, wanted)
 
 
 class CycleGan:
@@ -81,7 +76,8 @@ class CycleGan:
         self.to_real, self.to_simulated = Generator(settings.shape), Generator(settings.shape)
         judge = settings.discriminator_filters, settings.discriminator_depth
         self.judges_real, self.judges_simulated = Discriminator(*judge), Discriminator(*judge)
-        for network in self.networks():
+        self.networks = (self.to_real, self.to_simulated, self.judges_real, self.judges_simulated)
+        for network in self.networks:
             network.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self._judges = [*self.judges_real.parameters(), *self.judges_simulated.parameters()]
         generators = [*self.to_real.parameters(), *self.to_simulated.parameters()]
@@ -89,10 +85,6 @@ class CycleGan:
         self.optimizers = (torch.optim.Adam(generators, **options), torch.optim.Adam(self._judges, **options))
         self.pools = (ImagePool(settings.pool), ImagePool(settings.pool))
         self._settings, self._device = settings, device
-
-    def networks(self) -> tuple[nn.Module, ...]:
-        """Return all networks, in a fixed order."""
-        return self.to_real, self.to_simulated, self.judges_real, self.judges_simulated
 
     def set_learning_rate(self, share: float) -> None:
         """Set the learning rate to a share of the settings' one."""
@@ -137,12 +129,7 @@ class CycleGan:
             parameter.requires_grad_(not frozen)
 
 
-def train(
-    domains: Domains,
-    settings: Sim2RealSettings,
-    out: Path,
-    progress: Progress,
-) -> list[dict[str, float]]:
+def train(domains: Domains, settings: Sim2RealSettings, out: Path, progress: Progress) -> list[dict[str, float]]:
     """Train, or continue after the last whole epoch with the results of an undisturbed training; return mean losses.
 
     Writes `epochs/epoch_NNN.safetensors` and `.png` (simulated, translated, back; real, simulated, back).
@@ -166,13 +153,12 @@ def train(
         gan.set_learning_rate(learning_rate_share(epoch, settings.epochs))
         rng = np.random.default_rng([settings.seed, epoch])
         simulated = _order(len(domains.simulated), steps, rng)
-        real = domains.pairs[simulated, rng.integers(domains.pairs.shape[1], size=steps)]
+        pairs = domains.pairs.photographs
+        real = pairs[simulated, rng.integers(pairs.shape[1], size=steps)]
         total = torch.zeros(len(LOSSES), device=device)
         for step in range(steps):
-            there, back = (
-                to_batch(torch.from_numpy(image[None])) for image in domains.pair(simulated[step], real[step])
-            )
-            total += gan.step(there.to(device), back.to(device), rng)
+            there, back = (_batch(image, device) for image in domains.pair(simulated[step], real[step]))
+            total += gan.step(there, back, rng)
             progress.advance()
             if (step + 1) % max(1, steps // REPORTS) == 0:
                 values = _named(total / (step + 1))
@@ -211,6 +197,10 @@ def _order(count: int, steps: int, rng: np.random.Generator) -> NDArray[np.int64
     return np.concatenate([rng.permutation(count) for _ in range(rounds)])[:steps]
 
 
+def _batch(image: NDArray[np.uint8], device: torch.device) -> Tensor:
+    return to_batch(torch.from_numpy(image[None])).to(device)
+
+
 def _least_squares(verdict: Tensor, target: float) -> Tensor:
     return (verdict.float() - target).square().mean()
 
@@ -226,8 +216,7 @@ def _named(losses: Tensor) -> dict[str, float]:
 @torch.inference_mode()
 def _sheet(gan: CycleGan, domains: Domains, device: torch.device) -> NDArray[np.uint8]:
     def row(image: NDArray[np.uint8], there: nn.Module, back: nn.Module) -> list[NDArray[np.uint8]]:
-        batch = to_batch(torch.from_numpy(image[None])).to(device)
-        translated = there(batch)
+        translated = there(_batch(image, device))
         return [image, *(to_images(part)[0].cpu().numpy() for part in (translated, back(translated)))]
 
     left = [row(image, gan.to_real, gan.to_simulated) for image in domains.shown_simulated]
@@ -238,8 +227,9 @@ def _sheet(gan: CycleGan, domains: Domains, device: torch.device) -> NDArray[np.
 def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
     """What must match for a training to be resumed; threads and device may change."""
     digest = hashlib.sha256()
-    lanes = (domains.simulated_lanes, domains.real_lanes)
-    for part in (domains.simulated, domains.real, domains.pairs, *lanes):
+    pairs = domains.pairs
+    lanes = (pairs.photographs, pairs.simulated_lanes, pairs.photographed_lanes)
+    for part in (domains.simulated, domains.real, *lanes):
         digest.update(np.ascontiguousarray(part).tobytes())
     plan = asdict(replace(settings, threads=1, device="auto"))
     windows = [str(domains.window), str(domains.real_window)]
@@ -248,7 +238,7 @@ def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
 
 def _state(gan: CycleGan) -> dict[str, Any]:
     return {
-        "networks": [network.state_dict() for network in gan.networks()],
+        "networks": [network.state_dict() for network in gan.networks],
         "optimizers": [optimizer.state_dict() for optimizer in gan.optimizers],
         "pools": [pool.state() for pool in gan.pools],
     }
@@ -258,7 +248,7 @@ def _resume(folder: Path, gan: CycleGan, identity: str, device: torch.device) ->
     state = load_checkpoint(folder, identity)
     if not state:
         return []
-    for network, tensors in zip(gan.networks(), state["networks"], strict=True):
+    for network, tensors in zip(gan.networks, state["networks"], strict=True):
         network.load_state_dict(tensors)
     for optimizer, values in zip(gan.optimizers, state["optimizers"], strict=True):
         optimizer.load_state_dict(values)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -18,15 +17,14 @@ from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_file import FileError, read_regular
+from ds_base.bounded_file import read_regular
 from ds_base.bounded_json import read_json
 from ds_base.bounded_tables import read_parquet
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
-from ds_driver.data.recordings import MAX_IMAGE_FILE
-from ds_driver.networks.images import ImageError, rgb_of_file, rgb_of_message
-from ds_driver.sim2real.generator import Sim2RealError, check_fits, load_generator
+from ds_driver.networks.images import ImageError, read_rgb, rgb_of_message
+from ds_driver.sim2real.generator import Sim2RealError, load_generator
 from ds_driver.sim2real.translator import Translator
 from ds_sim.camera.encodings import jpeg
 
@@ -35,14 +33,14 @@ MARK = TRANSLATED
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
-def translate(source: Path, out: Path, translator: Translator, progress: Progress, *, workers: int | None = 1) -> int:
+def translate(
+    source: Path, out: Path, translator: Translator, progress: Progress, *, workers: int | None = None
+) -> int:
     """Translate a data set, bag or tub of simulated drives; what is there already is kept, so a stopped one continues.
 
-    A data set is translated by as many processes as there are processors if `workers` is None; bags and tubs take one.
-    `progress` counts drives of a data set, and images of a bag or tub.
-
     Returns:
-        Number of translated drives, or of images of a bag or tub.
+        Number of translated drives of a data set, for which `workers` processes work, as many as there are processors
+        if None; or of images of a bag or tub. `progress` counts the same.
 
     Raises:
         Sim2RealError: there is nothing to translate, or `out` holds translations by another generator.
@@ -75,34 +73,24 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
     _claim(target / IMPORTED, translator)
     keep_import(out, simulator, {MARK: translator.generator.sha256})
     write_whole(target / GENERATOR, translator.generator.content)
-    finished: Iterable[Path]
-    if workers == 1:
-        finished = (_translate_drive(translator, target, file) for file in files)
-    else:
-        work = partial(_translate_in_worker, translator.backend, target)
-        finished = map_in_processes(work, files, workers=workers)
     progress.start(len(files))
-    for file in finished:
+    work = partial(_translate_drive, translator.backend, target)
+    for file in map_in_processes(work, files, workers=workers):
         progress.advance(line=f"{simulator}: {file.stem}")
     if (folder / "manifest.json").is_file():
         write_manifest(out, _facts(folder / "manifest.json"))
     return len(files)
 
 
-def _translate_drive(translator: Translator, out: Path, file: Path) -> Path:
+def _translate_drive(backend: str, out: Path, file: Path) -> Path:
     if not (out / file.name).exists():
+        translator = _translator(out / GENERATOR, backend)
         read_drive(file)
         rows: list[dict[str, Any]] = read_parquet(file).to_pylist()
         for row in rows:
             row["image"] = jpeg(translator.translate(decode(row["image"])))
         write_drive(out / file.name, rows)
     return file
-
-
-def _translate_in_worker(backend: str, out: Path, file: Path) -> Path:
-    if (out / file.name).exists():
-        return file
-    return _translate_drive(_translator(out / GENERATOR, backend), out, file)
 
 
 @lru_cache(maxsize=1)
@@ -112,7 +100,7 @@ def _translator(generator: Path, backend: str) -> Translator:
 
 
 def _facts(manifest: Path) -> dict[str, Any]:
-    """Return how a data set was collected; its counts are those of the whole, of which not all may be translated."""
+    """How a data set was collected, without its counts, as not all of it may be translated."""
     try:
         facts = read_json(manifest)
         return {name: value for name, value in facts.items() if name not in ("images", "steering_bins", "steering")}
@@ -130,7 +118,11 @@ def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) ->
         raise Sim2RealError(f"{folder} is no bag of this project with images: record with --level compressed or raw")
     if done_before:
         raise Sim2RealError(f"{folder} is translated already: give one of a driver that sees plain images")
-    check_fits(translator.generator, simulator)
+    if translator.generator.simulator != simulator:
+        raise Sim2RealError(
+            f"the generator translates images of {translator.generator.simulator}, these are of {simulator}: choose "
+            f"the generator of {simulator}, or train one"
+        )
     if out.exists():
         with BagReader(out) as bag:
             mark_text = bag.facts.get(MARK)
@@ -173,10 +165,9 @@ def _tub(folder: Path, out: Path, translator: Translator, progress: Progress) ->
         target = out / "images" / image.name
         if not target.exists():
             try:
-                pixels = rgb_of_file(read_regular(image, MAX_IMAGE_FILE))
-            except (OSError, ImageError, FileError) as error:
-                reason = getattr(error, "strerror", None) or error
-                raise Sim2RealError(f"{image}: {reason}: copy the tub again") from None
+                pixels = read_rgb(image)
+            except ImageError as error:
+                raise Sim2RealError(f"{image}: {error}: copy the tub again") from None
             write_whole(target, jpeg(translator.translate(pixels)))
         progress.advance(line=_images_of(folder, done, len(images)))
     # Last, so that an unfinished folder is no tub.

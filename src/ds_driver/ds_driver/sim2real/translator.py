@@ -19,11 +19,7 @@ BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
 
 
 def generator_to_onnx(generator: StoredGenerator) -> bytes:
-    """Export a generator as the content of an ONNX file.
-
-    The input is `image`, (1, rows, columns, 3) uint8 RGB from `generator.generator_input`; the output
-    is `translated`, of the same shape and type.
-    """
+    """Export as ONNX: `image`, (1, rows, columns, 3) uint8 RGB from `generator_input`, to `translated`, the same."""
     graph = _Graph(generator.tensors)
     shape = generator.shape
     value = graph.convolution(graph.scaled("image"), "layers.1", reflect=3)
@@ -42,8 +38,9 @@ def generator_to_onnx(generator: StoredGenerator) -> bytes:
         value = graph.node("ConvTranspose", [value, *weights], strides=[2, 2], pads=[1, 1, 1, 1], output_padding=[1, 1])
         value = graph.relu(graph.normalised(value, channels * shape.filters))
     value = graph.node("Tanh", [graph.convolution_by_squares(value, f"layers.{up + 7}", reflect=3)])
-    value = graph.node("Mul", [graph.node("Add", [value, graph.number(1.0)]), graph.number(127.5)])
-    value = graph.node("Clip", [graph.node("Round", [value]), graph.number(0.0), graph.number(255.0)])
+    one, half, black, white = (graph.constant(np.float32(number)) for number in (1.0, 127.5, 0.0, 255.0))
+    value = graph.node("Mul", [graph.node("Add", [value, one]), half])
+    value = graph.node("Clip", [graph.node("Round", [value]), black, white])
     graph.node("Cast", [graph.node("Transpose", [value], perm=[0, 2, 3, 1])], to=TensorProto.UINT8)
     dimensions = [1, shape.rows, shape.columns, 3]
     return graph.file(
@@ -54,17 +51,7 @@ def generator_to_onnx(generator: StoredGenerator) -> bytes:
 
 
 class _Graph(OnnxGraph):
-    """Graph of layers with the names of a generator's tensors."""
-
-    def __init__(self, tensors: dict[str, NDArray[np.float32]]) -> None:
-        super().__init__()
-        self._tensors = tensors
-
-    def number(self, value: float) -> str:
-        return self.constant(np.array(value, np.float32))
-
-    def parameters(self, layer: str) -> list[str]:
-        return [self.constant(self._tensors[f"{layer}.{part}"]) for part in ("weight", "bias")]
+    """Graph with the layers of a generator."""
 
     def convolution(self, value: str, layer: str, *, reflect: int = 0, **attributes: Any) -> str:
         return self.node("Conv", [self._padded(value, reflect), *self.parameters(layer)], **attributes)
@@ -96,9 +83,7 @@ class _Graph(OnnxGraph):
 
 
 class Translator:
-    """Translates images, without state: an image has the same bits alone and in any batch.
-
-    Results differ by a grey level or so between the `BACKENDS`.
+    """Translates images: with the same bits alone and in any batch, and a grey level or so apart on other `BACKENDS`.
 
     Raises:
         Sim2RealError: the backend is unknown.
@@ -118,14 +103,6 @@ class Translator:
         else:
             self._runner = graph_runner(generator_to_onnx(generator), "the generator", backend)
 
-    def prepared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Cut out and resize what the generator sees of a camera image: (rows, columns, 3) uint8 RGB of its size."""
-        return generator_input(image, self.generator.window, self.generator.shape.size)
-
-    def small(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Translate a prepared image, in the generator's size."""
-        return self._runner.compute(image[None])[0][0].astype(np.uint8)
-
     def translate(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Translate a camera image, (160, 320, 3) uint8 RGB, to one of that shape that is not to be cropped again.
 
@@ -142,7 +119,8 @@ class Translator:
                     f"image of shape {image.shape}, expected ({IMAGE_HEIGHT}, {IMAGE_WIDTH}, 3): the generator "
                     "translates camera images of simulators"
                 )
-        prepared, size = [self.prepared(image) for image in images], self._runner.largest_batch
+        window, shape, size = self.generator.window, self.generator.shape.size, self._runner.largest_batch
+        prepared = [generator_input(image, window, shape) for image in images]
         parts = (np.stack(prepared[begin : begin + size]) for begin in range(0, len(prepared), size))
         translated = (image for part in parts for image in self._runner.compute(part)[0].astype(np.uint8))
         return [resize(image, (IMAGE_HEIGHT, IMAGE_WIDTH)) for image in translated]
