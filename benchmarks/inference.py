@@ -21,14 +21,13 @@ from rich.table import Table
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.data.collection import roads_both_ways
-from ds_driver.data.dataset import simulator_crop
 from ds_driver.networks.architectures import NETWORKS
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import BuiltInPilot
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.weights import load_weights
 from ds_road import Road
-from ds_sim.registry import STANDARD, make_simulator
+from ds_sim.registry import STANDARD, make_simulator, spec_of
 from ds_sim.simulator import Command, Observation
 
 BACKENDS = ("torch", "onnx", "openvino", "openvino-bf16")
@@ -80,7 +79,7 @@ def differences(name: str, roads: list[Road], console: Console) -> None:
     pilots = {backend: BuiltInPilot(load_weights(name), backend) for backend in BACKENDS}
     deviations: dict[str, list[float]] = {backend: [] for backend in BACKENDS[1:]}
     for simulator in STANDARD:
-        crop = simulator_crop(simulator)
+        crop = Crop.of(spec_of(simulator))
         for seed, road in enumerate(roads):
             for image in frames_of(name, simulator, road, seed, 3):
                 steering = {b: p.predict(Frame(image=image, speed=0.0, crop=crop)).steering for b, p in pilots.items()}

@@ -94,16 +94,11 @@ def test_a_network_answers_a_raw_bag_as_it_answered_in_the_loop(bags: Path, run:
     network = NetworkDriver("dave2")
     for truth in ("recorded", "autopilot"):
         recording = open_recording(bags / "raw", Reading(truth=truth))  # type: ignore[arg-type]
-        answers = evaluate_recording(recording, lambda frame, crop: network.steering(_image(frame), crop))
+        answers = evaluate_recording(recording, lambda frame, crop: network.command(frame.seen(crop)).steering)
         assert answers.answered.tolist() == expected and answers.group == "donkey"
         told = [command.steering for command in run.commands]
         assert answers.recorded[:40].tolist() == told
         assert np.isfinite(answers.recorded[40]) == (truth == "autopilot")
-
-
-def _image(frame: RecordedFrame) -> Any:
-    assert frame.image is not None
-    return frame.image
 
 
 @pytest.fixture(params=["Image", "CompressedImage"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -25,8 +26,8 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     from sensor_msgs.msg import Image
 
     from ds_driver.control.bicycle import Geometry
-    from ds_driver.networks.images import Crop
     from ds_driver.networks.network_driver import NetworkDriver
+    from ds_driver.networks.pilot import Frame
     from ds_orchestrator.graph.session import RosDomain
     from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
     from ds_road import Road
@@ -44,7 +45,7 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
         "32FC1": np.zeros((160, 320, 4), np.uint8),
     }
     # Expected commands, from the network in this process: the speed of equation 2, the bicycle model's yaw rate.
-    steering = NetworkDriver("dave2").steering(rgb, Crop())
+    steering = NetworkDriver("dave2").command(replace(Frame.black(), image=rgb)).steering
     speed = 2.0 * (1.0 - steering**2) ** 0.5
     yaw_rate = Geometry(0.3, 0.4).yaw_rate_of(speed, -0.4 * steering)
 

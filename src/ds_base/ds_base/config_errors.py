@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Error messages for invalid configurations: key, value, and what is allowed."""
+"""Models of files with keys, and error messages for invalid ones: key, value, and what is allowed."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ds_base.bounded_file import FileError
 from ds_base.bounded_yaml import read_yaml
@@ -37,6 +37,12 @@ MOST = 10
 """Problems in one message; chosen: as many as are fixed in one go."""
 _LONGEST = 60
 """Characters of a value or a key in a message."""
+
+
+class Keys(BaseModel):
+    """Base of what a file states: unknown keys are errors, and values stay."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 def read_keys(path: Path, refusal: type[ValueError]) -> Any:

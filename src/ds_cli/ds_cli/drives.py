@@ -181,6 +181,7 @@ def drive_command(
     from ds_bags.layout import BagError
     from ds_cli.roads import one_road
     from ds_driver.control.command_habits import command_habits
+    from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import translation_of
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import engine_here
@@ -239,7 +240,8 @@ def drive_command(
     habits = command_habits(
         np.array([one.steering for one in run.commands]), np.array([one.vehicle.speed for one in run.observations])
     )
-    if whose == "autopilot" or not way.turns_count:  # it sees no image; on a straight road, good drivers steer the same
+    is_autopilot = network == AUTOPILOT and not attach
+    if is_autopilot or not way.turns_count:  # it sees no image; on a straight road, good drivers steer the same
         habits = tuple(habit for habit in habits if habit.kind != "constant")
     document: dict[str, Any] = {
         "simulator": sim,
@@ -267,6 +269,6 @@ def drive_command(
             print(warning(whose, habit))
 
     unmet = [f"{whose} fails on the road"] if fail_on == "failure" and run.outcome.is_failure else []
-    following = ds_command("test", "dave2" if whose in ("attached", "autopilot") else whose)
+    following = ds_command("test", "dave2" if attach or is_autopilot else whose)
     error = run.outcome.is_error
     end(Result(document=document, show=show, error=error, unmet=unmet, next=following), as_json)

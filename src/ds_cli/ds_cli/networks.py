@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -134,15 +134,21 @@ def train_command(
 
     Example: ds train --data data --out trained --network dave2
     """
-    from ds_driver.training import CHECKPOINT, TrainingPlan, architecture_of, schedule_of, train
+    from ds_driver.networks.weights import architecture_in, path_of_weights
+    from ds_driver.training import CHECKPOINT, schedule_of, train
 
-    network = network or (architecture_of(start) if start else "dave2")
-    chosen = schedule_of(schedule, network)
-    plan = TrainingPlan(
-        network=network, seed=seed, epochs=chosen.epochs if epochs is None else epochs, patience=chosen.patience,
-        without_dropout=chosen.without_dropout, images_per_simulator=images, learning_rate=learning_rate,
-        weights_at=_steps_of(weights_at), threads=threads, device=device, start=start or "",
-    )  # fmt: skip
+    network = network or (architecture_in(path_of_weights(start)) if start else "dave2")
+    plan = replace(
+        schedule_of(schedule, network),
+        seed=seed,
+        images_per_simulator=images,
+        learning_rate=learning_rate,
+        weights_at=_steps_of(weights_at),
+        threads=threads,
+        device=device,
+        start=start or "",
+    )
+    plan = replace(plan, epochs=epochs or plan.epochs)
     kept = f"the finished epochs are kept in {out}; the same command continues"
     with stopped(lambda: kept if (out / CHECKPOINT).is_file() else ""):
         train(data, out, plan, ScreenProgress(), trusted=trust or [])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from ds_driver.data.dataset import drive_path, keep_import, write_drive
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
-from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
+from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
 from ds_driver.sim2real.networks import Generator
@@ -103,7 +104,9 @@ def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Pa
     }
     from ds_driver.data.dataset import decode
 
-    driver, seen = NetworkDriver(str(weights)), decode(jpeg(image))
-    assert found["plain"] == pytest.approx(driver.steering(seen, Crop(54, 0), "bullet"))
-    assert found["translated"] == pytest.approx(driver.steering(seen, Crop(), NOT_SIMULATED))
+    driver = NetworkDriver(str(weights))
+    seen = Frame(image=decode(jpeg(image)), speed=0.0, simulator=NOT_SIMULATED)
+    plain = replace(seen, crop=Crop(54, 0), simulator="bullet")
+    assert found["plain"] == pytest.approx(driver.command(plain).steering)
+    assert found["translated"] == pytest.approx(driver.command(seen).steering)
     assert found["plain"] != found["translated"]

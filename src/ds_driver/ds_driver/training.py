@@ -12,7 +12,7 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training 
 import ctypes
 import hashlib
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -41,8 +41,8 @@ from ds_driver.data.dataset import (
 )
 from ds_driver.networks.backends import has_bfloat16
 from ds_driver.networks.images import Crop, prepare
-from ds_driver.networks.torch_networks import disable_dropout, load_network, make_network, save_weights
-from ds_driver.networks.weights import architecture_in, generators_in, path_of_weights, weights_sha256
+from ds_driver.networks.torch_networks import disable_dropout, make_network, module_of, save_weights
+from ds_driver.networks.weights import architecture_in, generators_in, load_weights, path_of_weights, weights_sha256
 
 CHECKPOINT = "checkpoint.pt"
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
@@ -92,28 +92,19 @@ class TrainingPlan:
     start: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Schedule:
-    """Duration of a training; attributes as in `TrainingPlan`."""
-
-    epochs: int
-    patience: int
-    without_dropout: int = 0
-
-
-SCHEDULES: dict[str, dict[str, Schedule]] = {
+SCHEDULES: dict[str, dict[str, TrainingPlan]] = {
     "laptop": {
-        "dave2": Schedule(epochs=2, patience=10),
-        "chauffeur": Schedule(epochs=4, patience=10),
-        "epoch": Schedule(epochs=4, patience=10, without_dropout=1),
+        "dave2": TrainingPlan(network="dave2", epochs=2),
+        "chauffeur": TrainingPlan(network="chauffeur", epochs=4),
+        "epoch": TrainingPlan(network="epoch", epochs=4, without_dropout=1),
     },
     "paper": {
-        "dave2": Schedule(epochs=50, patience=10),
-        "chauffeur": Schedule(epochs=500, patience=20),
-        "epoch": Schedule(epochs=500, patience=20),
+        "dave2": TrainingPlan(network="dave2", epochs=50),
+        "chauffeur": TrainingPlan(network="chauffeur", epochs=500, patience=20),
+        "epoch": TrainingPlan(network="epoch", epochs=500, patience=20),
     },
 }
-"""Name -> network -> schedule; `paper` (4.2.2, plain images) needs a GPU; `laptop` is chosen, see the model cards."""
+"""Name -> network -> plan; `paper` (4.2.2, plain images) needs a GPU; `laptop` is chosen, see the model cards."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,7 +122,6 @@ def train(
     out: Path,
     plan: TrainingPlan,
     progress: Progress,
-    crops: dict[str, Crop] | None = None,
     *,
     trusted: Collection[str] = (),
 ) -> list[Epoch]:
@@ -139,8 +129,8 @@ def train(
 
     Several folders are one data set, as new drives beside those that a network was trained on. The folder `out`,
     created if missing, gets `<network>.safetensors` (best epoch), the checkpoint, and at the end `training.json`; and
-    for a translated data set its generators in `sim2real`, where the network looks for them. Crops are those of
-    `crops_of` if omitted; the data set may name `trusted` simulators outside the project.
+    for a translated data set its generators in `sim2real`, where the network looks for them. The data set may name
+    `trusted` simulators outside the project.
 
     Raises:
         DatasetError: the data set cannot be used.
@@ -163,7 +153,7 @@ def train(
     generators = _same("generators", [translated_by(*one) for one in present.items()])
     for folder, some in present.items():
         copy_generators(folder, {name: generators[name] for name in some if name in generators}, out / "sim2real")
-    crops = crops or _same("crops", [crops_of(*one, trusted=trusted) for one in present.items()])
+    crops = _same("crops", [crops_of(*one, trusted=trusted) for one in present.items()])
     if len(training) < plan.batch_size:
         raise DatasetError(
             f"{len(training)} images for training, expected at least one batch of {plan.batch_size}: collect more"
@@ -178,6 +168,10 @@ def train(
         network.load_state_dict(state["network"])
         optimizer.load_state_dict(state["optimizer"])
         history = [Epoch(**entry) for entry in state["history"]]
+
+    def save(name: str) -> None:
+        save_weights(network, out / f"{name}.safetensors", architecture=plan.network, generators=generators)
+
     batches = len(training) // plan.batch_size
     progress.start(batches * plan.epochs)
     counts = f"{len(training)} images for training, {len(validation)} for validation"
@@ -186,13 +180,7 @@ def train(
         number = len(history) + 1
         started = time.monotonic()
         torch.manual_seed(plan.seed * 1000 + number)
-
-        def keep(step: int) -> None:
-            if step in plan.weights_at:
-                file = out / f"{plan.network}_{step}.safetensors"
-                save_weights(network, file, architecture=plan.network, generators=generators)
-
-        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, progress, keep)
+        training_loss = _train_epoch(network, optimizer, training, crops, plan, number, progress, save)
         validation_loss = _validate(network, validation, crops, plan)
         seconds = round(time.monotonic() - started, 1)
         history.append(
@@ -200,38 +188,25 @@ def train(
         )
         progress.describe(f"epoch {number}: training {training_loss:.5f}, validation {validation_loss:.5f}")
         if validation_loss == min(e.validation_loss for e in history):
-            file = out / f"{plan.network}.safetensors"
-            save_weights(network, file, architecture=plan.network, generators=generators)
+            save(plan.network)
         state = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "identity": identity}
         save_checkpoint(out, state | {"history": [asdict(e) for e in history]})
     write_json(out / "training.json", {"plan": asdict(plan), "history": [asdict(e) for e in history]})
     return history
 
 
-def architecture_of(start: str) -> str:
-    """Name the architecture of a shipped network or a weights file, as `TrainingPlan.network` takes it.
-
-    Raises:
-        ds_driver.networks.weights.WeightsError: the file is missing.
-        ds_driver.networks.architectures.UnknownNetworkError: neither a known name nor the path of a weights file.
-    """
-    return architecture_in(path_of_weights(start))
-
-
 def _continued(plan: TrainingPlan, generators: Mapping[str, str]) -> nn.Module:
     """The network that a training continues from."""
-    if architecture_of(plan.start) != plan.network:
+    if architecture_in(path_of_weights(plan.start)) != plan.network:
         raise TrainingError(f"{plan.start} is no {plan.network}: leave out --network, or choose another --from")
-    if generators_in(plan.start) != generators:
-        kinds = [
-            ("translated" if generators_there else "plain")
-            for generators_there in (generators_in(plan.start), generators)
-        ]
+    trained_with = generators_in(plan.start)
+    if trained_with != generators:
+        kinds = ["translated" if digests else "plain" for digests in (trained_with, generators)]
         raise TrainingError(
             f"{plan.start} sees {kinds[0]} images, and the data set has {kinds[1]} ones, or of other generators: "
             "expected the same, see docs/sim2real.md"
         )
-    return load_network(plan.start)
+    return module_of(load_weights(plan.start))
 
 
 def _same(what: str, parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -251,8 +226,8 @@ def _keep_freed_memory() -> None:
             mallopt(option, value)
 
 
-def schedule_of(name: str, network: str) -> Schedule:
-    """Look up a schedule by name for a network.
+def schedule_of(name: str, network: str) -> TrainingPlan:
+    """Look up the plan of a schedule for a network.
 
     Raises:
         TrainingError: the schedule does not exist.
@@ -297,9 +272,15 @@ def split(samples: list[Sample], plan: TrainingPlan) -> tuple[list[Sample], list
     return parts[0], parts[1]
 
 
-def _precision(device: torch.device) -> torch.dtype:
-    """Numbers to compute with: bfloat16, or single precision on a processor that only emulates it, ten times slower."""
-    return torch.bfloat16 if device.type != "cpu" or has_bfloat16() else torch.float32
+def _losses(network: nn.Module, batches: Iterable[tuple[Tensor, Tensor]], reduction: str = "mean") -> Iterator[Tensor]:
+    """Compute the squared error of each batch of images and labels."""
+    device = next(network.parameters()).device
+    # On a processor that only emulates bfloat16, single precision is ten times faster.
+    precision = torch.bfloat16 if device.type != "cpu" or has_bfloat16() else torch.float32
+    for images, labels in batches:
+        with torch.autocast(device.type, dtype=precision, enabled=precision is not torch.float32):
+            predicted = network(images.to(device, precision))
+        yield nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device), reduction=reduction)
 
 
 def _train_epoch(
@@ -310,28 +291,26 @@ def _train_epoch(
     plan: TrainingPlan,
     number: int,
     progress: Progress,
-    keep: Callable[[int], None],
+    save: Callable[[str], None],
 ) -> float:
-    """Train for one epoch; `keep` hears of every step, counted from 1 over all epochs; return the mean loss."""
+    """Train for one epoch, and save the weights under a name after the steps of the plan; return the mean loss."""
     network.train()
     if number > plan.epochs - plan.without_dropout:
         disable_dropout(network)
-    device = next(network.parameters()).device
-    precision = _precision(device)
     rng = np.random.default_rng([plan.seed, number])
     order = rng.permutation(len(samples))
     batches = [order[i : i + plan.batch_size] for i in range(0, len(order) - plan.batch_size + 1, plan.batch_size)]
     losses = []
     started = time.monotonic()
-    for index, (images, labels) in enumerate(_load_batches(samples, batches, crops, (plan.seed, number)), start=1):
-        optimizer.zero_grad(set_to_none=True)
-        with torch.autocast(device.type, dtype=precision, enabled=precision is not torch.float32):
-            predicted = network(images.to(device, precision))
-        loss = nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device))
+    loaded = _load_batches(samples, batches, crops, (plan.seed, number))
+    for index, loss in enumerate(_losses(network, loaded), start=1):
         loss.backward()
         optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
         losses.append(loss.item())
-        keep((number - 1) * len(batches) + index)
+        step = (number - 1) * len(batches) + index
+        if step in plan.weights_at:
+            save(f"{plan.network}_{step}")
         speed = index * plan.batch_size / (time.monotonic() - started)
         line = f"batches; epoch {number}: loss {np.mean(losses[-50:]):.5f}, {speed:.0f} images a second"
         progress.advance(line="" if index % 50 else line)
@@ -341,15 +320,9 @@ def _train_epoch(
 @torch.inference_mode()
 def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop], plan: TrainingPlan) -> float:
     network.eval()
-    device = next(network.parameters()).device
-    precision = _precision(device)
     batches = [np.arange(i, min(i + plan.batch_size, len(samples))) for i in range(0, len(samples), plan.batch_size)]
-    total = 0.0
-    for images, labels in _load_batches(samples, batches, crops, None):
-        with torch.autocast(device.type, dtype=precision, enabled=precision is not torch.float32):
-            predicted = network(images.to(device, precision))
-        total += float(nn.functional.mse_loss(predicted.float()[:, 0], labels.to(device), reduction="sum"))
-    return total / len(samples)
+    losses = _losses(network, _load_batches(samples, batches, crops, None), reduction="sum")
+    return sum(map(float, losses)) / len(samples)
 
 
 def _load_batches(

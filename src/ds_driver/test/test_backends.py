@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
 from ds_driver.networks import backends, network_file
 from ds_driver.networks.architectures import NETWORKS
@@ -19,7 +20,8 @@ from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_driver import NetworkDriver, on_backend
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.torch_networks import load_network, make_network, replayed, save_weights
+from ds_driver.networks.pilot import Frame
+from ds_driver.networks.torch_networks import make_network, module_of, replayed, save_weights
 from ds_driver.networks.weights import load_weights
 
 openvino = pytest.importorskip("openvino")  # an extra for users
@@ -27,6 +29,10 @@ FRAMES = np.random.default_rng(3).integers(0, 256, (4, 160, 320, 3), dtype=np.ui
 needs_bf16 = pytest.mark.skipif(
     "BF16" not in backends.cpu_capabilities(openvino.Core()), reason="processor without bfloat16"
 )
+
+
+def steering(driver: NetworkDriver, image: NDArray[np.uint8]) -> float:
+    return driver.command(Frame(image=image, speed=0.0, crop=Crop(54, 1), step=1)).steering
 
 
 @pytest.fixture(params=sorted(NETWORKS))
@@ -42,7 +48,7 @@ def weights(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
 def test_replayed_kernels_give_the_bits_of_launched_ones(weights: tuple[str, Path]) -> None:
-    launched, gpu = load_network(str(weights[1])).cuda(), torch.device("cuda")
+    launched, gpu = module_of(load_weights(str(weights[1]))).cuda(), torch.device("cuda")
     recorded = replayed(launched, gpu)
     with torch.inference_mode():
         for frame in FRAMES:
@@ -52,16 +58,16 @@ def test_replayed_kernels_give_the_bits_of_launched_ones(weights: tuple[str, Pat
 
 def test_every_backend_agrees_with_pytorch(weights: tuple[str, Path]) -> None:
     """The reference is the network itself, called directly: one batch, default memory layout, no runner."""
-    network = load_network(str(weights[1]))
+    network = module_of(load_weights(str(weights[1])))
     with torch.inference_mode():
         batch = torch.from_numpy(np.stack([prepare(f, Crop(54, 1)) for f in FRAMES])).permute(0, 3, 1, 2).float()
         expected = network(batch)[:, 0].numpy()
     assert np.abs(expected).max() < 1.0 and np.ptp(expected) > 1e-4
     for backend in ("torch", "onnx", "openvino"):
         driver = NetworkDriver(f"{weights[1]}@{backend}")
-        found = [driver.steering(frame, Crop(54, 1)) for frame in FRAMES]
+        found = [steering(driver, frame) for frame in FRAMES]
         assert found == pytest.approx(expected, abs=2e-5), backend
-        assert found == [driver.steering(frame, Crop(54, 1)) for frame in FRAMES], backend
+        assert found == [steering(driver, frame) for frame in FRAMES], backend
 
 
 @needs_bf16
@@ -69,8 +75,8 @@ def test_every_backend_agrees_with_pytorch(weights: tuple[str, Path]) -> None:
 def test_bfloat16_steers_like_single_precision_to_its_eight_bits(network: str) -> None:
     single, half = (NetworkDriver(f"{network}@{backend}") for backend in ("openvino", "openvino-bf16"))
     images = [cv2.GaussianBlur(frame, (0, 0), 8) for frame in FRAMES]
-    expected = [single.steering(image, Crop(54, 1)) for image in images]
-    found = [half.steering(image, Crop(54, 1)) for image in images]
+    expected = [steering(single, image) for image in images]
+    found = [steering(half, image) for image in images]
     assert found == pytest.approx(expected, abs=0.05) and found != expected
 
 

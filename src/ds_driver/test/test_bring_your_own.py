@@ -354,7 +354,7 @@ def test_the_driver_of_an_installed_package_goes_by_its_name(
     (about / "entry_points.txt").write_text(f"[digital_siblings.drivers]\nleft = {name}:Left\n")
     installed.cache_clear()
     try:
-        assert NetworkDriver("left").steering(np.zeros((160, 320, 3), np.uint8), Crop()) == -0.5
+        assert NetworkDriver("left").command(Frame.black()).steering == -0.5
         driver = DriverName("left")
         assert driver_sha256(driver) == driver_sha256(DriverName(f"{name}:Left")) and received_driver(driver) == driver
     finally:

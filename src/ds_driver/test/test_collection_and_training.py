@@ -17,7 +17,6 @@ from progress_lines import ProgressLines
 from ds_base.progress import SILENT
 from ds_driver.data.collection import CollectionPlan, collect, given_roads, roads_both_ways
 from ds_driver.data.dataset import DatasetError, Sample, balance, check_equal, decode, read_samples, write_manifest
-from ds_driver.networks.images import Crop
 from ds_driver.networks.weights import load_weights
 from ds_driver.training import CHECKPOINT, TrainingError, TrainingPlan, augment, device_of, schedule_of, split, train
 from ds_road import RoadError, road_to_json
@@ -112,32 +111,28 @@ def test_simulators_are_equally_represented_and_no_road_is_in_both_parts() -> No
 
 
 def test_training_learns_stops_and_resumes(data: Path, tmp_path: Path) -> None:
-    crops = {"donkey": Crop(60, 0)}
-
     def plan(epochs: int) -> TrainingPlan:
         return TrainingPlan(epochs=epochs, batch_size=16, learning_rate=1e-3, validation=0.5, threads=1)
 
-    whole = train(data, tmp_path / "whole", plan(2), SILENT, crops)
-    train(data, tmp_path / "parts", plan(1), SILENT, crops)
-    parts = train(data, tmp_path / "parts", plan(2), SILENT, crops)
+    whole = train(data, tmp_path / "whole", plan(2), SILENT)
+    train(data, tmp_path / "parts", plan(1), SILENT)
+    parts = train(data, tmp_path / "parts", plan(2), SILENT)
     assert [e.training_loss for e in whole] == [e.training_loss for e in parts]
     assert whole[1].training_loss < whole[0].training_loss
     best = (tmp_path / "whole" / "dave2.safetensors").read_bytes()
     assert best == (tmp_path / "parts" / "dave2.safetensors").read_bytes()
-    train(data, tmp_path / "steps", replace(plan(2), weights_at=(4, 8)), SILENT, crops)
+    train(data, tmp_path / "steps", replace(plan(2), weights_at=(4, 8)), SILENT)
     kept = [(tmp_path / "steps" / f"dave2_{step}.safetensors").read_bytes() for step in (4, 8)]
     lowest = min((0, 1), key=lambda k: whole[k].validation_loss)
     assert kept[lowest] == best != kept[1 - lowest]
     with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
-        train(data, tmp_path / "parts", replace(plan(2), seed=9), SILENT, crops)
-    with pytest.raises(TrainingError, match="other settings or images: choose another --out"):
-        train(data, tmp_path / "parts", plan(3), SILENT, {"donkey": Crop(50, 0)})
+        train(data, tmp_path / "parts", replace(plan(2), seed=9), SILENT)
     with pytest.raises(DatasetError, match="75 images for training, expected at least one batch of 128"):
-        train(data, tmp_path / "few", replace(plan(1), batch_size=128), SILENT, crops)
+        train(data, tmp_path / "few", replace(plan(1), batch_size=128), SILENT)
     for content in (b"", b"no checkpoint"):
         (tmp_path / "parts" / CHECKPOINT).write_bytes(content)
         with pytest.raises(TrainingError, match="cannot be read"):
-            train(data, tmp_path / "parts", plan(2), SILENT, crops)
+            train(data, tmp_path / "parts", plan(2), SILENT)
 
 
 def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_path: Path) -> None:
@@ -151,23 +146,23 @@ def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_p
         images_per_simulator=32,
         start="dave2_short",
     )
-    crops, new = {"donkey": Crop(60, 0)}, tmp_path / "new"
+    new = tmp_path / "new"
     (new / "donkey").mkdir(parents=True)
     shutil.copy(next((data / "donkey").glob("*.parquet")), new / "donkey")
     told = ProgressLines()
-    train([data, new], tmp_path / "tuned", plan, told, crops)
+    train([data, new], tmp_path / "tuned", plan, told)
     with pytest.raises(TrainingError, match="other settings or images"):
-        train(data, tmp_path / "tuned", plan, told, crops)
+        train(data, tmp_path / "tuned", plan, told)
     tuned, start = (load_weights(str(n)).tensors for n in (tmp_path / "tuned" / "dave2.safetensors", "dave2_short"))
     assert max(float(np.abs(tuned[name] - start[name]).max()) for name in start) < 1e-3
-    again = train([data, new], tmp_path / "tuned", replace(plan, epochs=2), told, crops)
+    again = train([data, new], tmp_path / "tuned", replace(plan, epochs=2), told)
     assert len(again) == 2 and any("1 epochs completed before" in line for line in told.lines)
     with pytest.raises(TrainingError, match="other settings or images"):
-        train([data, new], tmp_path / "tuned", replace(plan, start="dave2"), told, crops)
+        train([data, new], tmp_path / "tuned", replace(plan, start="dave2"), told)
     with pytest.raises(TrainingError, match="dave2_short is no chauffeur: leave out --network"):
-        train(data, tmp_path / "other", replace(plan, network="chauffeur"), told, crops)
+        train(data, tmp_path / "other", replace(plan, network="chauffeur"), told)
     with pytest.raises(TrainingError, match="dave2_real sees translated images"):
-        train(data, tmp_path / "other", replace(plan, start="dave2_real"), told, crops)
+        train(data, tmp_path / "other", replace(plan, start="dave2_real"), told)
 
 
 def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from ds_driver.networks.images import Crop, ImageError, prepare
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import Frame
-from ds_driver.networks.torch_networks import FastDropout, disable_dropout, load_network, make_network, save_weights
+from ds_driver.networks.torch_networks import FastDropout, disable_dropout, make_network, module_of, save_weights
 from ds_driver.networks.weights import Weights, WeightsError, compress, generators_in, load_weights, shipped_networks
 from ds_sim.registry import STANDARD
 
@@ -48,7 +48,7 @@ def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
     save_weights(network, tmp_path / "a.safetensors", architecture=name)
     image = torch.rand(1, 3, 160, 320) * 255
     with torch.inference_mode():
-        assert load_network(str(tmp_path / "a.safetensors"))(image).item() == pytest.approx(
+        assert module_of(load_weights(str(tmp_path / "a.safetensors")))(image).item() == pytest.approx(
             network(image).item(), abs=1e-3
         )
     assert not list(tmp_path.glob("*.partial"))
@@ -70,7 +70,7 @@ def test_eight_bits_halve_the_file_and_keep_the_steering(tmp_path: Path) -> None
         assert (np.abs(after[key] - value) <= 0.5001 * step).all()
     images = torch.rand(8, 3, 160, 320) * 255
     with torch.inference_mode():
-        expected, found = (load_network(str(path))(images) for path in (whole, small))
+        expected, found = (module_of(load_weights(str(path)))(images) for path in (whole, small))
     assert torch.allclose(found, expected, atol=2e-3)
 
 
@@ -164,7 +164,7 @@ def test_unusable_weights_are_refused_in_one_line(tmp_path: Path, kind: str) -> 
 @pytest.mark.parametrize("name", ["dave3", "weights.h5", ""])
 def test_an_unknown_network_is_refused(name: str) -> None:
     with pytest.raises(UnknownNetworkError, match="expected one of dave2"):
-        load_network(name)
+        load_weights(name)
 
 
 def test_preprocessing_crops_resizes_and_converts_to_yuv() -> None:

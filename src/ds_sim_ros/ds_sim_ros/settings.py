@@ -8,9 +8,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from ds_base.config_errors import problems, read_keys
+from ds_base.config_errors import Keys, problems, read_keys
 from ds_base.errors import InputError
 from ds_driver.networks.images import Crop
 from ds_road import Side
@@ -61,8 +61,8 @@ Angle = Annotated[float, Field(gt=0.0, lt=1.5)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+class _Strict(Keys, strict=True, allow_inf_nan=False):
+    """Base of all parts."""
 
 
 class VehicleSettings(_Strict):

@@ -9,12 +9,13 @@ from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.common.statistics import Bools
 from ds_base.bounded_file import FileError
 from ds_base.bounded_yaml import read_yaml
+from ds_base.config_errors import Keys
 from ds_sim.registry import SimulatorName
 
 GUIDE = "docs/outcomes.md"
@@ -30,11 +31,7 @@ MOST_EMPTY = 0.1
 _SHOWN = 6
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Rule(_Strict):
+class Rule(Keys, allow_inf_nan=False):
     """Condition on one column; exactly one of the others says which.
 
     Attributes:
@@ -75,7 +72,7 @@ class Rule(_Strict):
         return same if self.is_ is not None else ~same, empty
 
 
-class Margin(_Strict):
+class Margin(Keys, allow_inf_nan=False):
     """Column with how close a run came to its limit, beyond which it failed.
 
     Attributes:
@@ -92,14 +89,14 @@ Failed = str | list[Rule] | Rule
 """Column that says whether a test failed, or rules of which one has to hold."""
 
 
-class Verdict(_Strict):
+class Verdict(Keys, allow_inf_nan=False):
     """How one simulator's columns of a wide table say whether a test failed."""
 
     failed: Failed | None = None
     margin: Margin | None = None
 
 
-class Columns(_Strict):
+class Columns(Keys, allow_inf_nan=False):
     """Content of the YAML file; left out, columns have the names that `ds outcomes export` gives them, if they exist.
 
     Attributes:

@@ -11,7 +11,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.images import Crop, ImageError
-from ds_driver.networks.pilot import DriverError, Frame
+from ds_driver.networks.pilot import DriverError, Frame, attempt
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 from ds_sim.gates.visible_contrast import ContrastProbe
@@ -36,9 +36,7 @@ def make_driver(driver: DriverName | str, spec: SimulatorSpec) -> Driver:
     if driver == AUTOPILOT:
         autopilot = Autopilot(spec.autopilot)
         return lambda frame: autopilot.command(frame.lane.preview_lateral_position, frame.vehicle.speed)
-    from ds_driver.networks.network_driver import NetworkDriver
-
-    network = NetworkDriver(driver)
+    network = _network(driver)
     return lambda observation: network.command(Frame.of(observation, spec))
 
 
@@ -53,8 +51,7 @@ def drive_road(
 ) -> RunRecord:
     """Drive a road until the run ends; failures of simulator or driver end the run as an error.
 
-    A probed run measures the contrast of the lines (`ds_sim.gates`), on whole images unless the simulator takes
-    stills.
+    A probed run measures the contrast of the lines (`ds_sim.gates`).
 
     Raises:
         ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no run then.
@@ -85,7 +82,7 @@ class Phase(IntEnum):
 
 
 NotePhase = Callable[[Phase, int], None]
-"""Called with what begins, and with the key of the drive that it is for; -1 for all drives."""
+"""Called with what begins, and with the key of the drive that it is for, or `ALL_DRIVES`."""
 ALL_DRIVES = -1
 MOST_IDLE = 8
 """Simulators that are kept between drives; chosen: twice a worker's drives at a time. One keeps some 40 MB."""
@@ -94,11 +91,8 @@ MOST_IDLE = 8
 class InterleavedDrives:
     """Advances its drives in step, and removes each when it ends.
 
-    A run depends on road, seed, conditions and commands alone, and a network that takes batches answers an image with
-    the same bits in any batch (`NetworkDriver.largest_batch`), so records do not depend on what is interleaved.
-
-    `note` is called when the phase changes, for a supervisor that notices a hang; `largest_batch` is the number of
-    drives that the driver answers at once.
+    Records do not depend on what is interleaved. `note` is called when the phase changes, for a supervisor that notices
+    a hang; `largest_batch` is the number of drives that the driver answers at once.
 
     Raises:
         ValueError: the driver cannot be loaded.
@@ -135,11 +129,12 @@ class InterleavedDrives:
 
     def _started(self, simulator: Simulator, request: DriveRequest) -> _Drive:
         network, spec = None if request.driver == AUTOPILOT else self._network, simulator.spec
-        crop = Crop(spec.crop_top, spec.crop_bottom)
         rows: tuple[int, int] | None = ROWS_SEEN
-        if network is not None:
-            rows = network.rows_seen(crop, spec.camera.height_px, spec.name)
-        _draw_seen_rows(simulator, rows, probed=request.probed)
+        if request.probed and not simulator.takes_stills:
+            rows = None  # the contrast is measured on whole images
+        elif network is not None:
+            rows = network.rows_seen(Crop.of(spec), spec.camera.height_px, spec.name)
+        simulator.draw_rows(*(rows or (0, spec.camera.height_px)))
         autopilot = make_driver(AUTOPILOT, spec) if network is None else None
         return _Drive(simulator, autopilot, request.scenario, probed=request.probed)
 
@@ -178,13 +173,6 @@ def _network(driver: DriverName) -> NetworkDriver:
     return NetworkDriver(driver)
 
 
-def _draw_seen_rows(simulator: Simulator, rows: tuple[int, int] | None, *, probed: bool) -> None:
-    """Draw only the rows that the driver, None for all, or the probe of the lines looks at."""
-    if probed and not simulator.takes_stills:
-        rows = None  # the contrast is measured on whole images
-    simulator.draw_rows(*(rows or (0, simulator.spec.camera.height_px)))
-
-
 def _answers(network: NetworkDriver, frames: Sequence[Frame]) -> list[Command | DriverError]:
     """Answer frames together; if one has an image that no network takes, each by itself."""
     try:
@@ -194,11 +182,7 @@ def _answers(network: NetworkDriver, frames: Sequence[Frame]) -> list[Command | 
 
 
 class _Drive:
-    """One drive in progress; `driver` answers its frames, or something else does where it is None.
-
-    Raises:
-        ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no drive then.
-    """
+    """One drive in progress; `driver` answers its frames, or something else does where it is None."""
 
     def __init__(self, simulator: Simulator, driver: Driver | None, scenario: Scenario, *, probed: bool) -> None:
         self.simulator, self.driver = simulator, driver
@@ -209,13 +193,11 @@ class _Drive:
 
     @property
     def run(self) -> RunRecord:
-        """Record of the run so far."""
         assert self._session.run is not None
         return self._session.run
 
     @property
     def driving(self) -> bool:
-        """True until the run ends."""
         return self._session.driving
 
     def frame(self) -> Frame:
@@ -226,10 +208,7 @@ class _Drive:
     def answer(self) -> Command | DriverError:
         """Ask the drive's own driver for an answer to the frame that waits for it."""
         assert self.driver is not None and self._seen is not None
-        try:
-            return self.driver(self._seen)
-        except DriverError as error:
-            return error
+        return attempt(self.driver, self._seen)
 
     def take(self, answer: Command | DriverError) -> None:
         """Drive one step with an answer; as in the ROS graph, a driver without one counts as silent."""

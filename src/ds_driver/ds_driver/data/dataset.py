@@ -314,12 +314,8 @@ def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ())
     """
     recorded = imported_names(data)
     return {
-        name: Crop() if name in recorded else simulator_crop(received_simulator(name, confirmed=trusted, option=TRUST))
+        name: Crop()
+        if name in recorded
+        else Crop.of(spec_of(received_simulator(name, confirmed=trusted, option=TRUST)))
         for name in sorted(set(names))
     }
-
-
-def simulator_crop(name: str) -> Crop:
-    """Return the crop for the images of a simulator."""
-    spec = spec_of(name)
-    return Crop(spec.crop_top, spec.crop_bottom)

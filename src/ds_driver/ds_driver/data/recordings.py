@@ -182,7 +182,7 @@ def open_recording(path: Path, reading: Reading) -> Recording:
         spec = spec_of(name)
         if TRANSLATED in bag.facts or _is_translated(camera):
             return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=Crop(), reading=reading)
-        crop = Crop(spec.crop_top, spec.crop_bottom)
+        crop = Crop.of(spec)
         return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading, simulator=spec.name)
 
 

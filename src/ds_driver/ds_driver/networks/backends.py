@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.atomic_files import write_whole
-from ds_base.installation import CPUINFO, install_command, processor_flags
+from ds_base.installation import install_command, processor_flags
 from ds_driver.networks.pilot import DriverError
 
 BACKENDS = ("auto", "torch", "onnx", "openvino", "openvino-bf16")
@@ -138,6 +138,12 @@ def onnx_runner(content: bytes, where: str) -> Runner:
         ) from None
     inputs = session.get_inputs()
     kinds = {"tensor(float)": "float32", "tensor(uint8)": "uint8", "tensor(float16)": "float16"}
+    described = tuple(
+        NetworkInput(
+            one.name, tuple(n if isinstance(n, int) else None for n in one.shape), kinds.get(one.type, one.type)
+        )
+        for one in inputs
+    )
 
     def compute(*arrays: NDArray[Any]) -> list[NDArray[np.float32]]:
         try:
@@ -147,36 +153,15 @@ def onnx_runner(content: bytes, where: str) -> Runner:
             raise BackendError(f"the network rejects {shape_and_type(*arrays)}: {last_line(error)}") from None
         return [np.asarray(part, np.float32) for part in outputs]
 
-    return Runner(
-        compute,
-        tuple(o.name for o in session.get_outputs()),
-        tuple(
-            NetworkInput(
-                one.name,
-                tuple(size if isinstance(size, int) else None for size in one.shape),
-                kinds.get(one.type, one.type),
-            )
-            for one in inputs
-        ),
-    )
+    return Runner(compute, tuple(one.name for one in session.get_outputs()), described)
 
 
 def openvino_runner(
-    content: bytes,
-    where: str,
-    backend: str = "openvino",
-    *,
-    kind: str = "onnx",
-    batches: bool = False,
+    content: bytes, where: str, backend: str = "openvino", *, kind: str = "onnx", batches: bool = False
 ) -> Runner:
-    """Run an ONNX, TensorFlow Lite or TorchScript file with OpenVINO; check a foreign ONNX file first.
+    """Run an ONNX, TensorFlow Lite or TorchScript file with `openvino` or `openvino-bf16`; check foreign ONNX first.
 
-    Args:
-        content: content of the file.
-        where: name of the file, for messages.
-        backend: `openvino` or `openvino-bf16`.
-        kind: `onnx`, `tflite` or `torchscript`.
-        batches: whether the network treats the images of a batch independently; with one input and output.
+    With `batches`, the network has one input and one output, and treats the images of a batch independently.
 
     Raises:
         BackendError: OpenVINO is not installed, cannot read the file, or the processor has no such arithmetic.
@@ -207,38 +192,32 @@ def openvino_runner(
         raise BackendError(
             f"{where} cannot be run by OpenVINO ({last_line(error)}): {way}, or copy the file again if it is cut off"
         ) from None
-    request = compiled.create_infer_request()
 
     def compile_for(size: int) -> Any:
         resized = model.clone()  # shares the weights
         resized.reshape([size, *compiled.inputs[0].get_shape()[1:]])
         return core.compile_model(resized, "CPU", settings).create_infer_request()
 
-    return Runner(
-        _Batches(request, compile_for).compute if batches else partial(_infer, request),
-        tuple(map(_name_of, compiled.outputs)),
-        tuple(
-            NetworkInput(_name_of(one), _shape_of(one), one.get_element_type().to_dtype().name)
-            for one in compiled.inputs
-        ),
-        LARGEST_BATCH if batches else 1,
-    )
+    request = compiled.create_infer_request()
+    compute = _Batches(request, compile_for).compute if batches else partial(_infer, request)
+    inputs = tuple(map(_input_of, compiled.inputs))
+    return Runner(compute, tuple(map(_name_of, compiled.outputs)), inputs, LARGEST_BATCH if batches else 1)
 
 
 def _name_of(port: Any) -> str:
-    return next(iter(sorted(port.get_names())), "")
+    return min(port.get_names(), default="")
 
 
-def _shape_of(port: Any) -> tuple[int | None, ...] | None:
-    shape = port.get_partial_shape()
-    return tuple(d.get_length() if d.is_static else None for d in shape) if shape.rank.is_static else None
+def _input_of(port: Any) -> NetworkInput:
+    sizes = port.get_partial_shape()
+    shape = tuple(d.get_length() if d.is_static else None for d in sizes) if sizes.rank.is_static else None
+    return NetworkInput(_name_of(port), shape, port.get_element_type().to_dtype().name)
 
 
 def graph_runner(content: bytes, where: str, backend: str) -> Runner:
     """Run an ONNX graph of this project with a backend other than `torch`, in batches where their bits allow it."""
-    if backend == "onnx":
-        return onnx_runner(content, where)
-    return openvino_runner(content, where, backend, batches=True)
+    chosen = default_backend() if backend == "auto" else backend
+    return onnx_runner(content, where) if chosen == "onnx" else openvino_runner(content, where, chosen, batches=True)
 
 
 def cpu_capabilities(core: Any) -> list[str]:
@@ -246,18 +225,17 @@ def cpu_capabilities(core: Any) -> list[str]:
     return list(core.get_property("CPU", "OPTIMIZATION_CAPABILITIES"))
 
 
-def has_bfloat16(cpuinfo: Path = CPUINFO) -> bool:
+def has_bfloat16() -> bool:
     """Whether this processor computes in bfloat16, as Linux lists it; without OpenVINO."""
-    return not processor_flags(cpuinfo).isdisjoint(("avx512_bf16", "amx_bf16"))
+    return not processor_flags().isdisjoint(("avx512_bf16", "amx_bf16"))
 
 
 class _Batches:
     """Runs a network on any number of images, each with the bits that it has alone.
 
-    A graph compiled for one batch size gives these bits; a graph for any size gives others and is slower. So there is
-    one graph for each power of two, compiled when first needed, and 7 images are run as 4, 2 and 1. Which kernels
-    OpenVINO selects depends on the processor: each new graph is compared with the graph for one image, and batches are
-    no longer used if a bit differs.
+    A graph for batches of any size gives other bits and is slower. So there is one for each power of two, compiled when
+    first needed: 7 images are run as 4, 2 and 1. As OpenVINO's kernels depend on the processor, each new graph is
+    compared with that for one image, and batches are no longer used if a bit differs.
     """
 
     def __init__(self, alone: Any, compile_for: Any) -> None:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
@@ -17,9 +18,17 @@ from numpy.typing import NDArray
 
 from ds_base.bounded_memory import limited_memory
 from ds_driver.networks.backends import NetworkInput
-from ds_driver.networks.description import DescribedNetwork, OutputSpec, PathSpec, Rows, file_of, read_description
+from ds_driver.networks.description import (
+    DescribedNetwork,
+    GivenInput,
+    InputSpec,
+    OutputSpec,
+    PathSpec,
+    Rows,
+    file_of,
+    read_description,
+)
 from ds_driver.networks.images import Crop, checked
-from ds_driver.networks.memory import GivenInput, RunMemory
 from ds_driver.networks.network_file import NETWORK_MEMORY, backends_for, runner_of
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -28,6 +37,8 @@ ALIKE = 1e-3
 """Largest difference of two back ends' answers, absolute plus relative; chosen: single precision rounds by 1e-6."""
 _COLOURS = {"bgr": cv2.COLOR_RGB2BGR, "yuv": cv2.COLOR_RGB2YUV, "grey": cv2.COLOR_RGB2GRAY}
 _RESIZING = {"linear": cv2.INTER_LINEAR, "area": cv2.INTER_AREA, "nearest": cv2.INTER_NEAREST}
+_Given = dict[int, tuple[GivenInput, tuple[int, ...]]]
+"""Inputs beside the image, with their shapes, by position."""
 
 
 class DescribedNetworkPilot(Pilot):
@@ -81,24 +92,14 @@ class DescribedNetworkPilot(Pilot):
         self.start()
 
     def described_as(self, description: DescribedNetwork) -> DescribedNetworkPilot:
-        """Return a pilot with the same loaded network, of the same input shape, and another description.
-
-        It also knows the answers of `outputs_once`.
-        """
+        """Return a pilot of the same loaded network and answers, with another description of the same input shape."""
         other = copy.copy(self)
         other.description = description
         return other
 
     def start(self) -> None:
         """Forget the images, commands and states of the run before."""
-        spec = self.description.input
-        self._memory = RunMemory(
-            self._given,
-            frames=spec.frames,
-            stride=spec.stride,
-            newest_first=spec.order == "newest_first",
-            axis=spec.axis,
-        )
+        self._memory = _RunMemory(self.description.input, self._given)
 
     def predict(self, frame: Frame) -> Prediction:
         """See `ds_driver.networks.pilot.Pilot`."""
@@ -107,11 +108,10 @@ class DescribedNetworkPilot(Pilot):
             steering = spec.steering.steering(self._number(outputs, "steering", spec.steering), frame.vehicle)
         else:
             steering = spec.path.steering(self._numbers(outputs, "path", spec.path, spec.path.numbers), frame.vehicle)
-        prediction = Prediction(
-            steering, None if spec.throttle is None else self._number(outputs, "throttle", spec.throttle)
-        )
+        throttle = None if spec.throttle is None else self._number(outputs, "throttle", spec.throttle)
+        prediction = Prediction(steering, throttle)
         states = {k: self._state(outputs, k) for k, (one, _) in self._given.items() if one.state is not None}
-        self._memory.note(states, prediction.steering, prediction.throttle)
+        self._memory.note(states, prediction)
         return prediction
 
     @property
@@ -131,10 +131,7 @@ class DescribedNetworkPilot(Pilot):
             return self._runner.compute(*inputs)
 
     def outputs_once(self, frame: Frame) -> list[NDArray[np.float32]]:
-        """Compute all outputs for a frame, or return those that the network, without memory, gave to its pixels before.
-
-        Frames are told apart by identity, so that they are kept.
-        """
+        """Compute all outputs of a network without memory, or return those of the same `Frame` object again."""
         key = self.description.input.model_dump_json(), id(frame)
         if key not in self._known:
             self._known[key] = frame, self.outputs(frame)
@@ -217,14 +214,8 @@ class DescribedNetworkPilot(Pilot):
         return output.reshape(-1)
 
 
-def _places(
-    name: str, inputs: Sequence[NetworkInput], described: DescribedNetwork
-) -> tuple[int, dict[int, tuple[GivenInput, tuple[int, ...]]]]:
-    """Find the position of the image, and of every other input with its shape.
-
-    Raises:
-        DriverError: file and description have other inputs.
-    """
+def _places(name: str, inputs: Sequence[NetworkInput], described: DescribedNetwork) -> tuple[int, _Given]:
+    """Find the position of the image, and the other inputs; refuse a file with others than its description."""
     names_in_file = [one.name for one in inputs]
     count = len(inputs) or 1 + len(described.inputs)
 
@@ -244,19 +235,58 @@ def _places(
             f"{name} has {count} inputs ({named}), its description gives {1 + len(described.inputs)}: `input` is the "
             "image, and each other one stands in `inputs`, as `h: {state: OUTPUT}` or `speed: {value: speed}`"
         )
-    shapes = {}
+    given = {}
     for place, one in input_at.items():
+        expected = inputs[place].shape if inputs else None
         try:
-            shapes[place] = one, one.shape_in(inputs[place].shape if inputs else None)
+            shape = one.shape_in(expected)
         except ValueError as error:
             raise DriverError(f"{name}, input {names_in_file[place] if names_in_file else place}: {error}") from None
-        expected = inputs[place].shape if inputs else None
-        if expected is not None and not _fits(expected, shapes[place][1]):
+        if expected is not None and not _fits(expected, shape):
             raise DriverError(
                 f"{name} expects {sizes(expected)} as input {names_in_file[place] or place}, its description gives "
-                f"{sizes(shapes[place][1])}: correct shape"
+                f"{sizes(shape)}: correct shape"
             )
-    return free[0], shapes
+        given[place] = one, shape
+    return free[0], given
+
+
+class _RunMemory:
+    """Images, commands and states of one run so far."""
+
+    def __init__(self, spec: InputSpec, given: _Given) -> None:
+        self._spec, self._given = spec, given
+        self._images: deque[NDArray[Any]] = deque(maxlen=(spec.frames - 1) * spec.stride + 1)
+        self._values: dict[int, NDArray[np.float32]] = {
+            place: np.resize(np.array(one.start if one.constant is None else one.constant, np.float32), shape)
+            for place, (one, shape) in given.items()
+        }
+
+    def inputs(self, pixels: NDArray[Any], place: int, speed: float) -> list[NDArray[Any]]:
+        """Remember the pixels of a frame, and return all inputs in order, of which the image is at `place`.
+
+        Before the first frame all images are like the first one.
+        """
+        spec = self._spec
+        self._images.append(pixels)
+        back = [min(k * spec.stride, len(self._images) - 1) for k in range(spec.frames)]
+        stack = [self._images[-1 - k] for k in (back if spec.order == "newest_first" else reversed(back))]
+        stacked = np.stack(stack) if spec.axis is None else np.concatenate(stack, spec.axis)
+        for position, (one, shape) in self._given.items():
+            if one.value == "speed":
+                self._values[position] = np.full(shape, speed * one.scale, np.float32)
+        inputs: dict[int, NDArray[Any]] = {**self._values, place: np.ascontiguousarray(stacked[None])}
+        return [inputs[position] for position in sorted(inputs)]
+
+    def note(self, states: Mapping[int, NDArray[np.float32]], answer: Prediction) -> None:
+        """Remember what the network answered; `states` are the outputs that come back, by position of the input."""
+        for position, (one, shape) in self._given.items():
+            if one.state is not None:
+                self._values[position] = np.array(states[position], np.float32).reshape(shape)
+            elif one.remembers:
+                newest = [answer.steering] if one.value == "steering" else [answer.steering, answer.throttle or 0.0]
+                before = self._values[position].reshape(-1)[len(newest) :]
+                self._values[position] = np.array([*before, *newest], np.float32).reshape(shape)
 
 
 def _fits(expected: Sequence[int | None], shape: Sequence[int]) -> bool:

@@ -4,33 +4,34 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, Field, ValidationError, model_validator
 
 from ds_base.bounded_file import FileError
 from ds_base.bounded_yaml import read_yaml
+from ds_base.config_errors import Keys
 from ds_driver.control.bicycle import Geometry, pursuit_curvature
 from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop
-from ds_driver.networks.memory import MOST_FRAMES, GivenInput
 from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.pilot import DriverError
 from ds_sim.camera.spec import IMAGE_HEIGHT
 
 GUIDE = "docs/bring_your_own_network.md"
+MOST_FRAMES = 128
+"""Longest memory, frames; chosen: six seconds at 20 Hz, and Donkey Car's longest is 20."""
+MOST_NUMBERS = 2**20
+"""Largest state; chosen: four times the cell state of 64 x 64 x 64."""
 _LONGEST = 500
 """Longest error text about a description, characters."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Rows(_Strict):
+class Rows(Keys, allow_inf_nan=False):
     """Camera rows to crop."""
 
     top: Annotated[int, Field(ge=0, lt=IMAGE_HEIGHT)] = 0
@@ -40,21 +41,17 @@ class Rows(_Strict):
 PerChannel = float | Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
-class InputSpec(_Strict):
+class InputSpec(Keys, allow_inf_nan=False):
     """Image that a network expects.
 
     Attributes:
         size: rows and columns.
-        colour: colour space and channel order.
         layout: channels before the rows, or after the columns.
         crop: `simulator` crops as for the paper's networks, `none` not at all, or rows out of 160.
-        resize: interpolation used to resize the image.
-        type: data type.
         subtract: subtracted from pixel values (0 to 255), one number or one per channel.
         divide: divisor applied after that, one number or one per channel.
         frames: number of images that it sees at once; before the first one, all are like it.
         stride: frames from one of them to the next.
-        order: of these images.
         stacked: as `channels` of one image, or over `time`, an axis of its own before the others.
     """
 
@@ -97,7 +94,7 @@ class InputSpec(_Strict):
         return None if self.stacked == "time" else 0 if self.layout == "nchw" else 2
 
 
-class OutputSpec(_Strict):
+class OutputSpec(Keys, allow_inf_nan=False):
     """Location and scaling of one value among the outputs.
 
     Attributes:
@@ -155,7 +152,7 @@ class OutputSpec(_Strict):
         return geometry.steering_of(-(math.radians(value) if self.unit == "degrees" else value) / self.ratio)
 
 
-class PathSpec(_Strict):
+class PathSpec(Keys, allow_inf_nan=False):
     """Points on the ground that a network wants to pass, or one; pure pursuit steers towards them.
 
     Attributes:
@@ -211,7 +208,7 @@ def _known(vehicle: Geometry | None, what: str) -> Geometry:
     return vehicle
 
 
-class Outputs(_Strict):
+class Outputs(Keys, allow_inf_nan=False):
     """Outputs of a network: steering, or a path instead, and optionally throttle, 0 to 1."""
 
     steering: OutputSpec = OutputSpec()
@@ -227,7 +224,75 @@ class Outputs(_Strict):
         return self
 
 
-class DescribedNetwork(_Strict):
+class GivenInput(Keys, allow_inf_nan=False):
+    """One input of a network beside the image; exactly one of `state`, `value` and `constant` says what it is.
+
+    Attributes:
+        state: name or position of the output that comes back in the next frame.
+        value: `speed` of the vehicle in m/s; or what the network itself answered in the `last` frames, the oldest
+            first: its `steering`, or its `commands`, which are pairs of steering and throttle (Donkey Car's `mem_in`).
+        constant: the same numbers in every frame, or one for all: a route's command, a behaviour, an IMU at rest.
+        last: number of frames; only with `steering` and `commands`.
+        start: every number of it before the first frame.
+        scale: factor on a speed.
+        shape: with a batch of one; needed for a state whose shape the file does not say.
+    """
+
+    state: Annotated[int, Field(ge=0)] | str | None = None
+    value: Literal["speed", "steering", "commands"] | None = None
+    constant: float | Annotated[list[float], Field(min_length=1, max_length=1024)] | None = None
+    last: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    start: float = 0.0
+    scale: float = 1.0
+    shape: Annotated[list[Annotated[int, Field(ge=1, le=MOST_NUMBERS)]], Field(min_length=1, max_length=6)] | None = (
+        None
+    )
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> GivenInput:
+        if [self.state, self.value, self.constant].count(None) != 2:
+            raise ValueError(
+                "expected one of state, an output that comes back, value: speed, steering or commands, and constant"
+            )
+        if self.last != 1 and self.value not in ("steering", "commands"):
+            raise ValueError("last counts frames of steering or commands: leave it out")
+        if self.scale != 1.0 and self.value != "speed":
+            raise ValueError("scale is for a speed: leave it out")
+        return self
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it holds what was before."""
+        return self.value != "speed" and self.constant is None
+
+    def shape_in(self, file: Sequence[int | None] | None) -> tuple[int, ...]:
+        """Return its shape: the described one, else the file's, whose free sizes are 1, else one row of numbers.
+
+        Raises:
+            ValueError: it cannot be known, is too large, or does not hold the values.
+        """
+        numbers = None
+        if self.value is not None:
+            numbers = 1 if self.value == "speed" else self.last * (2 if self.value == "commands" else 1)
+        elif isinstance(self.constant, list):
+            numbers = len(self.constant)
+        if self.shape is not None:
+            shape = tuple(self.shape)
+        elif file is not None:
+            shape = tuple(size or 1 for size in file)
+        elif numbers is not None:
+            shape = (1, numbers)
+        else:
+            raise ValueError("the file does not say the shape of this input: add shape, with a batch of 1")
+        if np.prod(shape) > MOST_NUMBERS:
+            raise ValueError(f"a state of {'x'.join(map(str, shape))} is too large")
+        if numbers is not None and np.prod(shape) != numbers:
+            value_words = f"{self.value} of {self.last} frames" if self.value else "its constant"
+            raise ValueError(f"it takes {int(np.prod(shape))} numbers, {value_words} gives {numbers}")
+        return shape
+
+
+class DescribedNetwork(Keys, allow_inf_nan=False):
     """Content of the YAML description; `file` is relative to its folder."""
 
     file: str
@@ -270,7 +335,7 @@ def read_description(path: Path) -> DescribedNetwork:
         }
         unknown = {".".join(map(str, e["loc"][:-1])) for e in error.errors() if e["type"] == "extra_forbidden"}
         models: dict[str, type[BaseModel]] = {"": DescribedNetwork, "input": InputSpec, "outputs": Outputs}
-        models["outputs.path"] = PathSpec
+        models |= {"outputs.path": PathSpec}
         models |= {place: GivenInput for place in unknown if place.startswith("inputs.")}
         hint = "".join(
             f" (keys of {place or 'the file'}: {', '.join(models.get(place, OutputSpec).model_fields)})"
@@ -289,9 +354,10 @@ def file_of(path: Path, description: DescribedNetwork) -> Path:
         DriverError: the file is missing, or of an unknown format.
     """
     file = path.parent / description.file
-    if file.suffix.lower() not in KINDS and "\0" not in description.file and len(description.file) <= 4096:
-        refuse_foreign(file)
-    if file.suffix.lower() not in KINDS or "\0" in description.file or len(description.file) > 4096:
+    is_path = "\0" not in description.file and len(description.file) <= 4096
+    if not is_path or file.suffix.lower() not in KINDS:
+        if is_path:
+            refuse_foreign(file)
         raise DriverError(
             f"{path}: file {description.file!r:.100}: expected {', '.join(KINDS)}; {GUIDE} says how to convert"
         )

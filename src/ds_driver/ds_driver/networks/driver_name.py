@@ -30,8 +30,7 @@ class DriverName:
         network: name of a shipped network or of an installed package's driver, a file of weights, the description of a
             network file, `module:Class`, or `ros@NAME` for a ROS node that its user starts.
         generators: set of generators that translate images for the network; "" where the name has none.
-        ending: what the name says of the backend: one of `ds_driver.networks.backends.BACKENDS`, or `cuda`; "" if
-            nothing, which is the same as `auto`.
+        ending: one of `ds_driver.networks.backends.BACKENDS`, or `cuda`; "" where the name has none, as `auto`.
 
     Examples:
         >>> DriverName.parse("dave2+indoor_track@openvino-bf16")
@@ -102,9 +101,7 @@ class DriverName:
     @property
     def has_weights(self) -> bool:
         """Whether it is a network of this project's architectures, which every backend computes."""
-        has_architecture = (
-            self.network in {**NETWORKS, **shipped_networks(), **dict.fromkeys(APART)} or self.file_type == WEIGHTS
-        )
+        has_architecture = self.network in (*NETWORKS, *shipped_networks(), *APART) or self.file_type == WEIGHTS
         return has_architecture and self.description is None
 
     @property
@@ -147,12 +144,8 @@ class DriverName:
 def _split_generators(name: str) -> tuple[str, str]:
     for place in (index for index, character in enumerate(name) if character == "+"):
         network = name[:place]
-        suffix = Path(network).suffix.lower()
-        if (
-            network in {**NETWORKS, **shipped_networks()}
-            or suffix in (WEIGHTS, *DESCRIPTIONS)
-            or (":" in network and place > 1)
-        ):
+        is_file = Path(network).suffix.lower() in (WEIGHTS, *DESCRIPTIONS)
+        if is_file or network in (*NETWORKS, *shipped_networks()) or (":" in network and place > 1):
             return network, name[place + 1 :]
     return name, ""
 

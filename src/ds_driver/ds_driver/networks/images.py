@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.errors import InputError
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
+from ds_sim.simulator import SimulatorSpec
 
 Pixels = NDArray[np.uint8]
 MAX_PIXELS = 2**26
@@ -70,6 +71,11 @@ class Crop:
                 f"expected at most {IMAGE_HEIGHT - 8} rows together"
             )
 
+    @classmethod
+    def of(cls, spec: SimulatorSpec) -> Crop:
+        """Return the rows of a simulator's images that the paper's networks do not see."""
+        return cls(spec.crop_top, spec.crop_bottom)
+
 
 def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
     """Crop (160, 320, 3) uint8 RGB, resize it back and convert it to YUV (order and colour space as in maxitwo).
@@ -106,15 +112,9 @@ def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int, big_endian: bool = False) -> Pixels:
-    """Convert the data of a `sensor_msgs/Image` to (height, width, 3) uint8 RGB.
+    """Convert the (n,) bytes of a `sensor_msgs/Image` to (height, width, 3) uint8 RGB; of 16 bits the upper 8.
 
-    Args:
-        data: (n,) bytes.
-        encoding: name in `sensor_msgs/image_encodings`.
-        height: number of rows.
-        width: number of columns.
-        step: bytes from one row to the next; 0 for rows without padding.
-        big_endian: order of the bytes of 16 bits, of which the upper 8 are used.
+    Rows are `step` bytes apart, and without padding if that is 0.
 
     Raises:
         ImageError: the encoding is unknown, or the size does not match the data or the encoding.
@@ -126,8 +126,7 @@ def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int, b
         raise ImageError(f"image of encoding {encoding!r}, expected one of {', '.join((*_TO_RGB, *_SIXTEEN_BITS))}")
     channels, conversion = _TO_RGB[encoding]
     step = step or width * channels
-    pattern = encoding.startswith(("nv", "bayer"))
-    if pattern and (width % 2 or height % 2):
+    if encoding.startswith(("nv", "bayer")) and (width % 2 or height % 2):
         raise ImageError(f"image of {width} x {height} px: {encoding} needs an even width and height")
     if encoding.startswith("nv"):
         height += height // 2  # rows of colour below those of brightness
@@ -215,10 +214,8 @@ def _declared_size(data: bytes) -> tuple[int, int] | None:
 def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:
     """Crop and resize an image, (rows, columns, 3) uint8 RGB, to (160, 320, 3).
 
-    Without `rows` the aspect ratio is kept: of images taller than 1:2 the lower part is used, which shows the road, of
-    wider ones the middle.
-
-    `rows` are the first one to keep and the one after the last, counted from the top.
+    `rows` are the first one to keep and the one after the last, from the top. Without them the aspect ratio is kept: of
+    images taller than 1:2 the lower part is used, which shows the road, of wider ones the middle.
 
     Raises:
         ImageError: the image does not have these rows.
@@ -235,6 +232,5 @@ def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels
         image = image[:, (width - kept) // 2 : (width - kept) // 2 + kept]
     if image.shape[:2] == (IMAGE_HEIGHT, IMAGE_WIDTH):
         return image
-    shrinks = image.shape[0] > IMAGE_HEIGHT
-    method = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    method = cv2.INTER_AREA if image.shape[0] > IMAGE_HEIGHT else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, (IMAGE_WIDTH, IMAGE_HEIGHT), interpolation=method), np.uint8)

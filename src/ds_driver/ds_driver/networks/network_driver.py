@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from threading import Lock
@@ -26,16 +26,9 @@ from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop, prepare
 from ds_driver.networks.network_file import KINDS
 from ds_driver.networks.onnx_export import to_onnx
-from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
+from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction, attempt
 from ds_driver.networks.user_class import UserClassPilot, source_of
-from ds_driver.networks.weights import (
-    Weights,
-    generators_in,
-    load_weights,
-    path_of_weights,
-    shipped_networks,
-    weights_sha256,
-)
+from ds_driver.networks.weights import Weights, generators_in, load_weights, shipped_networks, weights_sha256
 from ds_driver.sim2real.image_translation import (
     GeneratorSet,
     ImageTranslation,
@@ -66,8 +59,7 @@ class BuiltInPilot(Pilot):
 
             runner = network_runner(weights, device)
         else:
-            chosen = default_backend() if backend == "auto" else backend
-            runner = graph_runner(to_onnx(weights), weights.name, chosen)
+            runner = graph_runner(to_onnx(weights), weights.name, backend)
         self._compute = runner.compute
         self.largest_batch = runner.largest_batch
 
@@ -84,7 +76,7 @@ class BuiltInPilot(Pilot):
             steering = self._compute(images)[0].reshape(-1)
         except DriverError:
             return super().predict_batch(frames)
-        return [_finite(float(value)) for value in steering]
+        return [attempt(Prediction, float(value)) for value in steering]
 
 
 class NetworkDriver:
@@ -104,10 +96,6 @@ class NetworkDriver:
         # Warm up: the first image allocates memory and selects kernels.
         self.command(Frame.black())
         self._pilot.start()
-
-    def steering(self, image: NDArray[np.uint8], crop: Crop, simulator: str | None = None) -> float:
-        """Predict steering in [-1, 1] for an image by itself, (160, 320, 3) uint8 RGB; see `command`."""
-        return self.command(Frame(image=image, speed=0.0, crop=crop, step=1, simulator=simulator)).steering
 
     def command(self, frame: Frame) -> Command:
         """Compute the command for a frame; step 0 begins a run.
@@ -132,19 +120,13 @@ class NetworkDriver:
         """
         size = self.largest_batch
         if size == 1:
-            return [self._attempt(frame) for frame in frames]
+            return [attempt(self.command, frame) for frame in frames]
         parts = (frames[begin : begin + size] for begin in range(0, len(frames), size))
         predictions = [prediction for part in parts for prediction in self._pilot.predict_batch(part)]
         return [
             prediction if isinstance(prediction, DriverError) else _command(prediction, frame.speed)
             for frame, prediction in zip(frames, predictions, strict=True)
         ]
-
-    def _attempt(self, frame: Frame) -> Command | DriverError:
-        try:
-            return self.command(frame)
-        except DriverError as error:
-            return error
 
     @property
     def largest_batch(self) -> int:
@@ -165,32 +147,24 @@ def load_pilot(driver: DriverName | str) -> Pilot:
     """Load the driver of a name; see `NetworkDriver`.
 
     Examples:
-        >>> import numpy as np
-        >>> from ds_driver import Crop, Frame, load_pilot
-        >>> pilot = load_pilot("dave2@onnx")
-        >>> frame = Frame(image=np.zeros((160, 320, 3), np.uint8), speed=5.0, crop=Crop(), step=0)
-        >>> abs(pilot.predict(frame).steering) <= 1.0
+        >>> from ds_driver import Frame, load_pilot
+        >>> abs(load_pilot("dave2@onnx").predict(Frame.black()).steering) <= 1.0
         True
     """
     name = DriverName.of(driver)
     weights = load_weights(name.network) if name.has_weights else None
-    translation = _image_translation(name, _set_of(name, weights.generators if weights else {}))
+    translation = _image_translation(name)
     pilot = _load_network(name) if weights is None else BuiltInPilot(weights, name.backend, name.device)
     return pilot if translation is None else TranslatingPilot(pilot, translation)
 
 
-def _image_translation(name: DriverName, generators: GeneratorSet | None) -> ImageTranslation | None:
-    """Make what translates images for a driver; None if it sees them as they are, as the autopilot and classes do."""
-    if generators is None:
+def _image_translation(name: DriverName) -> ImageTranslation | None:
+    if (generators := generators_of(name)) is None:
         return None
     return ImageTranslation(generators, default_backend() if name.backend == "auto" else name.backend, name.device)
 
 
-@cache
-def _kept_image_translation_of(name: DriverName) -> ImageTranslation | None:
-    return _image_translation(name, generators_of(name))
-
-
+_kept_image_translation = cache(_image_translation)
 Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
 
@@ -201,7 +175,7 @@ def translation_of(driver: DriverName, simulator: str) -> Translation | None:
     Raises:
         DriverError: the generators of the driver are missing.
     """
-    translation = _kept_image_translation_of(driver)
+    translation = _kept_image_translation(driver)
     if translation is None:
         return None
     name, lock = spec_of(simulator).name, Lock()
@@ -220,14 +194,10 @@ def generators_of(driver: DriverName) -> GeneratorSet | None:
         DriverError: there are no such generators.
         ds_driver.networks.weights.WeightsError: the network's file is missing.
     """
-    return _set_of(driver, generators_in(driver.network) if driver.has_weights and not driver.generators else {})
-
-
-def _set_of(driver: DriverName, trained_with: Mapping[str, str]) -> GeneratorSet | None:
-    """The set that a driver's name gives, or else the one that its network was trained with."""
     if driver.generators:
         return None if driver.generators == NO_GENERATORS else open_set(driver.generators)
-    return set_of_network(driver.network, path_of_weights(driver.network), trained_with) if trained_with else None
+    trained_with = generators_in(driver.network) if driver.has_weights else {}
+    return set_of_network(driver.network, trained_with) if trained_with else None
 
 
 def sees_translated(driver: DriverName) -> bool:
@@ -241,7 +211,6 @@ def sees_translated(driver: DriverName) -> bool:
 
 
 def _load_network(name: DriverName) -> Pilot:
-    """Load a network that is not of this project's architectures."""
     network = name.network
     if name.is_node:
         raise DriverError(
@@ -267,9 +236,8 @@ def _load_network(name: DriverName) -> Pilot:
 def on_backend(driver: DriverName, backend: str = "") -> DriverName:
     """Name a driver with the back end that computes it, so that a record says what its bits depend on.
 
-    Args:
-        driver: any driver; one that names its back end, or has but one, stays as it is.
-        backend: in place of `auto`; what `auto` is here, if left out.
+    One that names its back end, or has but one, stays as it is; `backend` is in place of `auto`, or "" for what that
+    is here.
 
     Examples:
         >>> str(on_backend(DriverName("dave2"), "onnx")), str(on_backend(DriverName("autopilot")))
@@ -289,8 +257,8 @@ def on_backend(driver: DriverName, backend: str = "") -> DriverName:
 def driver_sha256(driver: DriverName) -> str:
     """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class.
 
-    Generators that its name names are part of it; those that a network was trained with are so by their digests in it.
-    A driver without files has "".
+    Generators that it names are part of it; those of a network's training are so by their digests in it. Without files
+    it is "".
     """
     if not driver.has_files:
         return ""
@@ -312,13 +280,6 @@ def _command(prediction: Prediction, speed: float) -> Command:
     if prediction.throttle is None:
         return Command(steering, throttle(steering, speed))
     return Command(steering, _within(prediction.throttle, 0.0))
-
-
-def _finite(steering: float) -> Prediction | DriverError:
-    try:
-        return Prediction(steering)
-    except DriverError as error:
-        return error
 
 
 def _within(value: float, low: float) -> float:

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,22 @@ from ds_sim.simulator import Observation, SimulatorSpec
 if TYPE_CHECKING:
     from ds_driver.sim2real.image_translation import ImageTranslation
 
+_Question = TypeVar("_Question")
+_Answer = TypeVar("_Answer")
 NOT_SIMULATED = ""
 """In place of a simulator's name: a photograph, or an image that is translated already; a network sees it as it is."""
 
 
 class DriverError(InputError):
     """The driver cannot be loaded or gives no valid answer: the run ends as an error, not as a failure."""
+
+
+def attempt(answer: Callable[[_Question], _Answer], question: _Question) -> _Answer | DriverError:
+    """Return an answer, or the error that a driver gives none."""
+    try:
+        return answer(question)
+    except DriverError as error:
+        return error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +67,7 @@ class Frame:
         return cls(
             image=observation.image,
             speed=observation.vehicle.speed,
-            crop=Crop(spec.crop_top, spec.crop_bottom),
+            crop=Crop.of(spec),
             step=observation.step,
             simulator=spec.name,
             vehicle=Geometry.of(spec),
@@ -143,10 +153,4 @@ class Pilot(ABC):
         Raises:
             ds_driver.networks.images.ImageError: an image has another size or type.
         """
-        return [self._attempt(frame) for frame in frames]
-
-    def _attempt(self, frame: Frame) -> Prediction | DriverError:
-        try:
-            return self.predict(frame)
-        except DriverError as error:
-            return error
+        return [attempt(self.predict, frame) for frame in frames]

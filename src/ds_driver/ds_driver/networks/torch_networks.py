@@ -27,7 +27,7 @@ from ds_driver.networks.architectures import (
     UnknownNetworkError,
 )
 from ds_driver.networks.backends import BackendError, Runner, last_line, shape_and_type
-from ds_driver.networks.weights import Weights, load_weights, metadata_of
+from ds_driver.networks.weights import Weights, metadata_of
 
 
 class DrivingNetwork(nn.Module):
@@ -52,14 +52,10 @@ class DrivingNetwork(nn.Module):
 
 
 class FastDropout(nn.Module):
-    """Dropout as the architectures describe it, with random bits from NumPy.
+    """Dropout as `architectures.Dropout` describes it, with random bits from NumPy, at a rate in steps of 1/65536.
 
     PyTorch draws one number a value on one thread, which took 38% of the time of Chauffeur's training on a processor;
     this takes a third of that. The generator is seeded from PyTorch's, so `torch.manual_seed` decides what is dropped.
-
-    Args:
-        rate: probability of setting a value to 0, in steps of 1/65536.
-        rescale: whether the other values grow by 1 / (1 - rate); see `ds_driver.networks.architectures.Dropout`.
     """
 
     def __init__(self, rate: float, *, rescale: bool) -> None:
@@ -101,16 +97,6 @@ def make_network(name: str) -> nn.Module:
     if name not in NETWORKS:
         raise UnknownNetworkError(f"unknown network {name!r}: expected one of {', '.join(NETWORKS)}, or a weights file")
     return DrivingNetwork(NETWORKS[name])
-
-
-def load_network(name_or_path: str) -> nn.Module:
-    """Load a shipped network by name, or a weights file by path; in evaluation mode, float32.
-
-    Raises:
-        WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
-        UnknownNetworkError: neither a known name nor an existing file.
-    """
-    return module_of(load_weights(name_or_path))
 
 
 def module_of(weights: Weights) -> nn.Module:
@@ -175,9 +161,9 @@ def torch_runner(network: Callable[..., Any], device: torch.device) -> Runner:
 
 
 def replayed(network: Callable[[Tensor], Tensor], device: torch.device) -> Callable[[Tensor], Tensor]:
-    """Record a network's kernels on a GPU once, and replay them: launching each anew takes longer than they do.
+    """Record the kernels of a network that does the same for every input of a shape, and replay them.
 
-    The network must do the same for every input of a shape. On a processor it is returned as it is.
+    Launching each anew takes longer than they do. On a processor the network is returned as it is.
     """
     if device.type != "cuda":
         return network

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,10 +40,9 @@ _FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
     "BF16": lambda data: (np.frombuffer(data, "<u2").astype(np.uint32) << 16).view(np.float32),
     "F32": lambda data: np.frombuffer(data, "<f4").astype(np.float32),
     "F64": lambda data: np.frombuffer(data, "<f8").astype(np.float32),
-    # One byte each, with scales: `ds_driver.networks.weights`.
     "I8": lambda data: np.frombuffer(data, np.int8).astype(np.float32),
 }
-"""Number type in a file -> what reads it."""
+"""Number type in a file -> what reads it; those of 8 bits come with scales."""
 SCALE = ".scale"
 """End of the name of a tensor of scales."""
 _LARGEST_INTEGER = 127
@@ -64,13 +63,11 @@ class Weights:
         name: of the shipped network, or path of the file.
         architecture: what they are weights of.
         tensors: with the names and shapes of `Architecture.shapes`.
-        generators: simulator -> SHA-256 of the generator that translated the images of the training; empty if none.
     """
 
     name: str
     architecture: Architecture
     tensors: dict[str, NDArray[np.float32]]
-    generators: dict[str, str] = field(default_factory=dict)
 
 
 def shipped_networks() -> dict[str, Path]:
@@ -174,25 +171,20 @@ def load_weights(name_or_path: str) -> Weights:
     path = path_of_weights(name_or_path)
     try:
         with safe_open(path, framework="numpy") as file:
-            name, generators = _read_metadata(file.metadata() or {})
-            if name not in NETWORKS:
-                raise WeightsError(
-                    f"weights {path.name} name the architecture {name!r:.60}: expected one of {', '.join(NETWORKS)}"
-                )
-            slices = {key: file.get_slice(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
-            stored_shapes = {key: tuple(part.get_shape()) for key, part in slices.items()}
-            types = {part.get_dtype() for part in slices.values()}
-            eight_bit = [key for key, part in slices.items() if part.get_dtype() == "I8"]
+            name, _ = _read_metadata(file.metadata() or {})
+        if name not in NETWORKS:
+            raise WeightsError(
+                f"weights {path.name} name the architecture {name!r:.60}: expected one of {', '.join(NETWORKS)}"
+            )
+        parts = dict(deserialize(read_regular(path, LARGEST_FILE)))  # type: ignore[no-untyped-call]
         shapes = NETWORKS[name].shapes()
         # Matrices of 8 bits, and no other tensors, have scales, one per row.
-        shapes |= {key + SCALE: shapes.get(key, ())[:-1] for key in eight_bit}
-        if stored_shapes != shapes or not types <= set(_FLOAT32):
+        shapes |= {key + SCALE: shapes.get(key, ())[:-1] for key, part in parts.items() if part["dtype"] == "I8"}
+        types = {part["dtype"] for part in parts.values()}
+        if {key: tuple(part["shape"]) for key, part in parts.items()} != shapes or not types <= set(_FLOAT32):
             raise WeightsError(f"weights {path.name} do not fit {name}: they belong to another network")
         with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinity, which is refused below
-            stored = {
-                key: _FLOAT32[part["dtype"]](part["data"]).reshape(part["shape"])
-                for key, part in deserialize(read_regular(path, LARGEST_FILE))  # type: ignore[no-untyped-call]
-            }
+            stored = {key: _FLOAT32[part["dtype"]](part["data"]).reshape(part["shape"]) for key, part in parts.items()}
             tensors = expand(stored)
     except WeightsError:
         raise
@@ -203,7 +195,7 @@ def load_weights(name_or_path: str) -> Weights:
         ) from None
     if not all(bool(np.isfinite(tensor).all()) for tensor in tensors.values()):
         raise WeightsError(f"weights {path.name} hold NaN or infinity: train the network again")
-    return Weights(name_or_path, NETWORKS[name], tensors, generators)
+    return Weights(name_or_path, NETWORKS[name], tensors)
 
 
 def compress(path: Path, out: Path) -> list[str]:

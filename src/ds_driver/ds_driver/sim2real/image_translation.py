@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ds_base.bounded_file import sha256_of
 from ds_driver.networks.images import Crop, checked
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
-from ds_driver.networks.weights import GENERATORS, shipped_sets
+from ds_driver.networks.weights import GENERATORS, path_of_weights, shipped_sets
 from ds_driver.sim2real.generator import LARGEST_FILE, Sim2RealError, StoredGenerator, load_generator
 from ds_driver.sim2real.translator import Translator
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
@@ -22,11 +22,7 @@ from ds_sim.registry import SIMULATORS, label_of
 
 
 class GeneratorSet:
-    """Generators of several simulators, loaded when they are first needed.
-
-    `files` map labels of simulators to the files of their generators, `digests` to the SHA-256 that these must have, if
-    any.
-    """
+    """Generators by the labels of their simulators, loaded when first needed; `digests` are SHA-256 of the files."""
 
     def __init__(self, name: str, files: Mapping[str, Path], digests: Mapping[str, str] | None = None) -> None:
         self.name = name
@@ -68,8 +64,8 @@ class GeneratorSet:
     @property
     def sha256(self) -> str:
         """Digest of all files."""
-        lines = (f"{label} {_sha256(path)}\n" for label, path in self.files.items())
-        return hashlib.sha256("".join(lines).encode()).hexdigest()
+        lines = "".join(f"{label} {_sha256(path)}\n" for label, path in self.files.items())
+        return hashlib.sha256(lines.encode()).hexdigest()
 
 
 def shipped_set_of(digests: Mapping[str, str]) -> str | None:
@@ -99,13 +95,13 @@ def open_set(name: str) -> GeneratorSet:
     return GeneratorSet(name, files)
 
 
-def set_of_network(name: str, weights: Path, digests: Mapping[str, str]) -> GeneratorSet:
+def set_of_network(name: str, digests: Mapping[str, str]) -> GeneratorSet:
     """Find the generators, simulator -> SHA-256, that a network was trained with: beside its weights, or shipped.
 
     Raises:
         DriverError: one is missing.
     """
-    beside = weights.parent / GENERATORS
+    beside = path_of_weights(name).parent / GENERATORS
     places = [beside, *sorted(path for path in beside.glob("*") if path.is_dir()), *shipped_sets().values()]
     files: dict[str, Path] = {}
     for simulator, digest in digests.items():
@@ -173,11 +169,6 @@ class ImageTranslation:
                 translated[index] = replace(frames[index], image=image, crop=Crop(), simulator=NOT_SIMULATED)
         return translated
 
-    def rows_seen(self, simulator: str) -> tuple[int, int]:
-        """Return first row and end of the rows that the generator of a simulator looks at."""
-        window = self.generators.generator(simulator).window
-        return window.top, window.bottom
-
     def _translator(self, simulator: str) -> Translator:
         if simulator not in self._translators:
             generator = self.generators.generator(simulator)
@@ -219,4 +210,5 @@ class TranslatingPilot(Pilot):
             return self._pilot.rows_seen(crop, height, simulator)
         if simulator is None or simulator not in self.translation.generators:
             return None
-        return self.translation.rows_seen(simulator)
+        window = self.translation.generators.generator(simulator).window
+        return window.top, window.bottom

@@ -7,19 +7,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
+from pydantic import Field, PlainSerializer, PlainValidator, ValidationError, field_validator, model_validator
 from pydantic_core import PydanticKnownError
 
-from ds_base.config_errors import problems, read_keys
+from ds_base.config_errors import Keys, problems, read_keys
 from ds_base.errors import InputError
 from ds_base.extension import confirm, is_extension
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -69,11 +60,7 @@ DriverText = Annotated[DriverName, PlainValidator(_driver), PlainSerializer(str)
 """Driver, written as its name in a file."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class SearchedConditionConfig(_Strict):
+class SearchedConditionConfig(Keys, strict=True):
     """Operating condition that a search varies; see `SearchedCondition`."""
 
     low: float
@@ -81,7 +68,7 @@ class SearchedConditionConfig(_Strict):
     step: float = STEP
 
 
-class SearchConfig(_Strict):
+class SearchConfig(Keys, strict=True):
     """Search on each sibling (paper 4.2.4); other attributes, and their defaults, are those of `SearchSettings`.
 
     Attributes:
@@ -119,7 +106,7 @@ class SearchConfig(_Strict):
         return ConditionSpace(tuple(searched), fixed)
 
 
-class OperatorsConfig(_Strict):
+class OperatorsConfig(Keys, strict=True):
     """How the siblings' union maps are merged (paper 3.5): operators on failure probabilities and on quality losses.
 
     Further operators, to compare, yield another merged map each.
@@ -140,7 +127,7 @@ class OperatorsConfig(_Strict):
         return value
 
 
-class CampaignConfig(_Strict):
+class CampaignConfig(Keys, strict=True):
     """Configuration of a campaign.
 
     Attributes:

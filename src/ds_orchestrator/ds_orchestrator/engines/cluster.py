@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-from pydantic import BaseModel, ConfigDict, FilePath, ValidationError
+from pydantic import FilePath, ValidationError
 
-from ds_base.config_errors import problems, read_keys
+from ds_base.config_errors import Keys, problems, read_keys
 from ds_base.errors import InputError
 from ds_base.installation import install_command
 from ds_sim.registry import path_moved
@@ -26,17 +26,15 @@ class ClusterError(InputError):
     """A cluster that cannot be used as it was asked for."""
 
 
-class TlsFiles(BaseModel):
+class TlsFiles(Keys):
     """PEM files of one side of an encrypted connection: the authority's certificate, the own one, and its key."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     ca: FilePath
     cert: FilePath
     key: FilePath
 
 
-class ClusterOptions(BaseModel):
+class ClusterOptions(Keys):
     """Which cluster to use: the keys of the file that `--cluster` names.
 
     Attributes:
@@ -45,8 +43,6 @@ class ClusterOptions(BaseModel):
         tls: files of a connection with encryption and authentication; None for one without.
         unencrypted: accept a network connection without encryption and authentication.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     scheduler: str | None = None
     listen: str = "127.0.0.1"

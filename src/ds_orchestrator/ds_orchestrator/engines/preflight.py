@@ -55,7 +55,7 @@ def check_driver(driver: DriverName, simulators: Sequence[SimulatorName], *, att
     Raises:
         ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
     """
-    if driver == AUTOPILOT or (attach and not driver.has_files):
+    if driver == AUTOPILOT or (attach and driver.is_node):
         return
     from ds_driver.networks.network_driver import load_pilot
 

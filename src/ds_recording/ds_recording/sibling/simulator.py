@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
-from ds_base.config_errors import problems, read_keys
+from ds_base.config_errors import Keys, problems, read_keys
 from ds_recording.errors import RecordingError
 from ds_recording.sibling.photo_scene import PhotoScene, camera_spec
 from ds_recording.sibling.recorded_drive import RecordedDrive, read_drive
@@ -31,15 +31,13 @@ LOOK = Look(asphalt=(90, 90, 90), grass=(90, 90, 90))
 """Stands for a look that is not known; nothing is painted with it."""
 
 
-class RecordingSettings(BaseModel):
+class RecordingSettings(Keys, strict=True):
     """What a user may add to a located recording.
 
     Attributes:
         car: parameter file of the car, written by `ds twin fit`, relative to the folder; None for the nominal car.
         crop_top: image rows at the top, of 160, that a network does not see.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     car: str | None = None
     crop_top: Annotated[int, Field(ge=0, lt=160)] = 0

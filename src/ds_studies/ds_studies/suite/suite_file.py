@@ -12,14 +12,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError
 from ds_base.bounded_json import read_json
-from ds_base.config_errors import problems
+from ds_base.config_errors import Keys, problems
 from ds_base.installation import ds_command
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, DriverText, rebase_paths
@@ -49,11 +49,7 @@ class SuiteError(ConfigError):
     """A suite that cannot be made, read or run."""
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-
-class SuiteOutcome(_Strict):
+class SuiteOutcome(Keys, strict=True):
     """Outcome of a test on one simulator, with the network of the suite.
 
     Attributes:
@@ -66,7 +62,7 @@ class SuiteOutcome(_Strict):
     trajectory_sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 
-class SuiteTest(_Strict):
+class SuiteTest(Keys, strict=True):
     """Test of a suite.
 
     Attributes:
@@ -85,7 +81,7 @@ class SuiteTest(_Strict):
     outcomes: Annotated[dict[SimulatorName, SuiteOutcome], Field(min_length=1)]
 
 
-class Suite(_Strict):
+class Suite(Keys, strict=True):
     """Regression suite.
 
     Attributes:
