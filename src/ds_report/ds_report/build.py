@@ -46,8 +46,7 @@ def write_all(
 ) -> Path:
     """Write maps, evaluation and report of a campaign, and return the report's path; the caller holds the lock.
 
-    Contents of the store are given if they are already read. Results that are up to date are written only `again`.
-    Simulators of users that are not trusted have no camera pictures.
+    Results that are up to date are written only `again`. Simulators of users that are not trusted have no pictures.
     """
     from ds_report.heatmap import write_maps
     from ds_report.html_report import SHOWN_TESTS, write_report

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Camera pictures of a report: one place on every simulator, strips of informative drives, replays of failed ones.
 
-Drives are rendered again from the recorded path by the library's camera, without bag or physics. Roll, pitch and heave
-of the body are not in the store and are 0; noise is left out where no condition changes it.
+Drives are rendered again from the recorded path, without bag or physics. Roll, pitch and heave of the body are 0; noise
+is left out where no condition changes it.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class PicturePlan:
         frames: test and simulator -> frames to render, increasing.
         strips: number of tests of which every drive has a strip.
         spacing: time between two pictures of a replay, s.
-        replayed: number of failed drives whose replay has pictures.
+        replayed: number of failed drives, of `failed` in all, whose replay has pictures.
     """
 
     frames: Mapping[DriveKey, Sequence[int]]
@@ -76,12 +76,11 @@ def plan_pictures(
     strips: int = DRIVEN_TESTS,
     replays: int = REPLAY_PICTURES,
 ) -> PicturePlan:
-    """Choose the frames to render; the same campaign gives the same plan.
+    """Choose the frames to render, for at most so many tests with strips, and pictures in replays.
 
-    Failed drives come first, those of the worst test before all others, at the finest of `SPACINGS` with which all of
-    them fit; if none does, at the coarsest, and the last ones have no replay with pictures. The other drives of the
-    same tests follow as long as there is room. Tests without a cell have no pictures. `strips` is the largest number of
-    tests with strips, `replays` that of pictures in all replays.
+    Failed drives come first, of the worst test before all others, at the finest of `SPACINGS` with which all of them
+    fit; if none does, at the coarsest, and the last ones have no replay. The other drives of the same tests follow as
+    long as there is room. Tests without a cell have no pictures.
     """
     ranked = worst_first((test for test in tests if test.test_id in cells), executions)
     of_test: dict[str, list[Execution]] = {}
@@ -168,13 +167,7 @@ _THREADS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class CameraPicture:
-    """Camera picture of one simulator.
-
-    Attributes:
-        physics: physics model in one line, or "".
-        picture: PNG as data URI, or "" if there is none.
-        note: place of the vehicle, or why there is no picture.
-    """
+    """Camera picture of one simulator, a PNG as data URI, and the place of the vehicle, or why there is none."""
 
     simulator: SimulatorName
     physics: str = ""
@@ -184,14 +177,7 @@ class CameraPicture:
 
 @dataclass(frozen=True, kw_only=True)
 class PicturedDrive:
-    """Pictures of one drive.
-
-    Attributes:
-        frames: base64 of a JPEG and its caption, in order of time.
-        times: simulated time of each, s.
-        strip: indices of those that form the strip.
-        note: why there are none, or "".
-    """
+    """Pictures of one drive: base64 of a JPEG and caption of each, times in s, indices of the strip, or why none."""
 
     frames: tuple[tuple[str, str], ...] = ()
     times: tuple[float, ...] = ()
@@ -262,9 +248,7 @@ def drive_pictures(
     frames: Mapping[tuple[str, SimulatorName], Sequence[int]],
     one_by_one: bool = False,
 ) -> dict[str, list[PicturedDrive | None]]:
-    """Render drives, with what the driver sees, as `plan_pictures` chose their frames.
-
-    With `one_by_one`, simulators render one after the other, in the same memory: 150 MB less.
+    """Render drives, with what the driver sees, as `plan_pictures` chose their frames; `one_by_one` takes less memory.
 
     Returns:
         Test -> drive on every simulator, or None if no picture is wanted there; tests without any are left out.

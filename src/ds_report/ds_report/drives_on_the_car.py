@@ -46,10 +46,7 @@ _HOW = (
 class RoadSheet:
     """A road at the car's size; the origin is the lower left corner of a rectangle around it, x right and y up, m.
 
-    Attributes:
-        stations: (n,) distances along the centre line, m; there, `centre` has points of the yellow centre line, `left`
-            and `right` of the white edge lines, and `lane` of the centre of the driven lane, where no line is.
-        two_lanes: whether there is a centre line to tape.
+    Lines have (n, 2) points at the (n,) stations along the centre line; there is none on the centre of the `lane`.
     """
 
     width: float
@@ -120,10 +117,7 @@ def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
 
 
 def write_drives_to_do(folder: Path, number: int, drives: Sequence[ProposedDrive]) -> Path:
-    """Write a round of at least one drive, numbered from 1 on, into a campaign's folder; returns the round's folder.
-
-    Per drive a drawing and a CSV with the points to tape out, `README.md` with what to set, `outcomes.csv` to fill in.
-    """
+    """Write a round of at least one drive, numbered from 1 on; returns its folder, for a person to read and fill in."""
     place = folder / FOLDER / f"round_{number}"
     how = (
         f"Scale 1:{drives[0].scale:g}. {_HOW}" if drives[0].road else "Drive these tests, then fill in `outcomes.csv`."

@@ -7,11 +7,10 @@ rule was fixed before it was applied to any campaign:
 1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling. A road under
    the same conditions counts once.
 2. For the largest curvature of a road, its turns count, and every condition that varies between tests, every threshold
-   between two different values splits the tests into easier and harder ones; a condition that is hard at both ends is
-   split in both directions. The split with the largest Youden index J, the share of failing tests above minus the
-   share of passing tests above, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns
-   before conditions, then the harder threshold.
-   Where conditions vary, the best split of the other kind, road or conditions, is named after it.
+   between two values splits the tests into easier and harder ones; a condition that is hard at both ends is split in
+   both directions. The split with the largest Youden index, the share of failing tests above minus that of passing
+   ones, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns before conditions, then the
+   harder threshold. Where conditions vary, the best split of the other kind, road or conditions, is named after it.
 3. A split is stated only if chance would hardly find one as good. Its percentages come from tests that did not choose
    it (`ds_analysis.common.selection`).
 """
@@ -55,7 +54,6 @@ class Split:
         axis: `curvature`, the largest of a road in 1/m, `turns`, or the name of a condition.
         threshold: of the harder roads, the value nearest to the others.
         is_lower_bound: whether the harder roads have the threshold or more, otherwise the threshold or less.
-        found: which roads are harder, and how far the choice can be trusted.
     """
 
     axis: str
@@ -66,13 +64,7 @@ class Split:
 
 @dataclass(frozen=True, kw_only=True)
 class RoadOutcomes:
-    """Roads and which of them fail.
-
-    Attributes:
-        where: simulators that decide, such as `the twin donkey`.
-        tests: roads with an outcome on all of these simulators.
-        failed: for each test, whether its road fails.
-    """
+    """Tests with an outcome on all simulators that decide, `where`, and whether the road of each fails."""
 
     where: str
     tests: tuple[Test, ...]
@@ -111,10 +103,7 @@ def road_outcomes(data: CampaignData) -> RoadOutcomes:
 
 
 def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None:
-    """Find the split with the largest Youden index, clear or not, by rule 2 of this module; None if there is none.
-
-    With `kind`, only axes of the road, or only conditions, are split.
-    """
+    """Find the best split by rule 2 of this module, clear or not, on all axes or those of a kind; None without any."""
     axes = [one for one in _axes(outcomes) if kind in (None, kind_of(one[0]))] if outcomes.tests else []
     if not axes:
         return None
@@ -163,12 +152,7 @@ TRANSLATED = (
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """Findings of a campaign.
-
-    Attributes:
-        headline: where the driver fails and how sure that is.
-        limits: what was tested and what was not; "" if nothing was driven.
-    """
+    """Where the driver fails and how sure that is; what was tested and what not; further sentences."""
 
     headline: str
     limits: str = ""

@@ -5,8 +5,8 @@ Rules, fixed before they were applied to any campaign:
 
 1. Where it fails: see `ds_report.findings`.
 2. Where siblings disagree, a sibling is to be believed if it agrees with the twin in more of these tests than chance
-   allows the best of the siblings (`ds_analysis.common.selection`). Without a twin, nobody can say. If siblings never
-   disagree, or there is only one, the failures of the twin tell what their agreement is worth. A scenario counts once.
+   allows the best of the siblings (`ds_analysis.common.selection`). If siblings never disagree, or there is only one,
+   the failures of the twin tell what their agreement is worth. A scenario counts once.
 3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests; without
    a twin, drives of a car; otherwise train on the failures.
 4. Other tests. Everything passes: more winding roads; on winding roads already, find the conditions that break the
@@ -43,13 +43,7 @@ NO_TWIN = "none"
 
 @dataclass(frozen=True, kw_only=True)
 class FirstScreen:
-    """What a reader should know first.
-
-    Attributes:
-        where: where the driver fails, and how sure that is.
-        believe: where the siblings disagree, and which of them the twin agrees with.
-        worst: id of the test whose replay is shown, or "".
-    """
+    """Where the driver fails, which sibling to believe, what to do next, and the test whose replay is shown, or ""."""
 
     where: str
     believe: str
@@ -59,10 +53,7 @@ class FirstScreen:
 
 
 def first_screen(data: CampaignData, folder: str = ".", where: str = "") -> FirstScreen:
-    """Answer a user's three questions from a campaign, finished or not.
-
-    `folder` is as the command names it; `where` is where the driver fails, if `ds_report.findings` has said it already.
-    """
+    """Answer a user's three questions from a campaign, finished or not; `where` is computed if it is not given."""
     step, command = _next_step(data, folder)
     if not where:
         where = where_it_fails(data.config.driver, road_outcomes(data)) if data.executions else NOTHING_DRIVEN
@@ -154,10 +145,7 @@ def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
 
 
 def proposal(tally: Mapping[str, tuple[int, int]], config: CampaignConfig) -> tuple[str, str] | None:
-    """Propose harder or gentler tests, and the command; None if nothing was driven, or not all tests end alike.
-
-    `tally` has failures and tests of a finished campaign for each simulator.
-    """
+    """Propose other tests, and the command, by failures and tests of each simulator; None unless all end alike."""
     failures, tests = (sum(column) for column in zip(*tally.values(), strict=True)) if tally else (0, 0)
     where = ", ".join(name for name, (_, of) in tally.items() if of)
     search = config.search

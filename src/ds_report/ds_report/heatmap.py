@@ -52,8 +52,7 @@ def _bounds_of_cells(cells: Sequence[Cell]) -> Bounds:
 def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Picture:
     """Draw one value of a feature map of two features, as (rows, columns, 3) uint8 RGB.
 
-    Every filled cell shows its value and its number of tests; cells without tests are hatched. The number of tests that
-    the gates exclude stands next to it, as in `-2`. Maps with the same bounds can be compared cell by cell.
+    Filled cells show their value, their number of tests, and as in `-2` how many the gates exclude; others are hatched.
     """
     excluded = sum(feature_map.excluded.values())
     titles = (feature_map.title, VALUE_TITLES[value] + (f"; -n: excluded, {excluded} in all" if excluded else ""))
@@ -69,8 +68,7 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Pictur
 def draw_verdicts(verdicts: Verdicts, title: str) -> Picture:
     """Draw at least one cell over two axes, a panel for each bin of a third, as (rows, columns, 3) uint8 RGB.
 
-    A cell shows its verdict, the mean failure rate, and the number of tests; a cell that the car drove has a frame, and
-    the number of its drives.
+    A cell shows its verdict, mean failure rate and tests; one that the car drove has a frame, and the number of drives.
     """
     panels = []
     for rest in sorted({one.cell[2:] for one in verdicts.cells if one.tests}):
@@ -93,10 +91,7 @@ def _draw_grid(
     size: tuple[int, int],
     draw: Callable[[Picture, Cell], None],
 ) -> Picture:
-    """Draw two titles and the cells over two features, with room for a colour bar to the right.
-
-    `draw` is called with the (height + 1, width + 1, 3) pixels of each cell and the cell; `size` is width and height.
-    """
+    """Draw titles and cells of a width and height over two features; `draw` gets a cell's pixels, and the cell."""
     (columns, rows), (wide, high) = bounds, size
     grid_width, grid_height = wide * len(columns), high * len(rows)
     title_width = max(_text_width(text, scale) for text, scale in zip(titles, (0.6, 0.5), strict=True))
@@ -122,8 +117,7 @@ def _draw_grid(
 def write_maps(maps: Mapping[MapId, FeatureMap], folder: Path) -> None:
     """Write every map of a campaign as `<name>_probability.png` and `<name>_quality.png`, and `overview.png`.
 
-    The overview shows the siblings' unions, their merge and the twin side by side: failure probability above, loss of
-    quality below. All pictures share the same bounds.
+    The overview has siblings' unions, merge and twin side by side. All pictures share the same bounds.
     """
     bounds = bounds_of(maps.values())
     for map_id, feature_map in maps.items():

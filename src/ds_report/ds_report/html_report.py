@@ -66,10 +66,9 @@ def write_report(
     further_maps: Sequence[FurtherMap] = (),
     trusted: Collection[str] = (),
 ) -> Path:
-    """Write `report.html`, and return its path; the same campaign gives the same bytes.
+    """Write `report.html`, with the paper's numbers of a network, and return its path.
 
-    The paper's numbers of a network are shown for comparison. User-defined simulators that are not trusted have no
-    pictures.
+    The same campaign gives the same bytes. User-defined simulators that are not trusted have no pictures.
     """
     config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
     place = common_test(tests, executions)

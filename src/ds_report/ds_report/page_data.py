@@ -45,9 +45,8 @@ def kept(steps: int) -> NDArray[np.intp]:
 def pack(columns: Columns) -> str:
     """Pack columns of finite numbers as base64 text.
 
-    Format: deflate (zlib) over the lowest bytes of all numbers, then the second, third and highest bytes. The numbers
-    are uint32: the second differences of one column after the other, in 1 / `UNITS`, n >= 0 as 2 n and n < 0 as
-    -2 n - 1, so that all but the lowest bytes are nearly always 0.
+    Format: zlib over the lowest bytes of all numbers, then the second, third and highest ones. The numbers are uint32:
+    the second differences of one column after the other, in 1 / `UNITS`, n >= 0 as 2 n and n < 0 as -2 n - 1.
     """
     numbers = [_second_differences(column) for column in columns]
     whole = np.concatenate(numbers) if numbers else np.empty(0, np.int64)
@@ -235,8 +234,7 @@ def _run(execution: Execution | None) -> list[Any] | None:
 def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, SimulatorName], Execution]) -> str:
     """Pack the lines of all tests of a cell, one test after the other.
 
-    For each test: x and y of the road's centre line and of its right edge (m), then for every drive x, y, lateral
-    position (m), and steering if recorded.
+    These are x and y of the road's centre line and right edge, then of each drive x, y, lateral position and steering.
     """
     columns: list[NDArray[np.float64]] = []
     for test in tests:

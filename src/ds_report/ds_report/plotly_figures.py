@@ -106,10 +106,7 @@ def _line_layout(title: str, **more: Any) -> go.Layout:
 def correlation_chart(
     correlations: Sequence[Correlation], siblings: Sequence[SimulatorName], network: Network | None
 ) -> dict[str, Any] | None:
-    """Chart the campaign's correlations with intervals, and the paper's: r left, AUC-PRC right; None without any.
-
-    Upper rows are RQ2, lower ones RQ3.
-    """
+    """Chart the campaign's correlations with intervals, and the paper's: r left, AUC-PRC right; None without any."""
     if not any(c.r is not None or c.auc is not None for c in correlations):
         return None
     labels = [_label(c, siblings) for c in correlations]

@@ -37,13 +37,7 @@ MOST_GROUPS = 12
 
 @dataclass(frozen=True, kw_only=True)
 class AnswerSection:
-    """What is predicted of a car, for a page.
-
-    Attributes:
-        sentence: the answer in one line; why there is none, if there is no picture.
-        reading: how to read the map.
-        notes: whether the siblings have helped to predict the car, and what its drives certify.
-    """
+    """What is predicted of a car, or why nothing is; how to read it; whether siblings helped, what drives certify."""
 
     sentence: str
     reading: str = ""
@@ -130,14 +124,7 @@ def sibling_section(data: CampaignData) -> SiblingSection | None:
 
 @dataclass(frozen=True, kw_only=True)
 class FurtherMap:
-    """Siblings, merged map and twin over one pair of features.
-
-    Attributes:
-        title: both features, without units.
-        folder: folder of the maps' files, relative to the campaign's.
-        pictures: of the failure probabilities, one per map: in words, which cells fail, for readers who do not see it,
-            and the picture as a `data:` address.
-    """
+    """Siblings, merged map and twin over one pair of features, each in words and as a `data:` address."""
 
     title: str
     folder: str

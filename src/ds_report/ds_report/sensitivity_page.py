@@ -72,9 +72,8 @@ class SensitivityPage:
 def draw_sensitivity(result: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
     """Draw a row for each factor in which something fails or cannot be judged, and name the others below.
 
-    A dot marks the strength at which the median road fails on a simulator, and a line spans the roads. A cross marks
-    where no driver can be judged. The value is written beside the first failure of a row. `vector` is as in
-    `ds_base.figures.draw_figure`.
+    A dot marks where the median road fails on a simulator, a line spans the roads, a cross marks where no driver can be
+    judged. `vector` is as in `ds_base.figures.draw_figure`.
 
     Returns:
         (rows, columns, 3) uint8 RGB.

@@ -18,10 +18,7 @@ if TYPE_CHECKING:
 
 
 def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
-    """Draw the largest lateral position over a feature, (rows, columns, 3) uint8 RGB; discs are failures.
-
-    The table has at least one test, each with a verdict on every simulator; `vector` is as in `draw_figure`.
-    """
+    """Draw the largest lateral position of at least one test, all judged, over a feature, (rows, columns, 3) RGB."""
 
     def draw(figure: Figure) -> None:
         values, limits = table.feature(feature), (0.0, 1.08 * float(table.limits.max()))

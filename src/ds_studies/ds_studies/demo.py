@@ -116,10 +116,7 @@ def fog_in_words(fog: dict[str, Any]) -> str:
 def measure_sensitivity(
     fog: dict[str, Any], folder: Path, workers: int, *, progress: Progress, watch: Watch
 ) -> Sensitivity:
-    """Find what breaks the network on the siblings and the twin; `watch` is called after each measurement.
-
-    `fog` is of `drive_into_fog`, which says how much this machine can do.
-    """
+    """Find what breaks the network, on as many siblings and levels as `drive_into_fog` says this machine can do."""
     make_folder(folder)
     siblings = tuple(fog["siblings"])
     settings = DriveSettings(siblings=siblings, twin=TWIN, driver=DRIVER, engine="local", workers=workers)

@@ -2,9 +2,8 @@
 """Why a test fails on one simulator and not on another: drives with their parts exchanged, in all combinations.
 
 What is shared out among the parts (Shapley values) is the loss of a drive: the share of the half lane that it uses at
-most, and 1 if it fails in any way. It was preferred to the outcome (0 or 1) before anything was measured: one bit would
-make a part that takes a drive close to the edge look as innocent as one that does nothing, and end many failures in a
-tie. It ends at the edge, since how far a car goes after it has left its lane says nothing about the cause.
+most, and 1 if it fails in any way. With an outcome of 0 or 1, chosen against before anything was measured, a part that
+takes a drive close to the edge would look innocent, and many failures would end in a tie.
 """
 
 from __future__ import annotations
@@ -75,9 +74,9 @@ class Explanation:
     """Why a test fails on one simulator and not on another.
 
     Attributes:
-        against: simulator on which it completes, which gives the parts for the exchange.
-        losses: loss of the drive in which a subset of the parts is that of `fails`, and all others of `against`; for
-            each subset of the parts in which the two differ. A drive with the loss 1 fails.
+        against: simulator on which it completes.
+        losses: each subset of the parts in which the two differ -> loss of the drive with these of `fails`, all others
+            of `against`. A drive with the loss 1 fails.
     """
 
     test_id: str
@@ -165,11 +164,7 @@ class Explanation:
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """One failed test, and the simulator that completes it.
-
-    Attributes:
-        parts: word for what is exchanged -> the parts of simulators in it; none for the test's conditions.
-    """
+    """One failed test, the simulator that completes it, and word for what is exchanged -> parts of simulators."""
 
     test: Test
     fails: SimulatorName
@@ -244,10 +239,7 @@ def experiments_on(data: CampaignData, groups: Groups, most: int) -> list[Experi
 def drive_experiments(
     experiments: Sequence[Experiment], settings: DriveSettings, folder: Path, callbacks: Callbacks
 ) -> DriveResults:
-    """Drive experiments, which may have drives in common; errors are those of `drive_tests`.
-
-    The settings' simulators are replaced by those of the experiments; nothing is gated or recorded.
-    """
+    """Drive experiments on their own simulators, ungated and unrecorded; errors are those of `drive_tests`."""
     if not experiments:
         return DriveResults()
     work: dict[SimulatorName, list[Test]] = {}

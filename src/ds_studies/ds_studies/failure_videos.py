@@ -35,10 +35,7 @@ class FailedDrive(OfScenario):
 
 
 def write_failure_videos(driver: DriverName, failed: Sequence[FailedDrive], folder: Path) -> list[Path]:
-    """Drive failed tests once more, which gives the same drives, and write `TEST_SIMULATOR.mp4` of each into a folder.
-
-    At most the first `MOST_VIDEOS` are shown, those that can be drawn. Returns the paths.
-    """
+    """Drive the first `MOST_VIDEOS` failed tests again, write `TEST_SIMULATOR.mp4` of each, and return the paths."""
     make_folder(folder)
     videos: list[Path] = []
     began = time.monotonic()

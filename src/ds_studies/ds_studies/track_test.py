@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a recording to an answer: locates it, fits the twin, cuts roads, drives them, and writes one page.
 
-Each step leaves its result in one folder, where a stopped call goes on. No step looks at a clock, so that the same
-inputs give the same bytes.
+Each step leaves its result in one folder, where a stopped call goes on. The same inputs give the same bytes.
 """
 
 from __future__ import annotations
@@ -70,12 +69,7 @@ class TrackTestError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class LocationInputs:
-    """What is located.
-
-    Attributes:
-        lane_width: m on the floor.
-        odometry: see `ds_recording.odometry.read_sources`.
-    """
+    """What is located: lanes of a width in m on the floor, `odometry` as in `ds_recording.odometry.read_sources`."""
 
     source: Path
     camera: Path
@@ -87,11 +81,7 @@ class LocationInputs:
 
 @dataclass(frozen=True, kw_only=True)
 class TrackTest:
-    """What is tested.
-
-    Attributes:
-        crop_top: image rows at the top that the driver does not see; None for those of the shipped networks, else 0.
-    """
+    """What is tested; `crop` and `crop_top` are image rows at the top that the driver does not see."""
 
     recording: LocationInputs
     out: Path
@@ -106,7 +96,7 @@ class TrackTest:
 
     @property
     def crop(self) -> int:
-        """Image rows that are cut off above."""
+        """`crop_top`, or if None that of the shipped networks, or 0."""
         if self.crop_top is not None:
             return self.crop_top
         return SHIPPED_CROP if self.driver.network in shipped_networks() else 0

@@ -36,14 +36,7 @@ FIRST_TESTS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignOutcome:
-    """Outcome of a campaign.
-
-    Attributes:
-        executions: number of executions with a verdict.
-        executions_in_error: executions of this session that ended in an error after all attempts.
-        correlations: comparison of every map with the twin's; empty without a twin.
-        answer: what a user should know first.
-    """
+    """Outcome of a campaign: executions with a verdict, and those of this session that ended in an error."""
 
     folder: Path
     report: Path

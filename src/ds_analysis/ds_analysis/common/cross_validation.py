@@ -29,25 +29,21 @@ REPEATS = 3
 STRENGTHS = (0.1, 1.0, 10.0, 100.0)
 """Inverse strengths of the ridge penalty on standardised features; chosen: from hardly a slope to nearly a step."""
 ADDED_STRENGTH = 1.0
-"""Inverse strength of the ridge penalty on standardised predictors that are added to a prediction: a normal prior with
-a standard deviation of 1. Chosen: a predictor that moves by its own standard deviation multiplies the odds by 7 at most
-(two standard deviations of the prior), so that predictors without information cost little."""
+"""The same for predictors that are added to a prediction: a normal prior with a standard deviation of 1. Chosen: by two
+of these a predictor multiplies the odds by 7, so that predictors without information cost little."""
 _NOTHING_NEW = 1e-9
-"""Share of a predictor's spread below which the rest is rounding, not something new."""
+"""Share of a predictor's spread below which the rest is rounding."""
 SEED = 14
 """Seed of the divisions; any number does."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fold:
-    """One part of the roads, and what a model of the others says.
+    """Indices of (m,) training roads and of a (k,) part of the roads, and logits of failure on both.
 
     Attributes:
-        repeat: index of the division.
-        train: (m,) indices of the training roads.
-        test: (k,) indices of the part.
-        known: (m,) logits of failure on the training roads, each from a model of training roads in other inner parts.
-        predicted: (k,) logits on the part, from a model of all training roads.
+        known: (m,) each from a model of training roads in other inner parts.
+        predicted: (k,) from a model of all training roads.
     """
 
     repeat: int
@@ -63,7 +59,6 @@ class Predictions:
 
     Attributes:
         probability: (repeats, roads) of failure, each from a model that did not see the road; see `bounded`.
-        folds: what these predictions come from.
         chosen: index of the feature that separated the training roads best -> number of folds in which it did.
     """
 
@@ -107,9 +102,8 @@ def predict_failures(
 def predict_with(predictions: Predictions, failed: Bools, added: Array) -> Array:
     """Add (roads, k) predictors to predictions: a logistic model with the predicted logits as its offset.
 
-    Training roads enter with logits from models that did not see them, as the roads that are predicted do. Of each
-    added predictor only what is new counts: its residual after a linear regression on the logits and on the predictors
-    before it. So a predictor can neither recalibrate the prediction, nor undo the penalty on one that it repeats.
+    Of each added predictor only its residual counts after a linear regression on the logits and on the predictors
+    before it. So it can neither recalibrate the prediction, nor undo the penalty on one that it repeats.
 
     Returns:
         (repeats, roads) probabilities of failure, each from a model that did not see the road.
@@ -134,10 +128,7 @@ def bits(probability: Array, failed: Bools) -> Array:
 
 
 def bounded(probability: Array, roads: int) -> Array:
-    """Keep probabilities 1 / (n + 2) away from 0 and 1, n being the number of roads that a model was fitted to.
-
-    What they never showed cannot be excluded (Laplace's rule of succession).
-    """
+    """Keep probabilities of a model of n roads 1 / (n + 2) away from 0 and 1 (Laplace's rule of succession)."""
     least = 1.0 / (roads + 2)
     return np.asarray(np.clip(probability, least, 1.0 - least))
 
@@ -145,8 +136,7 @@ def bounded(probability: Array, roads: int) -> Array:
 def folds_of(failed: Bools, families: Indices, seed: int) -> Iterator[tuple[Indices, Indices]]:
     """Divide roads into `FOLDS` parts; yields training and test indices.
 
-    Roads that descend from each other stay in one part, drawn at random. Where none do, the parts have about the same
-    share of failures.
+    Families stay in one part, drawn at random; where there are none, the parts have about the same share of failures.
     """
     from sklearn.model_selection import StratifiedKFold
 
@@ -174,11 +164,7 @@ def auc_roc_by_ranks(values: Array, failed: Bools) -> Array:
 def _chosen(
     models: Sequence[tuple[Columns, float]], features: Array, failed: Bools, families: Indices, seed: int
 ) -> tuple[tuple[Columns, float], Array]:
-    """Choose the model with the smallest loss in a cross-validation, the first of equal ones.
-
-    Returns:
-        The model, and its probability on every road from the other parts.
-    """
+    """Choose the model with the smallest cross-validated loss; return it, and each road's probability by the others."""
     predictions = np.empty((len(models), len(failed)))
     for train, test in folds_of(failed, families, seed):
         best = best_feature(features[train], failed[train])
@@ -210,10 +196,7 @@ def standardised(train: Array, test: Array) -> tuple[Array, Array]:
 
 
 def _new_parts(fold: Fold, added: Array) -> tuple[Array, Array]:
-    """What each added predictor says that the logits and the predictors before it do not, in units of its spread.
-
-    Predictors that say nothing new are left out.
-    """
+    """What each predictor adds to the logits and those before it, over its spread; none of those that add nothing."""
     train, test = (
         np.column_stack((logits, added[roads]))
         for logits, roads in ((fold.known, fold.train), (fold.predicted, fold.test))

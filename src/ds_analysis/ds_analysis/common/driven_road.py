@@ -62,10 +62,7 @@ class DrivenRoad:
 
 
 def recorded_profile(road: Road, trajectory: Array) -> Array:
-    """Lateral positions every `GRID` m of a stored trajectory (x, y, yaw, speed, lateral position).
-
-    In its lane, a vehicle is nearer to the lane's centre than to any other part of the road's.
-    """
+    """Lateral positions every `GRID` m of a stored trajectory (x, y, yaw, speed, lateral position)."""
     return lateral_profile(places_along(road, trajectory), trajectory[:, 4], road.lane_width / 2)
 
 

@@ -48,8 +48,7 @@ ROAD_FEATURES: Mapping[str, Callable[[Road], float]] = {
     "lane_curvature_max_right": lambda road: road.lane_curvature_max_right,
     "lane_curvature_max_left": lambda road: road.lane_curvature_max_left,
 }
-"""Features of a road alone that predict failures; those of the maps that repeat one of them are left out
-(`segment_count` is the turns count, `minimum_radius` the inverse of the curvature)."""
+"""Features of a road alone that predict failures, without those of the maps that repeat one of them."""
 
 
 class State(IntEnum):
@@ -71,16 +70,15 @@ class OutcomeTable:
     """Tests of one driver, one row each; a column per simulator, the siblings in order, then the twin if there is one.
 
     Attributes:
-        twin: name of the simulator whose failures are predicted; None if no such simulator was driven.
-        cells: (tests,) cell of that map; None for a test without one.
+        twin: simulator whose failures are predicted, if any was driven.
+        cells: (tests,) cell of the map over the axes; None for a test without one.
         states: (tests, simulators) values of `State`.
-        lateral: (tests, simulators) largest absolute lateral position, m, at most half a lane: how far a car goes after
-            leaving its lane does not tell how it drove; 0 without a verdict. Of imported outcomes whatever tells how
-            close a run came to its limit; NaN if only the verdict is known.
+        lateral: (tests, simulators) largest absolute lateral position, m, at most half a lane; 0 without a verdict. Of
+            imported outcomes whatever tells how close a run came to its limit; NaN if only the verdict is known.
         limits: (tests, simulators) lateral position at which a test fails: half a lane, m.
-        features: (tests, features) what is known of a test before anything is driven.
+        features: (tests, features) known before anything is driven.
         families: (tests,) number of the family: tests of one resemble each other.
-        left_out: number of tests that are not in this sample of a campaign.
+        left_out: tests of the campaign that are not in this sample.
     """
 
     test_ids: tuple[str, ...]
@@ -223,13 +221,13 @@ class RoadTable(OutcomeTable):
             roads: (tests,) roads.
             states: (tests, simulators) values of `State`.
             lateral: (tests, simulators) largest absolute lateral position, m.
-            siblings: names of the siblings.
-            twin: name of the last simulator, if it is the twin.
-            test_ids: those of the roads if None.
+            siblings: all simulators but the twin.
+            twin: last simulator, if it is the twin.
+            test_ids: ids of the roads if None.
             conditions: the default ones if None.
-            axes: the feature map's axes.
-            cells: cells of that map; those of the paper's maps if None.
-            drives: (tests, simulators) recorded drives, of verdicts only; there are none if None.
+            axes: axes of the feature map.
+            cells: those of the paper's maps if None.
+            drives: (tests, simulators) recorded drives, of verdicts only; none if None.
         """
         conditions = [DEFAULT] * len(roads) if conditions is None else conditions
         half = np.array([road.lane_width / 2 for road in roads], np.float64)
@@ -266,10 +264,7 @@ class RoadTable(OutcomeTable):
 def table_of_runs(
     runs: Mapping[SimulatorName, Sequence[DrivenRoad]], *, conditions: Sequence[Conditions] | None = None
 ) -> RoadTable:
-    """Collect runs, the same roads in the same order for all simulators, which are siblings.
-
-    Conditions are those of each test, the default ones if None.
-    """
+    """Collect runs of the same tests in the same order on siblings; conditions of the tests are the default if None."""
     rows = list(zip(*runs.values(), strict=True))
     shape = len(rows), len(runs)
     lateral = [[run.max_lateral_position if run.outcome.is_verdict else 0.0 for run in row] for row in rows]

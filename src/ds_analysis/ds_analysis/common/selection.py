@@ -5,9 +5,8 @@ The unit is the family of tests (`ds_analysis.common.statistics.families_of`): m
 and mostly end as it does. Rules, fixed before they were applied to any campaign:
 
 1. A split of tests at a threshold is stated only if its Youden index could hardly have been found by chance. Each
-   family is placed at its mean on every axis, and the families' outcomes (how many tests fail, how many pass) are
-   permuted among these places; p is the share of permutations, the observed one among them, whose largest index over
-   all axes and thresholds is as large. Sizes differ, and move with the outcomes, so that p is exact.
+   family is placed at its mean on every axis, and the families' outcomes, with their sizes, are permuted among these
+   places; p is the share of permutations, the observed one among them, whose largest index is as large.
 2. Failure shares beside it are measured on tests that did not choose it: each family is divided by the split that all
    other families choose. Intervals are Korn and Graubard's (Survey Methodology 24, 1998), for tests in clusters; they
    reach outwards as far as that of the chosen split, since the others' splits separate less well.
@@ -44,12 +43,7 @@ Label = TypeVar("Label", bound=str)
 
 @dataclass(frozen=True, kw_only=True)
 class Share:
-    """Failures of a group of tests.
-
-    Attributes:
-        tests: number of tests, at least 1.
-        interval: 95% interval of the failure probability.
-    """
+    """Failures of a group of at least one test, and the 95% interval of their probability."""
 
     failures: int
     tests: int
@@ -88,8 +82,7 @@ class ChosenSplit:
         threshold: value of the harder tests that is nearest to the others.
         harder: (tests,) whether a test has the threshold or more.
         p: of rule 1.
-        apart: of rule 2: failures of the tests that splits of other families call harder, and of those that they call
-            gentler; None where one side has no test.
+        apart: of rule 2: failures of the tests that other families call harder, and gentler; None where there are none.
     """
 
     axis: int
@@ -174,9 +167,7 @@ class _Ranked:
 def p_of_leads(leads: Array, families: Indices) -> Array:
     """Compute p of each candidate's lead, by rule 3; two-sided if a lead and its negative are candidates.
 
-    Args:
-        leads: (candidates, tests) by how much each candidate leads in each test; by chance, either sign is alike.
-        families: (tests,) number of the family, from 0.
+    `leads`, (candidates, tests), say by how much each candidate leads; `families`, (tests,), are numbers from 0.
 
     Examples:
         >>> import numpy as np
@@ -196,10 +187,9 @@ def p_of_difference(changes: Array, families: Indices) -> float:
 
 
 def most_frequent(labels: Sequence[Label], families: Indices) -> Label | None:
-    """The most frequent label, if it is clearly more frequent than the second one, by rule 3; else None.
+    """The only label, or the most frequent one if it clearly leads the second by rule 3; else None.
 
-    The first against the second, two-sided, is a valid test of the first against all (Gutmann and Maymin, Annals of
-    Statistics 15, 1987). Where there is a single label, nothing is chosen.
+    That is, two-sided, a valid test against all labels (Gutmann and Maymin, Annals of Statistics 15, 1987).
     """
     ranked = [label for label, _ in Counter(labels).most_common(2)]
     if len(ranked) < 2:

@@ -32,12 +32,8 @@ FEWEST_CELLS = 3
 """Cells needed for r; with two, every r is 1 or -1."""
 
 FEWEST_OF_EACH_KIND = 10
-"""Cells in which the twin fails, and cells in which it does not, that a conclusion needs.
-
-Ten events per predictor: with fewer, estimates are biased and intervals do not reach their nominal coverage (Peduzzi,
-Concato, Kemper, Holford, Feinstein, J. Clin. Epidemiol. 1996, 49(12), for logistic regression on one outcome). A map
-predicts one outcome, whether the twin fails in a cell; the rarer outcome is the event.
-"""
+"""Cells in which the twin fails, and cells in which it does not, that a conclusion needs: ten events per predictor, as
+with fewer, estimates are biased and intervals too narrow (Peduzzi et al., J. Clin. Epidemiol. 1996, 49(12))."""
 
 
 def caution_of(cells: int, failing: int) -> str:
@@ -107,7 +103,7 @@ def ranks(predicted: Array) -> tuple[Indices, Indices]:
 
 
 def auc_prc(predicted: Array, truth: Array) -> float:
-    """Compute the AUC-PRC as scikit-learn's average precision; (cells,) values of a map, and the twin's rates.
+    """Compute the AUC-PRC of (cells,) values of a map for the twin's rates.
 
     Same bits as `sklearn.metrics.average_precision_score`, whose checks take most of a bootstrap's time.
     """
@@ -155,8 +151,7 @@ def bootstrap_interval(
 ) -> tuple[float, float] | None:
     """Estimate a percentile interval by a bootstrap over cells; equal values give equal intervals.
 
-    None without resamples, and if the statistic is 1 (or -1) in all of them: such an interval has no width because the
-    sample is degenerate, not because the estimate is precise.
+    None without resamples, and if the statistic is 1 (or -1) in all of them, as of a degenerate sample.
     """
     if not resamples:
         return None
@@ -212,10 +207,7 @@ def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indice
 def interval_over_families(
     samples: tuple[NDArray[np.float64], ...], statistic: Callable[..., float], families: Indices
 ) -> tuple[float, float] | None:
-    """Estimate a 95% interval of a statistic of (tests,) samples by a bootstrap over families; None for a single one.
-
-    See `bootstrap_interval`.
-    """
+    """`bootstrap_interval` of a statistic of (tests,) samples over families; None for a single one."""
     if len(np.unique(families)) < 2:
         return None
     if are_alone(families):

@@ -31,8 +31,7 @@ class SimulatorComparison:
         p_adjusted: of `counts`, by Holm over every p-value from which verdicts are made.
         unsearched: over the tests that no network's outcome led to.
         unsearched_p_adjusted: of `unsearched`, likewise.
-        verdict: what the tests say about others: `worse` by all tests, `better` by tests that do not favour the
-            candidate.
+        verdict: of other tests: `worse` by all of these, `better` by those that do not favour the candidate.
         margin_change: median change of the smallest lateral distance, m; negative is worse. None if no test has one.
     """
 
@@ -47,11 +46,7 @@ class SimulatorComparison:
 
 @dataclass(frozen=True, kw_only=True)
 class CellComparison:
-    """Both networks in one cell of the feature map on one simulator.
-
-    Attributes:
-        p_adjusted: by Benjamini and Hochberg over all filled cells of all simulators.
-    """
+    """Both networks in one cell on one simulator; p is adjusted by Benjamini and Hochberg over all filled cells."""
 
     simulator: SimulatorName
     cell: Cell
@@ -64,13 +59,9 @@ class Comparison:
     """Two networks on the same tests.
 
     Attributes:
-        reference: the network that is known.
-        candidate: the network that may replace it.
-        origin: how the tests were chosen.
-        source: where they come from, in words.
-        twin: simulator that acts as the twin, or None.
+        candidate: the network that may replace the reference.
+        source: where the tests come from, in words.
         drives: every pair with a verdict of both, the worst change first.
-        simulators: one comparison for each simulator.
         cells: one comparison for each filled cell of each simulator.
         excluded: pairs by which no network can be judged.
         left_out: pairs in which a drive ended in an error: test, simulator and reason.
@@ -135,9 +126,8 @@ def compare_networks(
 ) -> Comparison:
     """Compare two networks by their drives on the same tests; for the arguments see `Comparison`.
 
-    Tests that a search found against the reference favour the candidate: where the reference was made to fail, a
-    network that is as good fails less often. There, `better` is judged by the unsearched tests alone. With
-    `sequential`, the drives end where their outcomes make the answer sure.
+    Tests that a search found against the reference favour the candidate, so `better` is judged by the unsearched ones
+    alone. With `sequential`, the drives end where their outcomes make the answer sure.
     """
     of = {name: [drive for drive in drives if drive.simulator == name] for name in simulators}
     return Comparison(

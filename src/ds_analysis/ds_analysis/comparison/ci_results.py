@@ -57,11 +57,10 @@ class MaxFailures:
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
-    """Pass criteria.
+    """Pass criteria; without `fail_on`, any outcome is within them.
 
     Attributes:
-        fail_on: `failure`, any test fails; `regression`, any test newly fails; `worse`, the candidate is significantly
-            worse on some simulator. None: nothing of these.
+        fail_on: `failure`, any test fails; `regression`, any newly fails; `worse`, significantly on some simulator.
     """
 
     fail_on: FailOn | None = None
@@ -114,12 +113,7 @@ State = Literal["passed", "failed", "known failure", "error"]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One test on one simulator.
-
-    Attributes:
-        state: `known failure` where the reference fails, too; it is reported as skipped.
-        seconds: simulated time driven, s.
-    """
+    """One test on one simulator, its simulated seconds; a `known failure` is one of the reference, too."""
 
     test: str
     simulator: SimulatorName
@@ -172,10 +166,7 @@ def cases_of_campaign(data: CampaignData) -> list[Case]:
 
 
 def junit_of(name: str, cases: Sequence[Case]) -> str:
-    """Format cases, sorted by simulator, as JUnit XML, one test suite for each simulator.
-
-    Times are simulated, so that the same outcomes give the same bytes.
-    """
+    """Format cases, sorted by simulator, as JUnit XML, one test suite for each simulator."""
     document = Element("testsuites", _totals(name, cases, ("failures", "errors", "skipped")))
     for simulator, group in groupby(cases, key=lambda case: case.simulator):
         tests = list(group)

@@ -39,12 +39,7 @@ class ComparisonError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class Network:
-    """One side of a comparison.
-
-    Attributes:
-        driver: name of the driver, with its backend and generators.
-        sha256: digest of its files; "" for the autopilot, or if it is not known.
-    """
+    """One side of a comparison; the digest of its files is "" for the autopilot, or if it is not known."""
 
     driver: DriverName
     sha256: str = ""
@@ -65,8 +60,7 @@ class ComparedTest:
 
     Attributes:
         name: unique in the comparison, and safe within a file name.
-        scenario: what is driven; None if it is not known.
-        cell: cell of the feature map, or None if it has none.
+        scenario: None if it is not known.
         unsearched: chosen without looking at any network's outcome, such as a random road.
     """
 
@@ -119,10 +113,7 @@ class PairedDrive:
 
     @property
     def margin_change(self) -> float:
-        """Change of the smallest lateral distance, m; negative where the candidate comes nearer to the lane's edge.
-
-        0 where one is not known.
-        """
+        """Change of the smallest lateral distance, m; negative is nearer to the lane's edge; 0 if one is not known."""
         if self.candidate.fitness is None or self.reference.fitness is None:
             return 0.0
         return self.candidate.fitness - self.reference.fitness
@@ -231,12 +222,9 @@ def sequential_evidence(changes: tuple[int, ...]) -> tuple[float, tuple[float, f
     """Return p of no difference, in either direction, and the interval of the difference, both valid at any time.
 
     For each difference of the failure probabilities a gambler bets on either side of it, with stakes of equal weights;
-    a true difference lets his capital grow to 1 / `ALPHA` with a probability of at most `ALPHA`, ever (Ville's
-    inequality; Waudby-Smith and Ramdas, J. R. Stat. Soc. B 2024). So one may look after each drive, and stop when the
-    answer is sure, if tests are random, each drawn without regard to those before.
-
-    Args:
-        changes: of each test in the order of the drives: 1 newly fails, -1 is fixed, 0 is as before.
+    a true difference lets his capital ever grow to 1 / `ALPHA` with a probability of at most `ALPHA` (Ville's
+    inequality; Waudby-Smith and Ramdas, J. R. Stat. Soc. B 2024), if each test is drawn without regard to those before.
+    `changes` are in the order of the drives: 1 newly fails, -1 is fixed, 0 is as before.
 
     Examples:
         >>> from ds_analysis.comparison.paired_drives import sequential_evidence
@@ -261,9 +249,8 @@ def sequential_evidence(changes: tuple[int, ...]) -> tuple[float, tuple[float, f
 def difference_interval(newly_fail: int, fixed: int, both_fail: int, both_pass: int) -> tuple[float, float]:
     """Estimate a 95% interval of the difference of two failure probabilities on the same tests.
 
-    Equal tails of the difference over draws from the Dirichlet posterior of the four outcomes under Jeffreys' prior,
-    seeded by the counts: equal counts give equal intervals. An end is moved where the interval would not contain the
-    observed difference, as for a single test. Tests count as independent.
+    Equal tails over draws from the Dirichlet posterior of the four outcomes under Jeffreys' prior, seeded by the
+    counts, and widened to contain the observed difference. Tests count as independent.
     """
     from scipy.stats import dirichlet
 
@@ -300,10 +287,7 @@ def adjusted(p: Sequence[float], correction: Correction) -> list[float]:
 
 
 def fewest_changes(family: int, *, sequential: bool = False) -> int:
-    """Smallest number of changes in one direction that Holm's procedure can call significant among so many tests.
-
-    `sequential` is as in `PairedCounts.of`.
-    """
+    """Fewest changes in one direction that Holm's procedure can call significant among so many tests."""
     for changes in count(1):
         order = (1,) * changes if sequential else None
         counts = PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0, changes=order)

@@ -79,10 +79,7 @@ def cell_table(comparison: Comparison, *, most: int | None = None) -> Table:
 
 
 def drive_table(comparison: Comparison, *, most: int | None = None) -> Table:
-    """Tabulate tests that newly fail, worst first; without any, those that lost most distance to the lane's edge.
-
-    `most` is a number of rows, or None for every pair.
-    """
+    """Tabulate `most` tests that newly fail, or that lost most distance to the lane's edge; every pair if None."""
     worse = comparison.newly_failing
     shown = worse or [drive for drive in comparison.drives if drive.margin_change < 0.0]
     if most is None:

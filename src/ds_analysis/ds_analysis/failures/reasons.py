@@ -53,10 +53,7 @@ Groups = Mapping[str, Sequence[FailureReason]]
 
 
 def reasons_of(data: CampaignData) -> list[FailureReason]:
-    """Give the reason of every failure of a campaign, each scenario once; of evenly spread ones of too many.
-
-    Failures without frames, of a campaign restored from a table, are left out.
-    """
+    """Give the reason of every failure that has frames, each scenario once; of evenly spread ones of too many."""
     data = data.distinct
     tests = {test.test_id: test for test in data.tests}
     failed = [e for e in data.executions if e.outcome.is_failure and e.test_id in tests]
@@ -119,8 +116,7 @@ def reason_of(test: Test, execution: Execution) -> FailureReason:
 def _steering_into_bend(road: Road, arc: Array, steering: Array, side: int) -> tuple[str, float]:
     """How a driver that runs wide steers into a bend, and the time from the bend's beginning to the steering's, s.
 
-    `arc` is the arc length at which each command was given, (steps,) m, increasing; `side` 1 for a bend to the right,
-    -1 to the left.
+    `arc`, (steps,) m, is where each command was given; `side` is 1 for a bend to the right, -1 to the left.
     """
     places = np.arange(0.0, max(float(arc[-1]) - LOOK_BACK, 0.0) + _STEP, _STEP)
     curvature = side * lane_curvature(road.lane_centre, places)

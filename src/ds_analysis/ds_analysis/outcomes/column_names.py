@@ -39,8 +39,7 @@ class Guess:
     """What the columns of a table seem to be.
 
     Attributes:
-        columns: content of the YAML file so far.
-        reasons: key of it -> why.
+        columns: content of the YAML file so far; `reasons` say why.
         asked: key that only a person can fill in -> lines for it, each with a question.
         sure: whether every key comes from a usual name that only one column has, and the verdict from known words.
         only: name of the simulator where no column tells several apart.

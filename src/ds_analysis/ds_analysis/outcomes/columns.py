@@ -32,15 +32,7 @@ _SHOWN = 6
 
 
 class Rule(Keys, allow_inf_nan=False):
-    """Condition on one column; exactly one of the others says which.
-
-    Attributes:
-        column: its name.
-        is_: rows with this value; "" for an empty cell.
-        is_not: rows with another value, likewise.
-        above: rows with a larger number.
-        below: rows with a smaller number.
-    """
+    """Rows with this or another value of a column ("" is an empty cell), or with a larger or smaller number."""
 
     column: str
     is_: str | float | bool | None = Field(default=None, alias="is")

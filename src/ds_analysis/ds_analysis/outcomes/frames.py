@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes every frame of a campaign's drives as a Parquet file, for pandas, Polars, DuckDB, Spark and others.
-
-The same campaign gives the same bytes. The columns' units and descriptions are in the file, too.
-"""
+"""Writes every frame of a campaign's drives as a Parquet file, with units and descriptions of the columns."""
 
 from __future__ import annotations
 

@@ -39,13 +39,7 @@ FEWEST = 5
 
 @dataclass
 class ImportNotes:
-    """What an import says beside the study.
-
-    Attributes:
-        rows: those that cannot be read.
-        columns: those that are no features.
-        features: a line for each feature that was made of words, or that has missing numbers.
-    """
+    """Rows that cannot be read, columns that are no features, and a line for each feature with words or gaps."""
 
     rows: LeftOut = field(default_factory=lambda: LeftOut("rows", strict=True))
     columns: LeftOut = field(default_factory=lambda: LeftOut("columns"))
@@ -73,7 +67,7 @@ def features_of(
         tests: (rows,) test of each.
         names: columns to take; all that may be features if None.
         used: columns that are something else.
-        notes: takes what is left out, and what became of words and missing numbers.
+        notes: takes what is left out.
         source: name of the table, for errors.
         owners: simulators of a wide table, whose names end their columns; None if all columns are known to be features.
         failed: verdict of each test, where one simulator drove each once.

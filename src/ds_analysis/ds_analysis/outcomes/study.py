@@ -55,14 +55,13 @@ class Study:
     """Imported outcomes.
 
     Attributes:
-        rows: one row for each drive, with the columns `LONG` and a column for each feature; `margin` and `limit` are
+        rows: one for each drive, with the columns `LONG`, the features, and the conditions; `margin` and `limit` are
             NaN where only the verdict is known.
         axes: feature -> width of a bin of the map.
-        twin: simulator that the others are to predict; None if there is none.
-        car: real car whose rows are drives, not a simulator's; None if there is none.
-        car_drawn: whether its tests were drawn at random from all.
-        conditions: further columns of the rows, `condition_NAME` in SI units, of conditions that a campaign changed;
-            empty where the simulator chooses. The features have the same as shares of their ranges.
+        twin: simulator that the others are to predict.
+        car: real car whose rows are drives, not a simulator's; with `car_drawn`, of tests drawn at random from all.
+        conditions: columns `condition_NAME` in SI units, of conditions that a campaign changed; empty where the
+            simulator chooses. The features have the same as shares of their ranges.
     """
 
     rows: pd.DataFrame
@@ -98,11 +97,7 @@ class Study:
         return rates
 
     def table(self) -> OutcomeTable:
-        """Convert to the table that everything reads, a row for each test.
-
-        A test that was repeated counts as the middle of its repeats: by its median margin, or failed where half of them
-        failed.
-        """
+        """Make the table that everything reads; repeats count once: median margin, or failed where half of them did."""
         first = self.rows.drop_duplicates("test_id")
         if len(first) > MOST_TESTS:
             raise OutcomeTableError(f"{len(first)} tests, expected at most {MOST_TESTS}: import fewer")

@@ -43,15 +43,11 @@ class Correlation:
     """Comparison of one map with the twin's failures, over the cells that both fill.
 
     Attributes:
-        map: the siblings' map.
-        value: value of that map: `probability` (RQ2) or `quality_loss` (RQ3).
-        r: Pearson correlation with the twin's failure probability, or None if undefined.
-        reason: why there is no r.
-        r_interval: 95% bootstrap interval of r over cells; resamples in which r is undefined are left out. None if
-            there are too few cells.
-        auc: AUC-PRC, the average precision with which the map's value predicts that the twin fails in a cell.
-        auc_interval: 95% bootstrap interval of the AUC-PRC over cells, or None as for r.
-        auc_reason: why there is no AUC-PRC.
+        value: value of the map: `probability` (RQ2) or `quality_loss` (RQ3).
+        r: Pearson correlation with the twin's failure probability; None if undefined, by `reason`.
+        r_interval: 95% bootstrap interval over cells, of resamples in which r is defined; None if cells are too few.
+        auc: AUC-PRC, the average precision with which the map's value predicts that the twin fails in a cell; None if
+            undefined, by `auc_reason`.
         baseline: share of cells in which the twin fails: the AUC-PRC of a map without information.
         failing: number of the compared cells in which the twin fails, or None in results of earlier versions.
     """
@@ -129,10 +125,7 @@ def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resample
 def evaluate(
     maps: Mapping[MapId, FeatureMap], siblings: Sequence[SimulatorName], twin: SimulatorName, *, resamples: int = 0
 ) -> list[Correlation]:
-    """Compare each sibling's union map and the merged map with the twin, by failure probability and by quality loss.
-
-    Resamples of the bootstrap take most of the time: `RESAMPLES` are enough, 0 computes no intervals.
-    """
+    """Compare each sibling's union map and the merged map with the twin, by both values; 0 resamples: no intervals."""
     compared = [maps[map_id] for map_id in (*map(MapId.union, siblings), MapId.merged())]
     truth = maps[MapId.twin(twin)]
     return [correlate(one, truth, value, resamples=resamples) for value in QUESTIONS for one in compared]
@@ -177,12 +170,7 @@ EMPTY = -2.0
 
 @dataclass(frozen=True, kw_only=True)
 class RobustnessCheck:
-    """Comparison of two maps computed in another way.
-
-    Attributes:
-        value: compared value of the first map.
-        auc: area under a curve, as `what` says, or None.
-    """
+    """Comparison of a value of one map with another's failures in another way; `what` says which, and which curve."""
 
     what: str
     map: MapId

@@ -38,7 +38,7 @@ class OpenLoopAnswers:
     """A driver's steering on one recording, or on one simulator's images of a data set.
 
     Attributes:
-        group: name of the group with which it is pooled.
+        group: group with which it is pooled.
         index: (n,) indices of the images; unreadable ones are left out.
         seconds: (n,) s since the first image; NaN in a data set.
         recorded: (n,) recorded steering; NaN if there is none.
@@ -143,13 +143,8 @@ def predict(
 ) -> dict[str, OpenLoopAnswers]:
     """Run a network over a data set (`ds_driver.data.dataset`), one image at a time as in closed loop.
 
-    Args:
-        data: folder of the data set.
-        network: driver that sees images.
-        progress: counts the images.
-        images: largest number of images per simulator, evenly spread over its drives, or for a network with memory the
-            first of them; all if None.
-        trusted: user-defined simulators whose code may run.
+    Of at most so many `images` per simulator, all if None, those of a network with memory are the first ones, others
+    evenly spread. The code of `trusted` user-defined simulators may run.
 
     Returns:
         Simulator -> answers to its images, in the order of the data set; `recorded` is the autopilot's steering.

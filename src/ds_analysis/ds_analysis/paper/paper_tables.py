@@ -184,10 +184,9 @@ def error_tables(
     twin: str,
     network: Network | None,
 ) -> list[Table]:
-    """Tabulate RQ1 (paper 4.4.1): the comparison, its robustness checks, and the densities.
+    """Tabulate RQ1 (paper 4.4.1) beside the paper's numbers of a network: comparison, robustness checks, densities.
 
-    `errors` are absolute steering errors of every simulator; the paper's numbers of a network stand beside the own
-    ones.
+    `errors` are absolute steering errors of every simulator.
     """
     of_paper = RQ1.get(network or ("", "sim"), {})
     rows: list[list[Value]] = []

@@ -29,11 +29,9 @@ class PairComparison:
 
     Attributes:
         roads: number of roads on which both runs ended with a verdict.
-        kappa: Cohen's kappa of the verdicts; None if undefined.
+        kappa: Cohen's kappa of the verdicts; None if undefined, by `reason`.
         kappa_interval: asymptotic 95% interval of kappa (statsmodels), clipped to [-1, 1].
-        median_apart: median distance between the lateral positions over all places, m.
-        apart_95: 95th percentile of that distance, m.
-        most_apart: largest distance, m.
+        median_apart: median distance of the lateral positions over all places, m; then 95th percentile, and largest.
         share_apart: share of places at which they are more than `APART` apart.
         correlation: Pearson r of the lateral positions over all places; None if one is constant.
     """

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statistics of steering errors in open loop: sizes, densities, and similarity of two groups (paper 4.3.1, RQ1).
 
-`summarise`, `density` and `distances` describe any recordings. `compare_errors` computes the paper's RQ1 as the
-authors' package does (its compute_offline_metrics); `check_error_robustness` varies its debatable choices: errors above
-0.6 are dropped, the Wilcoxon test compares 15 pairs of densities whatever the number of images, and the power analysis
-counts every image twice.
+`compare_errors` computes the paper's RQ1 as the authors' package does (its compute_offline_metrics);
+`check_error_robustness` varies its debatable choices: errors above 0.6 are dropped, the Wilcoxon test compares 15 pairs
+of densities whatever the number of images, and the power analysis counts every image twice.
 """
 
 from __future__ import annotations
@@ -135,12 +134,7 @@ class ErrorComparison:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorRobustnessCheck:
-    """Comparison of errors computed in another way.
-
-    Attributes:
-        name: name of the sibling, or `MERGED`.
-        p: p-value of the test that `what` names, or None.
-    """
+    """Comparison of a sibling's errors, or of `MERGED`, computed and tested as `what` says."""
 
     what: str
     name: str

@@ -3,12 +3,11 @@
 
 Each drive is predicted from those before it, by the experts that use the siblings' outcomes and by those that see
 features and drives alone. Of a drawn drive, either side says how probable it was that this test, of all that were left,
-has the verdict that came out; the failure rate cancels, so that siblings are not praised for a level. Of a test that
-somebody chose, either side says how probable its verdict was. The capital of the bet is the product of the ratios.
+has the verdict that came out, so that the failure rate cancels; of a chosen test, how probable its verdict was. The
+capital of the bet is the product of the ratios.
 
-If the side without siblings is right, capital never grows on average, so that it reaches 1 / `ALPHA` with a probability
-of at most `ALPHA`, however many drives are looked at and whoever decides when to stop (Ville's inequality; Waudby-Smith
-and Ramdas, J. R. Stat. Soc. B 2024). `benchmarks/predictors.py` measures it where neither side is right.
+If the side without siblings is right, capital ever reaches 1 / `ALPHA` with a probability of at most `ALPHA` (Ville's
+inequality; Waudby-Smith and Ramdas, J. R. Stat. Soc. B 2024). `benchmarks/predictors.py` measures it where neither is.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ import numpy as np
 
 from ds_analysis.common.statistics import Array, Bools
 from ds_analysis.prediction.mixture import Drive, Prediction
+from ds_base.words import count
 
 ALPHA = 0.05
 """Probability with which a statement may be wrong."""
@@ -33,10 +33,10 @@ _EACH = 50
 
 def predicted_before(undriven: Prediction, prediction: Prediction) -> Iterator[tuple[Drive, Prediction]]:
     """Yield every drive of a prediction with what was predicted, by the same experts, from the drives before it."""
-    count = 0
+    used = 0
     for k, drive in enumerate(prediction.drives):
-        if k - count >= max(1, k // _EACH):
-            undriven, count = undriven.updated(prediction.drives[count:k]), k
+        if k - used >= max(1, k // _EACH):
+            undriven, used = undriven.updated(prediction.drives[used:k]), k
         yield drive, undriven
 
 
@@ -45,11 +45,9 @@ class SiblingHelp:
     """Whether the siblings have helped to predict the car's drives.
 
     Attributes:
-        with_siblings: mean squared error of their predictions with the siblings.
-        without: the same without them.
-        helped: largest capital, so far, of the bet that the siblings help.
+        with_siblings: mean squared error of predictions with the siblings, and `without`.
+        helped: largest capital, so far, of the bet that the siblings help, now `capital`.
         misled: the same of the bet that predictions without them are better.
-        capital: capital now, of the bet that they help.
     """
 
     drives: int = 0
@@ -78,8 +76,8 @@ class SiblingHelp:
         }[self.answer]
         sure = "" if self.answer == "open" else f"; this is wrong in at most {ALPHA:.0%} of cases"
         return (
-            f"After {self.drives} drive{'' if self.drives == 1 else 's'} {said} (mean squared error "
-            f"{self.with_siblings:.2f} with them, {self.without:.2f} without{sure})."
+            f"After {count(self.drives, 'drive')} {said} (mean squared error {self.with_siblings:.2f} with them, "
+            f"{self.without:.2f} without{sure})."
         )
 
 

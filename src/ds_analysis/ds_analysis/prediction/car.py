@@ -18,7 +18,7 @@ from ds_analysis.prediction.verdicts import TOLERATED_RATE, Verdicts, judge
 from ds_analysis.real.certificate import Bet, Certificate, certify
 from ds_analysis.real.proposal import Proposed, candidates_of, open_drives, read_proposed
 from ds_analysis.real.records import RealDrive, RecordError, read_drives
-from ds_base.words import listed
+from ds_base.words import count, listed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,8 +27,7 @@ class CarPrediction:
 
     Attributes:
         table: outcomes; a driven twin is one more sibling.
-        undriven: prediction without the car's drives.
-        prediction: with them, in the order in which their tests were drawn.
+        prediction: with the car's drives, in the order in which their tests were drawn; `undriven` is without.
         tolerated: failure rate up to which a cell counts as safe.
     """
 
@@ -78,15 +77,13 @@ class CarPrediction:
     def sentence(self) -> str:
         """The answer in one line."""
         counts, tests = self.verdicts.counts, self.verdicts.undriven
-        names = self.table.siblings
-        named = listed(names)
-        cells = sum(counts.values()) - counts["untested"]
+        named, cells = listed(self.table.siblings), sum(counts.values()) - counts["untested"]
         rows = np.array([self.table.rows[one.test_id] for one in tests], np.intp)
         expected, low, high = self.prediction.failures(rows)
         many = f"{expected:.0f} (90%: {low} to {high})"
         fails, safe, disputed = (counts[name] for name in ("fails", "safe", "disputed"))
         of_cells = (
-            f"of {cells} cell{'' if cells == 1 else 's'} {fails} fail{'s' if fails == 1 else ''}, {safe} "
+            f"of {count(cells, 'cell')} {fails} fail{'s' if fails == 1 else ''}, {safe} "
             f"{'is' if safe == 1 else 'are'} safe and {disputed} {'is' if disputed == 1 else 'are'} disputed"
         )
         if not self.drives:
@@ -95,10 +92,10 @@ class CarPrediction:
                 f"tests are expected to fail; {of_cells}."
             )
         failed = sum(drive.failed for drive in self.drives)
-        driven = f"{len(self.drives)} test{'' if len(self.drives) == 1 else 's'}"
         return (
-            f"Of the {len(tests)} tests that the car has not driven, {many} are expected to fail; {of_cells}. "
-            f"The car drove {driven} and failed {failed}; the rest is predicted from these drives and {named}."
+            f"Of the {len(tests)} tests that the car has not driven, {many} are expected to fail; {of_cells}. The car "
+            f"drove {count(len(self.drives), 'test')} and failed {failed}; the rest is predicted from these drives and "
+            f"{named}."
         )
 
     @property

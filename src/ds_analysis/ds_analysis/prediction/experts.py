@@ -9,7 +9,7 @@ are the probit approximation with the coefficients' covariance (MacKay, Neural C
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import betaln, expit, log_expit, logit
@@ -33,19 +33,13 @@ _LEAST_SCALE = 0.3
 _STEPS, _LONGEST_STEP, _TOLERANCE = 30, 3.0, 1e-6
 
 
-@dataclass(frozen=True, eq=False)
-class LogisticFit:
-    """Posterior of coefficients: (p,) mode, (p, p) covariance, logarithm of the outcomes' evidence."""
-
-    mode: Array
-    covariance: Array
-    log_evidence: float
-
-
-def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) -> LogisticFit:
+def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) -> tuple[Array, Array, float]:
     """Fit a logistic regression with independent normal priors by Newton's method.
 
     The (tests, p) predictors have a 1 among them where a level is wanted; mean and precision, (p,), are the priors'.
+
+    Returns:
+        Of the coefficients' posterior the (p,) mode and (p, p) covariance; the logarithm of the outcomes' evidence.
     """
     mode = mean.copy()
     for _ in range(_STEPS):
@@ -61,39 +55,33 @@ def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) ->
     log_posterior = failed @ log_expit(linear) + (1.0 - failed) @ log_expit(-linear)
     log_posterior -= 0.5 * precision @ (mode - mean) ** 2
     evidence = log_posterior + 0.5 * np.log(precision).sum() - 0.5 * np.linalg.slogdet(curvature)[1]
-    return LogisticFit(mode, np.linalg.inv(curvature), float(evidence))
+    return mode, np.linalg.inv(curvature), float(evidence)
 
 
 @dataclass(frozen=True, eq=False)
 class LearntLogistic:
-    """What a logistic expert believes after some drives."""
+    """What a logistic expert believes after some drives; posterior and evidence are as of `fit_logistic`."""
 
     design: Array
-    fit: LogisticFit
-
-    @property
-    def log_evidence(self) -> float:
-        """Logarithm of the drives' evidence."""
-        return self.fit.log_evidence
+    mode: Array
+    covariance: Array
+    log_evidence: float
 
     def probabilities(self, rows: Indices) -> Array:
         """(rows,) probabilities of failure."""
         x = self.design[rows]
-        variance = np.einsum("ij,jk,ik->i", x, self.fit.covariance, x, optimize=True)
-        return np.asarray(expit(x @ self.fit.mode / np.sqrt(1.0 + np.pi * variance / 8.0)))
+        variance = np.einsum("ij,jk,ik->i", x, self.covariance, x, optimize=True)
+        return np.asarray(expit(x @ self.mode / np.sqrt(1.0 + np.pi * variance / 8.0)))
 
     def draws(self, rng: np.random.Generator, count: int, rows: Indices) -> Array:
         """(count, rows) probabilities of failure, each row for one draw of what is uncertain about the car."""
-        coefficients = rng.multivariate_normal(self.fit.mode, self.fit.covariance, count, method="cholesky")
+        coefficients = rng.multivariate_normal(self.mode, self.covariance, count, method="cholesky")
         return np.asarray(expit(coefficients @ self.design[rows].T))
 
 
 @dataclass(frozen=True, eq=False)
 class LogisticExpert:
-    """Logistic regression on (tests, p) predictors; (p,) means and precisions of the coefficients' prior.
-
-    It uses siblings if their outcomes reach its predictions.
-    """
+    """Logistic regression on (tests, p) predictors; (p,) means and precisions of the coefficients' prior."""
 
     name: str
     uses_siblings: bool
@@ -104,8 +92,8 @@ class LogisticExpert:
     def after(self, rows: Indices, failed: Array) -> LearntLogistic:
         """Learn from the verdicts of drives, 1.0 where one failed."""
         if not len(rows):
-            return LearntLogistic(self.design, LogisticFit(self.mean, np.diag(1.0 / self.precision), 0.0))
-        return LearntLogistic(self.design, fit_logistic(self.design[rows], failed, self.mean, self.precision))
+            return LearntLogistic(self.design, self.mean, np.diag(1.0 / self.precision), 0.0)
+        return LearntLogistic(self.design, *fit_logistic(self.design[rows], failed, self.mean, self.precision))
 
 
 @dataclass(frozen=True)
@@ -155,8 +143,7 @@ class SiblingOutcomes:
         features: (tests, features) standardised.
         failed: (tests, siblings) whether a test failed.
         known: (tests, siblings) whether there is a verdict.
-        margins: (tests, siblings) logarithm of the largest lateral position over its limit; NaN if only a verdict is
-            known.
+        margins: (tests, siblings) logarithm of the largest lateral position over its limit; NaN if not known.
     """
 
     features: Array
@@ -167,12 +154,7 @@ class SiblingOutcomes:
     def of(self, siblings: Sequence[int]) -> SiblingOutcomes:
         """Keep some siblings."""
         kept = list(siblings)
-        return SiblingOutcomes(
-            features=self.features,
-            failed=self.failed[:, kept],
-            known=self.known[:, kept],
-            margins=self.margins[:, kept],
-        )
+        return replace(self, failed=self.failed[:, kept], known=self.known[:, kept], margins=self.margins[:, kept])
 
     def said(self) -> Array:
         """(tests, 1 or 2) smoothed log odds of the siblings' failures; their mean margin, where any is known."""
@@ -233,9 +215,9 @@ def _pooled(outcomes: SiblingOutcomes, predictors: Sequence[Array]) -> tuple[Arr
         designs.append(np.hstack((levels, own[rows])))
         failed.append(outcomes.failed[rows, one].astype(np.float64))
     precision = np.concatenate((np.full(count, LEVEL_RIDGE), np.full(width, RIDGE)))
-    fit = fit_logistic(np.vstack(designs), np.concatenate(failed), np.zeros(count + width), precision)
+    mode, covariance, _ = fit_logistic(np.vstack(designs), np.concatenate(failed), np.zeros(count + width), precision)
     combine = np.vstack((np.repeat([1.0 / count, 0.0], [count, width]), np.eye(width, count + width, count)))
-    return combine @ fit.mode, np.diag(combine @ fit.covariance @ combine.T)
+    return combine @ mode, np.diag(combine @ covariance @ combine.T)
 
 
 def _logistic(name: str, predictors: Array, mean: Array, variance: Array, spread: float) -> LogisticExpert:

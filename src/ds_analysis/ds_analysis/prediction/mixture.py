@@ -21,8 +21,7 @@ FEWEST_TESTS = 10
 WITHOUT_SIBLINGS = 0.25
 """Prior weight of the experts that do not use the siblings, before any outcome is seen; chosen: one car in four."""
 EXCHANGEABLE = 0.8
-"""Share of the prior that follows from predicting each sibling from the others; the rest stays as it was, since
-siblings that agree may all miss the car; chosen: four to one."""
+"""Share of the prior that predicting each sibling from the others sets; siblings that agree may all miss; chosen."""
 SAMPLE, SAMPLES = 60, 5
 """Tests of a sibling that weigh the experts, and samples of them; chosen: more tests leave one expert alone."""
 DRAWS = 2000
@@ -47,13 +46,7 @@ class Drive(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prediction:
-    """Prediction of every test of a table on a car.
-
-    Attributes:
-        experts: the mixture's parts.
-        prior: (experts,) weights before the drives.
-        drives: the car's drives so far, in the order in which they were made.
-    """
+    """Prediction of every test of a table on a car, by experts with (experts,) weights before its ordered drives."""
 
     tests: int
     experts: tuple[Expert, ...]
@@ -98,8 +91,7 @@ class Prediction:
     def draws(self, rows: Indices, *, count: int = DRAWS, outcomes: bool = True) -> Array:
         """(count, rows) probabilities of failure, each row for one draw of the car; the same on every call.
 
-        Given the draw, outcomes of different tests are independent. With `outcomes`, driven tests have the probability
-        0 or 1, as they turned out.
+        Given the draw, tests are independent. With `outcomes`, driven tests have 0 or 1, as they turned out.
         """
         rng = np.random.default_rng(_DRAW_SEED)
         # Systematic draws of the experts: each comes as often as its weight says, but for rounding.

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores predictors of a twin that was driven, none of which saw its outcomes.
 
-The baseline that every one has to beat are the *features alone*: a logistic model of road features and conditions,
-fitted to the siblings' outcomes, that predicts each test from tests of other families, without driving it, or a near
-copy of it, anywhere.
+All have to beat the *features alone*: a logistic model of road features and conditions, fitted to the siblings'
+outcomes, that predicts each test from tests of other families, without driving it or a near copy of it.
 """
 
 from __future__ import annotations
@@ -100,8 +99,8 @@ class PredictorScore:
     """Score of one predictor; intervals are 95% bootstrap intervals over families of tests.
 
     Attributes:
-        predictor: name: a sibling, a merge operator, `FEATURES` or `MODEL`.
-        difference: the same minus that of the features alone: negative is better. None for these themselves.
+        predictor: a sibling, a merge operator, `FEATURES` or `MODEL`.
+        difference: Brier score minus that of the features alone: negative is better. None for these themselves.
         average_precision: AUC-PRC; None if all tests have the same outcome.
         verdict: `adds` to the features alone, is `worse`, `adds nothing`, or `too few` tests say.
     """
@@ -120,9 +119,7 @@ class PredictorComparison:
     """Every predictor of one twin's failures.
 
     Attributes:
-        tests: number of tests with a verdict everywhere.
-        families: number of families that are resampled.
-        failures: number of the tests that fail on the twin.
+        tests: number of tests with a verdict everywhere; of them, `failures` fail on the twin.
         reliability: of the prediction: bin's edges, tests, mean probability, share that failed and its interval.
     """
 
@@ -198,10 +195,9 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
 
 
 def _family_weights(families: Indices) -> Array:
-    """(`RESAMPLES` + 1, rows) how often each row counts where whole families are drawn; the first is the sample.
+    """(`RESAMPLES` + 1, rows) how often each row counts in a bootstrap over families; the first is the sample.
 
-    Families are drawn with replacement, as often as there are families: a cluster bootstrap (Davison and Hinkley,
-    Bootstrap Methods and their Application, 1997, section 3.8).
+    See Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8.
     """
     distinct, member = np.unique(families, return_inverse=True)
     rng = np.random.default_rng(_SEED)

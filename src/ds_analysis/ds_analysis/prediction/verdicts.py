@@ -23,8 +23,7 @@ Verdict = Literal["fails", "safe", "disputed", "untested"]
 ERROR_RATE = 0.05
 """Probability with which `fails` or `safe` may be wrong, each; chosen: that of the paper's tests (alpha of 0.05)."""
 TOLERATED_RATE = 0.1
-"""Failure rate up to which a cell counts as safe, and above which it fails; chosen: one test in ten. A cell whose rate
-is near it stays disputed however often it is tested."""
+"""Failure rate up to which a cell counts as safe, and above which it fails; chosen: one test in ten."""
 _MOST_CELLS = 2_000
 """Cells up to which untested ones are listed; chosen: a map that fits on a screen."""
 _SEED = 20
@@ -38,7 +37,6 @@ class TestVerdict:
     Attributes:
         probability: probability of failure; the outcome, if the car drove the test.
         verdict: `fails` if the probability is at least 1 - `ERROR_RATE`, `safe` if at most `ERROR_RATE`, or `disputed`.
-        driven: whether the car drove it.
     """
 
     __test__ = False  # not a test case for pytest
@@ -55,11 +53,10 @@ class CellVerdict:
     """What is predicted of one cell of the feature map.
 
     Attributes:
-        driven: number of them that the car drove.
         rate: posterior mean of the failure rate of tests like these; None if untested.
         interval: 90% interval of it.
-        verdict: `fails` if the rate is above the tolerated one with a probability of at least 1 - `ERROR_RATE`, `safe`
-            if it is below with that probability, `disputed` otherwise, `untested` without tests.
+        verdict: `fails` or `safe` if the rate is above or below the tolerated one with a probability of at least
+            1 - `ERROR_RATE`, `disputed` otherwise, `untested` without tests.
     """
 
     cell: tuple[int, ...]
@@ -77,7 +74,6 @@ class Verdicts:
     Attributes:
         tests: every test with a verdict on a sibling or on the car.
         cells: every cell within the bounds of the map.
-        tolerated: failure rate up to which a cell counts as safe.
     """
 
     tests: Sequence[TestVerdict]

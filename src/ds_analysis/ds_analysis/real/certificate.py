@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bounds on how many of a campaign's tests fail on a car that hold however one stops: a confidence sequence by betting.
 
-Drawn drives are a uniform sample without replacement, whatever was driven before them. For each number of failing tests
-a gambler bets against it; the number is refuted when the capital has grown to 1 / `ALPHA`, which happens to a true one
-with a probability of at most `ALPHA`, at any time (Ville's inequality; Waudby-Smith and Ramdas, J. R. Stat. Soc. B
-2024, with simulators as bettors: arXiv 2606.24038). One gambler bets on the verdict, one on its difference from the
-probability that was predicted before the drive, which pays where the simulators know something; their capitals are
-averaged. Chosen drives are known tests, and no bets.
+Drawn drives are a uniform sample without replacement. For each number of failing tests a gambler bets against it; the
+number is refuted when the capital has grown to 1 / `ALPHA`, which ever happens to a true one with a probability of at
+most `ALPHA` (Ville's inequality; Waudby-Smith and Ramdas, J. R. Stat. Soc. B 2024, with simulators as bettors: arXiv
+2606.24038). One gambler bets on the verdict, one on its difference from the probability that was predicted; their
+capitals are averaged. Chosen drives are known tests, and no bets.
 """
 
 from __future__ import annotations
@@ -16,9 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
-from ds_analysis.common.statistics import Array
 from ds_analysis.prediction.betting import ALPHA
+from ds_base.words import count
 
 _STAKES = np.array([0.2, 0.5, 0.95])
 """Stakes of equal weights, each on either side; chosen: any value below 1 is valid, and some fit any rate."""
@@ -26,12 +26,9 @@ _STAKES = np.array([0.2, 0.5, 0.95])
 
 @dataclass(frozen=True, kw_only=True)
 class Bet:
-    """One drive, in the order in which tests were drawn.
+    """One drive, whose test was drawn uniformly from those left, or chosen, and its probability of failure before.
 
-    Attributes:
-        drawn: whether its test was drawn uniformly from those left; otherwise it was chosen.
-        predicted: probability of failure that was predicted before.
-        mean_predicted: mean of these over the tests left, its own among them.
+    `mean_predicted` is the mean of these over the tests left, its own among them.
     """
 
     failed: bool
@@ -42,14 +39,7 @@ class Bet:
 
 @dataclass(frozen=True, kw_only=True)
 class Certificate:
-    """What is certain of a car's failures.
-
-    Attributes:
-        tests: number of tests of which it speaks.
-        drawn: drives that were drawn.
-        low: smallest number of tests that fail, not refuted yet.
-        high: largest such number.
-    """
+    """Smallest and largest number of tests that fail on a car, not refuted yet by so many drawn drives."""
 
     tests: int
     drawn: int
@@ -60,10 +50,9 @@ class Certificate:
     def sentence(self) -> str:
         """What is certain, in one line."""
         shares = f"{100 * self.low / self.tests:.0f} to {100 * self.high / self.tests:.0f}%"
-        drives = f"{self.drawn} drive{'' if self.drawn == 1 else 's'} drawn at random"
         return (
             f"Certain with 95%, whenever you stop: the car fails on {self.low} to {self.high} of {self.tests} tests "
-            f"({shares}), by {drives}."
+            f"({shares}), by {count(self.drawn, 'drive')} drawn at random."
         )
 
 
@@ -87,7 +76,7 @@ def certify(bets: Sequence[Bet], tests: int) -> Certificate:
             helped = plain - (bet.predicted - bet.mean_predicted)
             log_capital[0] += np.log1p(stakes[:, None] * plain)
             log_capital[1] += np.log1p(0.5 * stakes[:, None] * helped)  # which lies between -2 and 2
-            kept &= _log_mean(log_capital) < -np.log(ALPHA)
+            kept &= logsumexp(log_capital, axis=(0, 1)) < np.log(2 * len(stakes) / ALPHA)
         failures, left = failures + bet.failed, left - 1
         kept &= (total >= failures) & (total <= failures + left)
     possible = np.flatnonzero(kept)
@@ -95,12 +84,6 @@ def certify(bets: Sequence[Bet], tests: int) -> Certificate:
     if not len(possible):  # refuted altogether, which is as rare as a wrong bound
         return Certificate(tests=tests, drawn=drawn, low=failures, high=failures + left)
     return Certificate(tests=tests, drawn=drawn, low=int(possible[0]), high=int(possible[-1]))
-
-
-def _log_mean(log_capital: Array) -> Array:
-    """Logarithm of the mean over the stakes; the capital itself may exceed what a float holds."""
-    top = log_capital.max(axis=(0, 1))
-    return np.asarray(top + np.log(np.exp(log_capital - top).mean(axis=(0, 1))))
 
 
 def drives_until(rate: float, tests: int) -> int | None:

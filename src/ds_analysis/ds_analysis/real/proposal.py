@@ -103,8 +103,7 @@ class ProposedDrive:
     """A test to drive on the car.
 
     Attributes:
-        road: road to tape out; None if the test is known by its features alone.
-        features: imported feature -> value, of a test without a road.
+        road: road to tape out; None if the test is known by its imported features alone.
         scale: metres of the road per metre of the car's.
         probability: predicted probability that the car fails.
         drawn: whether it was drawn from all tests that were left, so that it certifies something.
@@ -154,18 +153,16 @@ def propose(
     """Draw the next tests for the car, and remember them; what was proposed before stays proposed.
 
     The order of all tests is drawn once, by a seed and their names; each call continues it, past what was driven
-    meanwhile. So every proposed test is a uniform draw from all that were left, however often one asks and whatever
-    came out, as the certificate needs it.
+    meanwhile. So every proposed test is a uniform draw from all that were left, as the certificate needs it.
 
     Args:
-        folder: of a campaign or study.
-        table: its outcomes.
+        folder: of the campaign or study of the table.
+        table: outcomes.
         prediction: of the table's tests.
         driven: tests that the car drove already, in their order.
         drives: number of tests to draw.
         scale: metres of the road per metre of the car's; that of earlier proposals, or `SCALE`, if None.
-        spread: draw one test from each of as many groups of equal size, sorted by their predicted probabilities. Such
-            drives tell more, and certify nothing.
+        spread: draw from as many groups of equal predicted probability; tells more, and certifies nothing.
 
     Raises:
         BudgetError: fewer tests are left.

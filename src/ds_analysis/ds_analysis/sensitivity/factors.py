@@ -25,19 +25,13 @@ COMPANIONS = {
     "shadow_depth": {"shadow_density": 0.5},
     "low_sun": {"sun_azimuth": math.pi / 2, "sun_elevation": math.radians(10.0)},
 }
-"""What a condition needs beside it: half of the road in shadows, since a depth alone is none; a sun 10 degrees above
-the end of the road's straight beginning, which heads north, since the veil falls with the square of the angle."""
+"""What a condition needs beside it: shadows on half of the road, for their depth; a sun 10 degrees above the end of the
+road's straight beginning, which heads north, as the veil falls with the square of the angle."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Factor:
-    """One condition towards one end of its range.
-
-    Attributes:
-        name: of the condition.
-        start: value of level 0.
-        end: value of level `LEVELS`, the hardest.
-    """
+    """One condition from the value of level 0 to one end of its range, the hardest, at level `LEVELS`."""
 
     name: str
     start: float

@@ -23,8 +23,8 @@ class RoadResult:
 
     Attributes:
         completes: highest level that the driver completes below the one at which it fails.
-        fails: next level that may be driven, at which it fails; None if it fails at none, or cannot be judged there.
-        excluded: that level if the driver fails there and cannot be judged; else None.
+        fails: next level that may be driven, at which it fails; None if it fails at none, or there as `excluded`.
+        excluded: that level if the driver fails there and cannot be judged.
     """
 
     completes: int
@@ -40,20 +40,14 @@ class RoadResult:
 Verdict = Literal[
     "fails", "completes", "infeasible", "lines invisible", "not applicable", "fails by default", "error", "pending"
 ]
-"""fails: on the median road; completes: it does not, up to the hardest value; infeasible: where it begins to fail on
-the median road, the autopilot fails, too; lines invisible: where it begins to fail, they are; not applicable: the
-simulator cannot realise the condition; fails by default: too few roads are completed without any condition; error: a
-drive ended in an error; pending: not measured yet."""
+"""fails: on the median road; completes: up to the hardest value; infeasible: where it begins to fail, the autopilot
+does, too; lines invisible: where it begins to fail, they are; not applicable: the simulator cannot realise the
+condition; fails by default: too few roads are completed without any; error: of a drive; pending: not measured yet."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
-    """Where a driver first fails, for one factor on one simulator. Levels are as in `Factor`; None is beyond the range.
-
-    Attributes:
-        verdict: what was found.
-        message: one line about an error; else "".
-    """
+    """Where a driver first fails, for one factor on one simulator; levels are as in `Factor`, None is beyond them."""
 
     simulator: SimulatorName
     factor: Factor
@@ -166,8 +160,7 @@ class Sensitivity:
     """How strong each condition must be for a driver to fail.
 
     Attributes:
-        needed: number of roads on each simulator.
-        roads: roads of each simulator; fewer than needed where the driver does not complete enough by default.
+        roads: roads of each simulator; fewer than `needed` where the driver does not complete enough by default.
         thresholds: results by the factor's position and the simulator.
     """
 

@@ -28,11 +28,9 @@ class Score:
     """Quality of cross-validated predictions; intervals are 95% bootstrap intervals over families of roads.
 
     Attributes:
-        auc: area under the ROC curve of the mean predicted probability: probability that a failing road is ranked
-            above one that does not fail.
-        auc_interval: its interval; None where all resamples have an area of 1.
-        brier: Brier score, the mean squared error of the probabilities; the share of failures p alone scores p (1 - p).
-        bits: mean logarithmic loss, bits a road: what the outcomes still surprise by.
+        auc: area under the ROC curve of the mean predicted probability; no interval where all resamples have 1.
+        brier: mean squared error of the probabilities; the share of failures p alone scores p (1 - p).
+        bits: mean logarithmic loss, bits a road.
     """
 
     auc: float
@@ -47,11 +45,10 @@ class Baseline:
     """How well road features and conditions predict the failures on one simulator.
 
     Attributes:
-        entropy: entropy of the outcomes, bits a road: what they surprise by if only the share of failures is known.
-        best: the best single feature, chosen on other roads; None where failures are too few.
+        entropy: entropy of the outcomes, bits a road: the loss if only the share of failures is known.
+        best: the best single feature, chosen on other roads; None where failures are too few, by `caution`.
         chosen: name of the chosen feature -> share of the cross-validation's models in which it was chosen.
-        all: a logistic model of all features; None where failures are too few.
-        caution: why there are no scores, or "".
+        all: a logistic model of all features; None likewise.
     """
 
     simulator: SimulatorName
@@ -70,10 +67,7 @@ class Baseline:
 
 
 def caution_of_failures(table: OutcomeTable, simulator: SimulatorName) -> str:
-    """Explain why failures are too few for a prediction; "" if they are not.
-
-    See `FEWEST_OF_EACH_KIND`; each part of the cross-validation needs a family of each kind.
-    """
+    """Explain why failures are too few for a cross-validation; "" if they are not."""
     failed = table.failed(simulator)
     failures, roads = int(failed.sum()), len(failed)
     if min(failures, roads - failures) < FEWEST_OF_EACH_KIND:
@@ -139,13 +133,11 @@ class AddedInformation:
     """What one sibling adds about the failures on another simulator.
 
     Attributes:
-        about: simulator whose failures are predicted.
-        sibling: sibling whose outcome and largest lateral position are added to the predictors.
+        sibling: its outcome and largest lateral position are added to the predictors.
         beyond: siblings whose outcomes are among the predictors already, besides road features and conditions.
         left: bits a road that these predictors leave: mean logarithmic loss on roads that the model has not seen.
-        bits: reduction of that loss, bits a road; None where failures are too few.
-        interval: 95% interval of the reduction, by a bootstrap over families (paired: every road keeps both losses).
-        caution: why there is no number, or "".
+        bits: reduction of that loss, bits a road; None where failures are too few, by `caution`.
+        interval: 95% interval of the reduction, by a paired bootstrap over families.
     """
 
     about: str

@@ -20,15 +20,7 @@ from ds_sim.registry import SimulatorName
 
 @dataclass(frozen=True, kw_only=True)
 class SiblingAnalysis:
-    """What each sibling adds.
-
-    Attributes:
-        departures: how failures leave the lane, per simulator.
-        nesting: how far failures lie inside each other, per pair.
-        baselines: how well road features alone predict the failures, per simulator.
-        residuals: correlations of lateral positions beyond the best feature, per pair.
-        information: what each sibling adds about another simulator.
-    """
+    """What each sibling adds: departures and baselines per simulator, nesting and residuals per pair, information."""
 
     departures: Sequence[Departures]
     nesting: Sequence[Nesting]
@@ -80,10 +72,7 @@ class SiblingAnalysis:
 
 
 def analyse(table: RoadTable, about: Sequence[SimulatorName], *, repeats: int = REPEATS) -> SiblingAnalysis:
-    """Analyse tests with a verdict on every simulator; each of `about` is predicted from the others, such as the twin.
-
-    Cross-validated losses are averaged over `repeats` divisions into folds.
-    """
+    """Analyse tests with a verdict on every simulator; each of `about` is predicted from the others."""
     return SiblingAnalysis(
         departures=departures_of(table),
         nesting=nestings(table),

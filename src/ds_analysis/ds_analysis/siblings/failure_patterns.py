@@ -28,7 +28,6 @@ class Nesting:
         second_given_first: share of the first's failures on which the second fails too; None if the first never fails.
         second_given_first_interval: its 95% interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
             families where roads descend from each other.
-        first_given_second: the same the other way round.
     """
 
     first: str
@@ -105,14 +104,7 @@ STRAIGHT_BELOW = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Departures:
-    """Failures of one simulator by how the vehicle left its lane: out of a bend, into it, or on a straight.
-
-    Two simulators that fail equally often may fail in different ways, and only such are worth asking both.
-
-    Attributes:
-        counts: kind -> number; a failure without leaving the lane, such as being stuck, stays in it; of one that was
-            restored from a table, the way out is not recorded.
-    """
+    """Failures of one simulator by how the vehicle left its lane: out of a bend, into it, on a straight, or not."""
 
     simulator: SimulatorName
     failures: int
@@ -135,10 +127,7 @@ def departures_of(table: RoadTable) -> list[Departures]:
 
 
 def departure(road: Road, profile: Array, largest: float) -> Departure:
-    """Classify a failure by its lateral positions every `GRID` m up to the end of the drive, m, right positive.
-
-    `largest` is the largest absolute lateral position, m, at most half a lane.
-    """
+    """Classify a failure by its lateral positions every `GRID` m, and the largest absolute one, m, right positive."""
     if largest < road.lane_width / 2:
         return "stays in the lane"
     if not len(profile):

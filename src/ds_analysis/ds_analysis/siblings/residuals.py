@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Correlation of two simulators' lateral positions after what road features explain is taken out.
 
-Both parts that are taken out are fitted on other roads than those on which they are used (cross-fitting), by isotonic
-regression, which assumes nothing but a direction.
+That is fitted on other roads (cross-fitting), by isotonic regression, which assumes nothing but a direction.
 """
 
 from __future__ import annotations
@@ -41,11 +40,9 @@ class ResidualCorrelation:
 
     Attributes:
         plain: Pearson r of the largest absolute lateral positions, over roads.
-        roads: the same after each simulator's best single feature is taken out, chosen and fitted on other roads; None
-            where failures are too few to choose one.
-        places: r of the lateral positions at the same places of the roads, after the curvature of the lane at the place
-            is taken out.
-        places_interval: its interval; families are drawn, each with all its places.
+        roads: the same after each simulator's best single feature, of other roads, is taken out; None where failures
+            are too few to choose one.
+        places: r of the lateral positions at the same places, after the curvature there is taken out.
         caution: why a number is missing, or "".
     """
 

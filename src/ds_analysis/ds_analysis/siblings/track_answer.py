@@ -20,8 +20,7 @@ class TrackAnswer:
     """What became of one driver on the roads of a recorded track.
 
     Attributes:
-        recording: simulator with the recording's photographs.
-        twin: simulator with the twin's own picture of the world.
+        recording: simulator with the recording's photographs; `twin` has its own picture of the world.
         drives: driver and simulator -> a drive for each road; None where it has no verdict.
         undecided: driver and simulator -> why, one line for each road without a verdict.
         recorded: whether the recorded car left the lane of each road.

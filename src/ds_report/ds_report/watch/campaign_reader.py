@@ -25,7 +25,6 @@ class Snapshot:
 
     Attributes:
         data: contents of the store; executions without their trajectories.
-        cells: test -> cell, for tests that have one.
         latest: simulator -> test that was driven there last.
         live: what the campaign does, or None if no process works on it.
         complete: whether everything was driven and the report is up to date.
@@ -33,7 +32,6 @@ class Snapshot:
     """
 
     data: CampaignData
-    cells: dict[str, Cell]
     latest: dict[str, str]
     live: Live | None
     complete: bool
@@ -54,9 +52,6 @@ class _Known:
 
 class CampaignReader:
     """Reads the campaign in a folder, without writing to it and without taking a lock.
-
-    Args:
-        folder: campaign folder.
 
     Raises:
         ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or a damaged one.
@@ -105,7 +100,6 @@ class CampaignReader:
         complete = complete and results.get("report") == count
         return Snapshot(
             data=data,
-            cells=dict(campaign.cells),
             latest={name: test_id for name, test_id in latest.items() if (test_id, name) in campaign.executions},
             live=live,
             complete=complete,

@@ -24,10 +24,7 @@ from ds_sim.simulator import Outcome, Simulator
 
 
 class DrivePictures:
-    """Renders camera pictures of drives from their recorded paths; use it from one thread only.
-
-    Translated images stand below the camera's. Of user-defined simulators, only the code of trusted ones runs.
-    """
+    """Renders camera pictures of drives from their recorded paths, of trusted simulators; for one thread only."""
 
     def __init__(self, driver: DriverName, trusted: Collection[str] = ()) -> None:
         self._driver, self._trusted = driver, trusted
@@ -117,7 +114,7 @@ def _axes(snapshot: Snapshot) -> list[dict[str, Any]]:
     axes = []
     for k, name in enumerate(snapshot.data.config.features[:2]):
         feature = feature_of(name)
-        bins = [cell[k] for cell in snapshot.cells.values()] or [0]
+        bins = [cell[k] for cell in snapshot.data.cells.values()] or [0]
         low, high = min(bins), max(bins)
         axes.append(
             {"title": feature.title, "low": low, "labels": [feature.label(bin_) for bin_ in range(low, high + 1)]}
@@ -129,7 +126,7 @@ def _maps(snapshot: Snapshot) -> dict[str, list[list[int]]]:
     """Simulator -> its cells over the first two features: bins, tests, failures."""
     tallies: dict[str, dict[tuple[int, int], list[int]]] = {name: {} for name in snapshot.data.config.simulators}
     for execution in snapshot.data.verdicts:
-        cell = snapshot.cells.get(execution.test_id)
+        cell = snapshot.data.cells.get(execution.test_id)
         if cell is not None:
             counts = tallies[execution.simulator].setdefault((cell[0], cell[1]), [0, 0])
             counts[0] += 1

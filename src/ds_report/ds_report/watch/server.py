@@ -180,13 +180,9 @@ async def serve(
     trusted: Collection[str] = (),
     ready: Callable[[str], None] = lambda address: None,
 ) -> None:
-    """Serve the page of one campaign until cancelled; the folder stays as it is.
+    """Serve the page of one campaign until cancelled, on a loopback port, any free one if 0; the folder stays as it is.
 
-    Args:
-        folder: campaign folder.
-        port: port of the loopback interface; 0 for any free one.
-        trusted: user-defined simulators whose code may run to render pictures.
-        ready: called with the page's address.
+    Pictures are rendered by the code of `trusted` user-defined simulators alone; `ready` is called with the address.
 
     Raises:
         ServerError: the port cannot be used.

@@ -47,8 +47,7 @@ class GivenTests:
         name: name of the set, safe within a file name.
         settings: how they are driven; the driver is replaced.
         work: simulator -> tests to compare there.
-        gates: what is known of the tests' validity.
-        cells: test -> cell.
+        reference: known drives of the reference; `candidate` likewise.
         unsearched: tests that no network's outcome led to.
         prefix: of the tests' names where a comparison has two sets.
     """
@@ -182,8 +181,7 @@ def compare(
     """Compare two networks on tests of one configuration apart from the driver; drives that are not known are driven.
 
     A comparison that was stopped goes on in its folder. With `recheck`, one known test is driven again on each
-    simulator, to find out whether drives are repeatable here; with `sequential`, outcomes decide when drives end, as in
-    `compare_until_sure`. For the rest see `Comparison`.
+    simulator, as drives have to repeat here; for `sequential` see `compare_until_sure`, for the rest `Comparison`.
 
     Raises:
         ComparisonError: a known drive does not come out the same again.
@@ -228,10 +226,7 @@ def compare(
 def compare_until_sure(
     tests: GivenTests, reference: Network, candidate: Network, *, source: str, out: Path, callbacks: Callbacks
 ) -> Comparison:
-    """Compare two networks on random roads, some more at a time, until the answer is sure or no road is left.
-
-    `tests` are those of `random_tests`; for all that follows see `compare`.
-    """
+    """`compare` on `random_tests`, some more at a time, until the answer is sure or no road is left."""
     roads = max(map(len, tests.work.values()))
     for last in [*range(BATCH, roads, BATCH), roads]:
         some = replace(tests, work={name: of[:last] for name, of in tests.work.items()})

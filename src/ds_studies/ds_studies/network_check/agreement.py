@@ -16,8 +16,7 @@ from ds_driver.networks.pilot import DriverError
 from ds_studies.network_check.recording import AutopilotDrives
 
 AGREES = 0.5
-"""Correlation with the autopilot from which a network answers with the road at all; chosen: a quarter of the variance,
-which some 40 independent images give by chance once in a thousand times."""
+"""Correlation from which a network answers with the road at all; chosen: chance gives it once in a thousand times."""
 FOUND = 0.8
 """Correlation that a network, or another description of it, must reach; chosen: below what shipped networks have that
 drive, 0.93 at least, and above what chance gives on one of four simulators, 0.55 in 96 tries with random weights."""
@@ -25,8 +24,7 @@ CHANCE = 0.01 / 60
 """Probability that chance alone lets one description be ahead so far that evidence decides; chosen: one in a hundred
 for the best of the 60 that are tried. Four drives on one simulator need 19 standard errors for it, 16 need 4.6."""
 GAIN = 0.5
-"""Part of the variance unexplained so far that another description may leave at most; chosen: it has to halve, on the
-whole, and shrink on every simulator, since one that fits by chance does so on some."""
+"""Part of the unexplained variance that another description may leave at most; chosen: it has to halve."""
 MOST_NUMBERS = 64
 """Numbers among the outputs that are tried as steering."""
 FEWEST_BINS = 5
@@ -39,8 +37,6 @@ class Agreement:
 
     Attributes:
         correlation: over all images; 0 for a constant answer.
-        slope: of the regression.
-        offset: of the regression: the answer while the autopilot drives straight on.
         by_simulator: correlation on each simulator alone.
         without: (drives,) size of the correlation without one drive each, as Fisher's z.
     """
@@ -66,10 +62,7 @@ class Agreement:
         )
 
     def surely_above(self, other: Agreement) -> bool:
-        """Whether its correlation, by size, is higher beyond the doubt that the choice of drives leaves.
-
-        Standard error by leaving out one drive each, and Student's t for their number; see `CHANCE`.
-        """
+        """Whether its correlation, by size, is higher beyond `CHANCE`: Student's t of leaving out one drive each."""
         if len(self.without) != len(other.without):
             return abs(self.correlation) > abs(other.correlation)  # the other refused the images
         gains, count = self.without - other.without, len(self.without)
@@ -105,10 +98,9 @@ def _correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 def readings(
     pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]
 ) -> Iterator[tuple[OutputSpec, NDArray[np.float64]]]:
-    """Yield what could be the steering, first what the description says, with its value for every image.
+    """Yield what could be the steering with its value for every image: the described one, every number, highest bins.
 
-    The others are every number of every output, and the highest bin of an output. Nothing is yielded where the network
-    refuses its input or answers NaN.
+    Nothing is yielded where the network refuses its input or answers NaN.
     """
     try:
         rows = [pilot.outputs_once(frame) for one in recordings for frame in one.frames]

@@ -153,9 +153,8 @@ def describe_network(
 ) -> str:
     """Choose what a file does not say, and return its description with comments that say why.
 
-    The autopilot's drives choose among `forms`, see `forms_of`. `ask` asks about what they do not decide; None takes
-    the convention of the file's maker, or the commonest; without `search`, nothing else is tried. `loaded` is the
-    network if `load` has returned it already.
+    The autopilot's drives choose among `forms` of `forms_of`. `ask` asks about what they leave open; None takes the
+    convention of the file's maker, or the commonest; without `search`, nothing else is tried.
     """
     pilot = loaded or load(file, forms)
     remembers, comments = pilot.has_memory, {}
@@ -267,10 +266,7 @@ def load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot
 
 
 def _decides(best: Agreement, usual: Agreement, maker: bool) -> bool:
-    """Whether drives decide against the usual convention; against a maker's, only by an answer that is itself good.
-
-    Without bounds, a network answers 255 times as much to pixels of 255: then the likelier scale decides.
-    """
+    """Whether drives decide against the usual convention, or against a maker's, which takes better evidence."""
     clear, sure = best.beats(usual), best.surely_above(usual)
     if maker:
         return clear and sure

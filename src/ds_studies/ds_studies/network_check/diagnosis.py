@@ -55,9 +55,9 @@ OFF_CENTRE = 0.2
 ELSEWHERE = 0.5
 """Part of an offset that may remain in the lane that a network wants; chosen: it is nearer to none than to all."""
 SHARE_TRIED = 4
-"""One image of so many is shown to other descriptions, about 30 for each simulator; one of `SHARE_SCREENED` times as
-many where all combinations are tried."""
+"""One image of so many is shown to other descriptions, about 30 for each simulator."""
 SHARE_SCREENED = 3
+"""One of so many of these is, where all combinations are tried."""
 ASKED = {"file": 20, "description": 10, "other": 1}
 """What is checked -> times that a network is asked about each image, other descriptions included, at most."""
 LIKELY: tuple[Kind | None, ...] = (None, "degrees", "radians", "scale")
@@ -82,12 +82,7 @@ INPUT_KINDS: dict[str, tuple[Kind, str]] = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong.
-
-    Attributes:
-        text: one sentence, with the numbers that show it.
-        line: line of YAML that fixes it, with its place; "" where none does.
-    """
+    """One thing that is wrong, a sentence with the numbers that show it, and the line of YAML that fixes it, or ""."""
 
     kind: Kind
     text: str
@@ -116,7 +111,7 @@ class NetworkCheck:
 
     Attributes:
         correlation: of its steering with the autopilot's.
-        findings: what is wrong; empty where nothing was found.
+        findings: what is wrong.
         steering: simulator -> its answers to all images.
         fixed: the description with every line applied; None without a description, or without a line.
     """
@@ -165,11 +160,11 @@ def check_network(
     """Ask a network about recorded images, and diagnose how it is connected.
 
     Args:
-        driver: any name that `ds_driver.networks.network_driver.load_pilot` takes.
+        driver: any name that `load_pilot` takes.
         recordings: of all simulators.
         seed: of the road on which its throttle is tried, if it has one.
         search: whether other descriptions and its throttle are tried, which takes many more images.
-        loaded: the same network file, asked about these images before, so that it is not asked again.
+        loaded: the same network file, which remembers its answers.
 
     Raises:
         ds_driver.networks.pilot.DriverError: it cannot be loaded, or gives no valid answer.
@@ -257,10 +252,9 @@ Fitted = tuple[DescribedNetwork, Agreement]
 
 
 def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]) -> DescribedNetwork:
-    """Return the description under which a network agrees with the autopilot, whatever sign, scale and offset.
+    """Return the description under which a network agrees best with the autopilot, whatever sign, scale and offset.
 
-    It is the best of all, with every part of the input as described again whose change does not matter; colours, which
-    look alike on some roads, only if the drives decide it beyond chance.
+    Parts of the input whose change does not matter stay as described; colours, too, unless it is beyond chance.
     """
     tried = [one.sample(SHARE_TRIED) for one in recordings]
     best = current = ranked(pilot, recordings)[0]
@@ -272,10 +266,9 @@ def best_description(pilot: DescribedNetworkPilot, recordings: Sequence[Autopilo
 
 
 def _matters(best: Agreement, restored: Agreement) -> bool:
-    """Whether a change helps the agreement, or makes a scale right; see `Agreement.beats`.
+    """Whether a change helps the agreement, or makes a scale right, and spoils none; see `Agreement.beats`.
 
-    Bins and limits round an answer, and more of it correlates better: what spoils a right scale is no repair. A network
-    without bounds answers 255 times as much to pixels of 255, and correlates all the same.
+    A network without bounds answers 255 times as much to pixels of 255, and correlates all the same.
     """
     wrong, was_wrong = scale_kind(best.slope), scale_kind(restored.slope)
     if wrong and not was_wrong and abs(restored.correlation) >= FOUND:
@@ -436,8 +429,7 @@ def lane_finding(
 ) -> Finding | None:
     """Say which lane a network wants that steers to one side in the right lane; None if its offset is everywhere.
 
-    `offset` is what it answers in the right lane where the autopilot drives straight on, -1 left to +1 right;
-    `steering` are its answers to all images of `other` drives, in the left lane.
+    `offset` is its answer there while the autopilot drives straight on; `steering` those to `other` drives, left.
     """
     there = agreement(steering, other).offset
     begins = f"ds drive --sim {other[0].simulator} --driver {driver}"

@@ -36,8 +36,7 @@ EVERY = 8
 WHOLE = slice(80, 200)
 """Frames of a drive that a network with memory is shown; chosen: six seconds around the first bend, 300 MB in all."""
 FEWEST = 24
-"""Images from which there is a verdict; chosen: a network with a correlation of 0.93 has less than 0.8 on so many once
-in 200 times, and one with 0.4 more than that once in 1,000 times (Fisher's z)."""
+"""Images from which there is a verdict; chosen: 0.93 seems a correlation below 0.8 once in 200 times (Fisher's z)."""
 MOST_THINNED = 3
 """One image of so many is kept at least where other descriptions are tried; chosen: a dozen for a simulator's trial."""
 
@@ -163,10 +162,7 @@ def speeds_of_throttle(pilot: Pilot, simulator: SimulatorName, seed: int) -> NDA
 def _drive(
     name: str, scenario: Scenario, kept: slice, throttle: Callable[[Frame], float | None]
 ) -> list[tuple[Frame, Command]]:
-    """Let the autopilot drive, with another throttle where there is one; return frames and the autopilot's commands.
-
-    Images are drawn in the `kept` frames.
-    """
+    """Let the autopilot drive, with another throttle if any; return frames, with `kept` images, and its commands."""
     simulator = simulator_of_process(name)
     spec, session = simulator.spec, Session(simulator)
     autopilot = make_driver(AUTOPILOT, spec)

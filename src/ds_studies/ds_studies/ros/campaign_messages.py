@@ -62,13 +62,7 @@ def test_response(data: CampaignData, folder: str, test_id: str, response: GetTe
 
 @dataclass(frozen=True)
 class Grids:
-    """Maps of a campaign on one grid.
-
-    Attributes:
-        grids: name of a map -> failure probabilities in percent.
-        tests: name of a map -> number of tests of each cell, in the grid's order.
-        legend: what the cells stand for.
-    """
+    """Name of a map -> failure probabilities in percent, and tests of each cell in that order; what the cells are."""
 
     grids: Mapping[str, OccupancyGrid]
     tests: Mapping[str, Sequence[int]]
@@ -76,10 +70,7 @@ class Grids:
 
 
 def grids_of(data: CampaignData) -> Grids | None:
-    """Build the maps that are compared (unions, merged, twin) from what is driven so far; None without a test.
-
-    A map of three features becomes one of the first two, whose cells are the means over the third, weighted by tests.
-    """
+    """Build the maps that are compared (unions, merged, twin), over the first two features; None without a test."""
     maps = maps_of(data)
     chosen = {label_of(one.name).replace(".", "_").replace("-", "_"): maps[one] for one in compared_ids(maps)}
     cells = [cell[:2] for one in chosen.values() for cell in one.cells]

@@ -27,9 +27,8 @@ class Bracket(NamedTuple):
 def first_failure(fails: Callable[[int], bool], highest: int, near: Bracket | None = None) -> Bracket:
     """Bisect integer levels from 0, which is taken to be completed, to the highest one, which may be 0.
 
-    Where failing is monotone this is the lowest level that fails. Where it is not, it is one of the levels at which
-    failing begins: the level below it is completed, it is not. `near` is the result for a similar road, around which is
-    searched: two drives if it holds here, too.
+    The level found fails, and the one below is completed; it is the lowest such one where failing is monotone. `near`
+    is the result for a similar road, around which is searched: two drives if it holds here, too.
     """
     if highest == 0:
         return Bracket(0, None)
@@ -58,9 +57,8 @@ def first_failure(fails: Callable[[int], bool], highest: int, near: Bracket | No
 
 
 SEGMENTS = 4
-"""Segments of a road, 25 m each, of the six of a generated one: 100 m, on which the car takes up speed on a straight
-segment and then takes three bends. Chosen: a drive takes two thirds of the time, and a driver that cannot see fails in
-its first bends; one that swings up may need more."""
+"""Segments of a road, 25 m each, of the six of a generated one: a straight one and three bends. Chosen: saves a third
+of the time, and a driver that cannot see fails in its first bends; one that swings up may need more."""
 MOST_SEGMENTS = 6
 """Segments of a generated road: the spline goes from its second control point to the last but one."""
 MAX_ANGLE = 270
@@ -77,8 +75,8 @@ there, as the autopilot fails or the lines are invisible (`ds_sim.gates`)."""
 def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[Scenario]:
     """Generate candidates for a number of roads; fewer roads have the same first ones.
 
-    Left out are roads on which a car that never steers stays in its lane: they test nothing. The seed is that of the
-    roads, and of the runs on the first one; of each random road, 2 to `MOST_SEGMENTS` segments of 25 m are kept.
+    Each is the beginning of a random road, 2 to `MOST_SEGMENTS` segments of 25 m, on which a car must steer. The seed
+    is that of the roads, and of the runs on the first one.
     """
     rng = np.random.default_rng(seed)
     candidates: list[Scenario] = []
@@ -111,9 +109,8 @@ def choose_roads(count: int, needed: int, fails: Fails) -> tuple[int, ...]:
 def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -> tuple[RoadResult, ...]:
     """Bisect a factor on each road, the strongest value first; returns the results of the roads that were driven.
 
-    The driver completes all roads under default conditions. A drive that it completes needs no gate; the gates judge
-    the level at which it begins to fail. As soon as it completes the strongest value on so many roads that the median
-    cannot fail, no more roads are driven. `levels`, how many may be driven, is one of `RESOLUTIONS`.
+    The gates judge the level at which the driver begins to fail. As soon as it completes the strongest value on so many
+    roads that the median cannot fail, no more are driven. `levels`, how many may be driven, is one of `RESOLUTIONS`.
     """
     step = LEVELS // levels
     results: list[RoadResult] = []

@@ -33,8 +33,7 @@ def ranges_of(document: dict[str, Any]) -> dict[str, tuple[float, float]]:
     """Range of every condition that makes a driver fail on at least half of the simulators, most sensitive first.
 
     The document is that of `Sensitivity`. A range reaches from the value that changes nothing to the strength at which
-    the median simulator first fails; of an even number, the more sensitive one of the two in the middle. A condition
-    with two hard ends reaches to both; one that needs others beside it is left out.
+    the (lower) median simulator first fails, or to both hard ends; conditions that need others are left out.
     """
     rows: dict[tuple[str, float], list[dict[str, Any]]] = {}
     for row in document["thresholds"]:

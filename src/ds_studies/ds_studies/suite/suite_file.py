@@ -50,12 +50,7 @@ class SuiteError(ConfigError):
 
 
 class SuiteOutcome(Keys, strict=True):
-    """Outcome of a test on one simulator, with the network of the suite.
-
-    Attributes:
-        outcome: name of the outcome, a verdict.
-        fitness: smallest lateral distance, m.
-    """
+    """Outcome of a test on one simulator, with the network of the suite; its smallest lateral distance, m."""
 
     outcome: Literal["COMPLETED", "OUT_OF_BOUNDS", "STUCK", "TIMEOUT"]
     fitness: Annotated[float, Field(allow_inf_nan=False)]
@@ -67,8 +62,7 @@ class SuiteTest(Keys, strict=True):
 
     Attributes:
         name: of the test in its campaign.
-        control_points: of the road, m.
-        road_sha256: digest of the control points; see `road_sha256`.
+        control_points: of the road, m; for their digest see `road_sha256`.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,200}$")]
@@ -82,14 +76,7 @@ class SuiteTest(Keys, strict=True):
 
 
 class Suite(Keys, strict=True):
-    """Regression suite.
-
-    Attributes:
-        campaign: name of the campaign's folder.
-        driver_sha256: digest of its files, or "".
-        maxitwo_compatible: as in the campaign's configuration.
-        code_sha256: digest of the simulators' code by which the outcomes came about.
-    """
+    """Regression suite of a campaign's folder, with digests of its driver's files, or "", and the simulators' code."""
 
     format: Literal["digital-siblings-suite"] = "digital-siblings-suite"
     version: Literal[1] = 1
