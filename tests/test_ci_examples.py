@@ -64,12 +64,11 @@ def test_the_steps_run_and_end_with_the_status_of_the_suite(tmp_path: Path, name
 
 
 def test_the_options_of_the_script_are_options_of_the_verb() -> None:
-    from typer.main import get_group
-
-    from ds_cli.campaign.group import app
+    from ds_cli.application import make_app
 
     words = (CI / "check_network.sh").read_text().split()
-    suite: Any = get_group(app).commands["suite"]
+    application: Any = make_app()
+    suite = application.get_command(None, "suite")
     known = {option for parameter in suite.commands["run"].params for option in parameter.opts}
     used = {word for word in words if word.startswith("--")} - {"--driver`", "--"}
     assert used and used <= known

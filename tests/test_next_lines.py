@@ -5,14 +5,12 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from typer.main import get_group
-
 import ds_cli
-from ds_cli.verbs import PACKAGE, VERBS
+from ds_cli.application import make_app
+from ds_cli.verbs import VERBS
 
 MODULES = sorted(Path(ds_cli.__file__).parent.rglob("*.py"))
 
@@ -40,7 +38,8 @@ def is_whole(words: list[str]) -> bool:
 def command_of(words: list[str]) -> tuple[Any, list[str]]:
     """The command that words name, and the words after it."""
     verb = VERBS[words[0]]
-    command: Any = get_group(import_module(f"{PACKAGE}.{verb.module}").app).commands[words[0]]
+    application: Any = make_app()
+    command = application.get_command(None, words[0])
     return (command.commands[words[1]], words[2:]) if verb.verbs else (command, words[1:])
 
 

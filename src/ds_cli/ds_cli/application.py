@@ -46,8 +46,12 @@ class LazyGroup(TyperGroup):
         verb = VERBS.get(cmd_name)
         if verb is None or not verb.module:
             return None
-        app: typer.Typer = import_module(f"{PACKAGE}.{verb.module}").app
-        return _with_joined_lines(get_group(app).commands[cmd_name])
+        module = import_module(f"{PACKAGE}.{verb.module}")
+        if not verb.verbs:
+            return _with_joined_lines(get_group(module.app).commands[cmd_name])
+        group = get_group(getattr(module, f"{cmd_name}_app"))
+        group.name, group.help, group.no_args_is_help = cmd_name, verb.summary, True
+        return _with_joined_lines(group)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Find the verb that was typed, or name the nearest one."""

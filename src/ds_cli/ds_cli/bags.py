@@ -20,9 +20,7 @@ from ds_sim.registry import SimulatorName
 if TYPE_CHECKING:
     from ds_driver.networks.images import Crop
 
-app = typer.Typer()
-bag_app = typer.Typer(help="Inspect, re-simulate and repair rosbag2 recordings.", no_args_is_help=True)
-app.add_typer(bag_app, name="bag")
+bag_app = typer.Typer()
 
 BagFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a bag.")]
 

@@ -17,11 +17,7 @@ from ds_cli.output import Result, answer, say, say_next
 if TYPE_CHECKING:
     from ds_analysis.outcomes.columns import Columns
 
-app = typer.Typer()
-outcomes_app = typer.Typer(no_args_is_help=True)
-app.add_typer(
-    outcomes_app, name="outcomes", help="Import outcomes of any simulators and cars, and export outcomes of `ds`."
-)
+outcomes_app = typer.Typer()
 
 
 @outcomes_app.command("import")

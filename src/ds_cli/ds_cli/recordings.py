@@ -12,11 +12,7 @@ from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, answer, end, stopped
 
-app = typer.Typer()
-recording_app = typer.Typer(
-    help="Test a network on a recording of your car: its track, a twin and a sibling.", no_args_is_help=True
-)
-app.add_typer(recording_app, name="recording")
+recording_app = typer.Typer()
 
 
 Source = Annotated[Path, typer.Argument(help="Bag or Donkey Car tub with images of a track.")]

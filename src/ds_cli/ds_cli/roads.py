@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     from ds_road import Road, Side
     from ds_road.importing import ImportedRoad
 
-app = typer.Typer()
-road_app = typer.Typer(help="Generate, check, draw, export, import and cut roads.", no_args_is_help=True)
-app.add_typer(road_app, name="road")
+road_app = typer.Typer()
 
 
 def roads_of(

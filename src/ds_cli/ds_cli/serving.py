@@ -14,9 +14,7 @@ from ds_cli import options
 from ds_cli.output import say_next
 from ds_sim.registry import SimulatorName
 
-app = typer.Typer()
-serve_app = typer.Typer(help="Serve a simulator to clients of the Donkey simulator.", no_args_is_help=True)
-app.add_typer(serve_app, name="serve")
+serve_app = typer.Typer()
 
 
 @serve_app.command("donkey")

@@ -31,9 +31,7 @@ PICTURED = 6
 TWIN = SimulatorName("donkey")
 """Simulator whose failures the others are to predict, where it is among them and no other is named."""
 
-app = typer.Typer()
-siblings_app = typer.Typer(help="Compare how the simulators behave.", no_args_is_help=True)
-app.add_typer(siblings_app, name="siblings")
+siblings_app = typer.Typer()
 
 
 @siblings_app.command("compare")

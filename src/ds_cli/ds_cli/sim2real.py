@@ -14,9 +14,7 @@ from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, answer, say, stopped
 from ds_sim.registry import SimulatorName
 
-app = typer.Typer()
-sim2real_app = typer.Typer(help="Make simulated images look like photographs of a real track.", no_args_is_help=True)
-app.add_typer(sim2real_app, name="sim2real")
+sim2real_app = typer.Typer()
 
 
 @sim2real_app.command("train")

@@ -17,9 +17,7 @@ from ds_sim.conditions.text import format_3sf
 
 MISFIT = 2.0
 """Residuals over noise above which the fit warns; chosen: the noise itself is known to some tens of a percent."""
-app = typer.Typer()
-twin_app = typer.Typer(help="Fit the digital twin to recorded drives.", no_args_is_help=True)
-app.add_typer(twin_app, name="twin")
+twin_app = typer.Typer()
 
 
 @twin_app.command("fit")

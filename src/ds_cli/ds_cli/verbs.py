@@ -19,7 +19,10 @@ PACKAGE = "ds_cli"
 
 
 class Verb(NamedTuple):
-    """A verb: its module in this package, the first line of its help text, and the verbs within one such as `bag`."""
+    """A verb: its module in this package, the first line of its help text, and the verbs within one such as `bag`.
+
+    The module has the verb in `app`, or the verbs within it in `NAME_app`.
+    """
 
     name: str
     module: str
@@ -27,113 +30,91 @@ class Verb(NamedTuple):
     verbs: tuple[str, ...] = ()
 
 
-GROUPS: tuple[tuple[str, tuple[Verb, ...]], ...] = (
-    (
-        "Your network",
-        (
-            Verb("check", "studies.check", "Show what a network sees, and say what is wrong with how it is connected."),
-            Verb("drive", "drives", "Drive one road with one driver on one simulator."),
-            Verb("test", "campaign.group", "Search roads on which a network fails, and report where and why."),
-            Verb(
-                "sensitivity",
-                "studies.sensitivity",
-                "Find how strong each operating condition must be for a driver to fail.",
-            ),
-            Verb(
-                "compare", "campaign.group", "Compare two networks on the same tests: what got worse, what got better?"
-            ),
-            Verb("report", "campaign.group", "Rebuild the report of a campaign, or write one of imported outcomes."),
+GROUPS: dict[str, tuple[Verb, ...]] = {
+    "Your network": (
+        Verb("check", "studies.check", "Show what a network sees, and say what is wrong with how it is connected."),
+        Verb("drive", "drives", "Drive one road with one driver on one simulator."),
+        Verb("test", "campaign.run", "Search roads on which a network fails, and report where and why."),
+        Verb(
+            "sensitivity",
+            "studies.sensitivity",
+            "Find how strong each operating condition must be for a driver to fail.",
+        ),
+        Verb("compare", "campaign.compare", "Compare two networks on the same tests: what got worse, what got better?"),
+        Verb("report", "campaign.inspection", "Rebuild the report of a campaign, or write one of imported outcomes."),
+    ),
+    "Campaigns and suites": (
+        Verb("demo", "studies.demo", "See where a shipped network fails, why, and what to do next."),
+        Verb(
+            "campaign",
+            "campaign.inspection",
+            "Run, resume and inspect campaigns.",
+            ("run", "resume", "status", "roads", "export"),
+        ),
+        Verb("watch", "campaign.inspection", "Show a campaign in the browser while it runs."),
+        Verb("suite", "campaign.suites", "Freeze tests into a regression suite, and run it.", ("make", "run")),
+        Verb("explain", "studies.explain", "Find out why tests of a campaign fail."),
+        Verb("maps", "maps", "Show a campaign's feature maps, or those of imported outcomes, as coloured grids."),
+    ),
+    "The real car": (
+        Verb("predict", "prediction.predict", "Predict where a car, or a simulator that was never driven, fails."),
+        Verb(
+            "real",
+            "prediction.real",
+            "Propose, record and use a few drives on a real car.",
+            ("propose", "record", "update"),
+        ),
+        Verb(
+            "outcomes",
+            "outcomes",
+            "Import outcomes of any simulators and cars, and export outcomes of `ds`.",
+            ("import", "export"),
+        ),
+        Verb(
+            "recording",
+            "recordings",
+            "Test a network on a recording of your car: its track, a twin and a sibling.",
+            ("test", "locate", "calibrate", "roads"),
+        ),
+        Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
+        Verb(
+            "sim2real",
+            "sim2real",
+            "Make simulated images look like photographs of a real track.",
+            ("train", "translate"),
         ),
     ),
-    (
-        "Campaigns and suites",
-        (
-            Verb("demo", "studies.demo", "See where a shipped network fails, why, and what to do next."),
-            Verb(
-                "campaign",
-                "campaign.group",
-                "Run, resume and inspect campaigns.",
-                ("run", "resume", "status", "roads", "export"),
-            ),
-            Verb("watch", "campaign.group", "Show a campaign in the browser while it runs."),
-            Verb("suite", "campaign.group", "Freeze tests into a regression suite, and run it.", ("make", "run")),
-            Verb("explain", "studies.explain", "Find out why tests of a campaign fail."),
-            Verb("maps", "maps", "Show a campaign's feature maps, or those of imported outcomes, as coloured grids."),
-        ),
+    "Train": (
+        Verb("collect", "networks", "Collect labelled driving data with the autopilot."),
+        Verb("import", "networks", "Import recorded drives of a real car into a data set."),
+        Verb("train", "networks", "Train one network for all simulators of a data set."),
+        Verb("models", "networks", "List the shipped networks and their success rates."),
     ),
-    (
-        "The real car",
-        (
-            Verb("predict", "prediction.predict", "Predict where a car, or a simulator that was never driven, fails."),
-            Verb(
-                "real",
-                "prediction.real",
-                "Propose, record and use a few drives on a real car.",
-                ("propose", "record", "update"),
-            ),
-            Verb(
-                "outcomes",
-                "outcomes",
-                "Import outcomes of any simulators and cars, and export outcomes of `ds`.",
-                ("import", "export"),
-            ),
-            Verb(
-                "recording",
-                "recordings",
-                "Test a network on a recording of your car: its track, a twin and a sibling.",
-                ("test", "locate", "calibrate", "roads"),
-            ),
-            Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
-            Verb(
-                "sim2real",
-                "sim2real",
-                "Make simulated images look like photographs of a real track.",
-                ("train", "translate"),
-            ),
+    "Roads, recordings, simulators": (
+        Verb(
+            "road",
+            "roads",
+            "Generate, check, draw, export, import and cut roads.",
+            ("generate", "check", "show", "export", "import", "cut"),
         ),
-    ),
-    (
-        "Train",
-        (
-            Verb("collect", "networks", "Collect labelled driving data with the autopilot."),
-            Verb("import", "networks", "Import recorded drives of a real car into a data set."),
-            Verb("train", "networks", "Train one network for all simulators of a data set."),
-            Verb("models", "networks", "List the shipped networks and their success rates."),
+        Verb(
+            "bag",
+            "bags",
+            "Inspect, re-simulate and repair rosbag2 recordings.",
+            ("info", "recover", "redrive", "drive"),
         ),
+        Verb("serve", "serving", "Serve a simulator to clients of the Donkey simulator.", ("donkey",)),
+        Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
+        Verb("evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."),
     ),
-    (
-        "Roads, recordings, simulators",
-        (
-            Verb(
-                "road",
-                "roads",
-                "Generate, check, draw, export, import and cut roads.",
-                ("generate", "check", "show", "export", "import", "cut"),
-            ),
-            Verb(
-                "bag",
-                "bags",
-                "Inspect, re-simulate and repair rosbag2 recordings.",
-                ("info", "recover", "redrive", "drive"),
-            ),
-            Verb("serve", "serving", "Serve a simulator to clients of the Donkey simulator.", ("donkey",)),
-            Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
-            Verb(
-                "evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."
-            ),
-        ),
+    "This installation": (
+        Verb("doctor", "", "Check the installation and print the command that fixes each problem."),
+        Verb("completion", "", "Print the tab completion script for bash, zsh or fish."),
     ),
-    (
-        "This installation",
-        (
-            Verb("doctor", "", "Check the installation and print the command that fixes each problem."),
-            Verb("completion", "", "Print the tab completion script for bash, zsh or fish."),
-        ),
-    ),
-)
+}
 """Heading of each group -> its verbs, in the order of the overview."""
 
-VERBS = {verb.name: verb for _, verbs in GROUPS for verb in verbs}
+VERBS = {verb.name: verb for verbs in GROUPS.values() for verb in verbs}
 
 
 def overview(*, colour: bool = False) -> str:
@@ -151,7 +132,7 @@ def overview(*, colour: bool = False) -> str:
         "",
         "Begin with ds demo, or with your own: ds check NETWORK, then ds test NETWORK.",
     ]
-    for heading, verbs in GROUPS:
+    for heading, verbs in GROUPS.items():
         lines += ["", bold(f"{heading}:")]
         for verb in verbs:
             summary = verb.summary + (f" Verbs: {', '.join(verb.verbs)}." if verb.verbs else "")

@@ -16,11 +16,11 @@ from rich.table import Table
 from ds_base.installation import ds_command
 from ds_base.words import count
 from ds_cli import options
+from ds_cli.campaign.run import campaign_app
 from ds_cli.output import Result, answer, printed_to, say, say_next, warning
 from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
-campaign_app = typer.Typer()
 
 
 def status(folder: Path) -> Result:

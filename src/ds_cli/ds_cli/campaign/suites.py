@@ -16,9 +16,7 @@ from ds_cli.campaign.compare import network_named
 from ds_cli.campaign.compare_results import check_writable, criteria_of, unmet_by, write_comparison
 from ds_cli.output import Result, answer, end, say, stopped_in
 
-app = typer.Typer()
-suite_app = typer.Typer(help="Freeze tests into a regression suite, and run it.", no_args_is_help=True)
-app.add_typer(suite_app, name="suite")
+suite_app = typer.Typer()
 
 
 @suite_app.command("make")

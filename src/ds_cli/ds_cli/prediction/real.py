@@ -20,9 +20,7 @@ from ds_cli.prediction.predict import TestsFolder, Tolerated
 if TYPE_CHECKING:
     from ds_analysis.prediction.car import CarPrediction
 
-app = typer.Typer()
-real_app = typer.Typer(help="Propose, record and use a few drives on a real car.", no_args_is_help=True)
-app.add_typer(real_app, name="real")
+real_app = typer.Typer()
 
 
 def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
