@@ -48,20 +48,13 @@ def stopped_in(folder: Path | None) -> AbstractContextManager[None]:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """Result of a verb.
+    """Result of a verb."""
 
-    Attributes:
-        document: as JSON values.
-        show: prints it for a person, on standard output.
-        error: True if the exit status is to be 1.
-        unmet: pass criteria that are not met, one sentence each; with any, the exit status is 3 unless it is 1.
-        next: command that a user types next, such as `ds report DIR`.
-    """
-
-    document: Any
-    show: Callable[[], None]
-    next: str
-    error: bool = False
+    document: Any  # as JSON values
+    show: Callable[[], None]  # prints it for a person, on standard output
+    next: str  # command that a user types next, such as `ds report DIR`
+    error: bool = False  # True if the exit status is to be 1
+    # Pass criteria that are not met, one sentence each; with any, the exit status is 3 unless it is 1.
     unmet: Sequence[str] = ()
 
 

@@ -50,20 +50,13 @@ LARGEST_STD = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """A calibrated camera, and how well its lens explains the boards.
+    """A calibrated camera, and how well its lens explains the boards."""
 
-    Attributes:
-        camera: height and pitch are unknown.
-        rms_px: root mean square of the corners' errors.
-        held_out_px: the same of boards that the camera was not fitted to.
-        bias_px: root mean square of what corners in one place of the image are off on average, beyond chance.
-    """
-
-    camera: FloorCamera
+    camera: FloorCamera  # height and pitch are unknown
     boards: int
-    rms_px: float
-    held_out_px: float
-    bias_px: float
+    rms_px: float  # root mean square of the corners' errors
+    held_out_px: float  # the same of boards that the camera was not fitted to
+    bias_px: float  # root mean square of what corners in one place of the image are off on average, beyond chance
 
 
 def parse_board(squares: str) -> tuple[int, int]:

@@ -25,16 +25,11 @@ LONGER = 1.25
 
 @dataclass(frozen=True, kw_only=True)
 class Closed:
-    """Closed centre line, and the poses on it as a new first guess.
-
-    Attributes:
-        poses: x, y, yaw without jumps, (n, 3).
-        pieces: of the track, beside each pose, (n,).
-    """
+    """Closed centre line, and the poses on it as a new first guess."""
 
     track: Track
-    poses: Array
-    pieces: NDArray[np.int64]
+    poses: Array  # x, y, yaw without jumps, (n, 3)
+    pieces: NDArray[np.int64]  # of the track, beside each pose, (n,)
 
 
 def close_lap(track: Track, along: Array, lateral: Array, heading: Array) -> Closed | None:

@@ -42,28 +42,18 @@ MOUNTING = ("height_m", "pitch_rad")
 
 @dataclass(frozen=True, kw_only=True)
 class FloorCamera:
-    """Camera with a lens of OpenCV's models, without roll, above a flat floor.
-
-    Attributes:
-        focal_px: focal lengths across and down, px; they differ where pixels are not square.
-        centre_x_px: column of the optical axis; whole numbers are the centres of pixels.
-        centre_y_px: row of the optical axis.
-        height_m: height of the optical centre above the floor; None if unknown.
-        pitch_rad: angle of the optical axis below the horizontal; None if unknown.
-        forward_m: distance of the optical centre ahead of the car's centre.
-        focal_std: standard deviation of the focal lengths, px.
-    """
+    """Camera with a lens of OpenCV's models, without roll, above a flat floor."""
 
     width_px: int
     height_px: int
-    focal_px: tuple[float, float]
-    centre_x_px: float
-    centre_y_px: float
-    height_m: float | None = None
-    pitch_rad: float | None = None
-    forward_m: float = 0.0
+    focal_px: tuple[float, float]  # focal lengths across and down, px; they differ where pixels are not square
+    centre_x_px: float  # column of the optical axis; whole numbers are the centres of pixels
+    centre_y_px: float  # row of the optical axis
+    height_m: float | None = None  # height of the optical centre above the floor; None if unknown
+    pitch_rad: float | None = None  # angle of the optical axis below the horizontal; None if unknown
+    forward_m: float = 0.0  # distance of the optical centre ahead of the car's centre
     lens: Lens = Lens()
-    focal_std: float = 0.0
+    focal_std: float = 0.0  # standard deviation of the focal lengths, px
 
     @property
     def mounted(self) -> bool:

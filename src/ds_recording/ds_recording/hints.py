@@ -46,15 +46,10 @@ LEAST_STD = 0.004
 
 @dataclass(frozen=True, slots=True)
 class Hint:
-    """A motion of the car, each part with its standard deviation, infinite where nothing is known.
+    """A motion of the car, each part with its standard deviation, infinite where nothing is known."""
 
-    Attributes:
-        step: ahead, left, turned to the left: lane widths, lane widths, rad, (3,).
-        std: (3,).
-    """
-
-    step: Array
-    std: Array
+    step: Array  # ahead, left, turned to the left: lane widths, lane widths, rad, (3,)
+    std: Array  # (3,)
 
     @property
     def information(self) -> Array:

@@ -21,14 +21,10 @@ _WIDEST = 4.0
 
 @dataclass(frozen=True)
 class Lens:
-    """Distortion of a lens, in units of the focal length.
+    """Distortion of a lens, in units of the focal length."""
 
-    Attributes:
-        model: one of `MODELS`.
-        coefficients: k1, k2, p1, p2, k3 (plumb_bob), with k4, k5, k6 (rational_polynomial), or k1 to k4 (equidistant).
-    """
-
-    model: str = "plumb_bob"
+    model: str = "plumb_bob"  # one of `MODELS`
+    # k1, k2, p1, p2, k3 (plumb_bob), with k4, k5, k6 (rational_polynomial), or k1 to k4 (equidistant).
     coefficients: tuple[float, ...] = (0.0,) * 5
 
     @property

@@ -29,19 +29,11 @@ PIXEL = 0.7
 
 @dataclass(frozen=True, slots=True)
 class LinePoints:
-    """Middles of painted lines in one image; lengths in lane widths.
+    """Middles of painted lines in one image; lengths in lane widths."""
 
-    Attributes:
-        floor: ahead and left of the car, (n, 2).
-        white: whether a point is white, of an edge, or coloured, of the middle, (n,).
-        spread: derivative of `floor` by column and row times `PIXEL`, (n, 2, 2).
-        pixels: columns and rows, (n, 2).
-    """
-
-    floor: Array
-    white: NDArray[np.bool_]
-    spread: Array
-    pixels: Array
+    floor: Array  # ahead and left of the car, (n, 2)
+    white: NDArray[np.bool_]  # whether a point is white, of an edge, or coloured, of the middle, (n,)
+    spread: Array  # derivative of `floor` by column and row times `PIXEL`, (n, 2, 2)
 
     def __len__(self) -> int:
         return len(self.floor)
@@ -91,7 +83,7 @@ def points_on_floor(pixels_of_lines: tuple[Array, Array, NDArray[np.bool_]], cam
     """
     pixels, ends, white = pixels_of_lines
     if not len(pixels):
-        return LinePoints(np.zeros((0, 2)), white, np.zeros((0, 2, 2)), pixels)
+        return LinePoints(np.zeros((0, 2)), white, np.zeros((0, 2, 2)))
     floor, valid = camera.floor(pixels)
     (low, low_valid), (high, high_valid) = camera.floor(ends[:, 0]), camera.floor(ends[:, 1])
     step = [(camera.floor(pixels + e)[0] - camera.floor(pixels - e)[0]) / 2.0 for e in ((0.3, 0.0), (0.0, 0.3))]
@@ -106,7 +98,7 @@ def points_on_floor(pixels_of_lines: tuple[Array, Array, NDArray[np.bool_]], cam
         own = own[np.argsort(floor[own, 0], kind="stable")]
         chosen.append(own[np.linspace(0, len(own) - 1, MOST).round().astype(int)] if len(own) > MOST else own)
     index = np.concatenate(chosen)
-    return LinePoints(floor[index], white[index], spread[index], pixels[index])
+    return LinePoints(floor[index], white[index], spread[index])
 
 
 def _runs(mask: NDArray[np.bool_]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:

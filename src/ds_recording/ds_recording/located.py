@@ -37,20 +37,13 @@ MAX_FILE = 2**27
 
 @dataclass(frozen=True, kw_only=True)
 class Located:
-    """Where the car was.
+    """Where the car was."""
 
-    Attributes:
-        table: a row for each located image, columns as `COLUMNS`, (n, 14); NaN where a command is unknown.
-        track: centre line of the road, m.
-        lane_width: from the middle of the centre line to the middle of an edge line, m.
-        about: contents of `recording.json`.
-    """
-
-    table: Array
-    track: Track
-    lane_width: float
+    table: Array  # a row for each located image, columns as `COLUMNS`, (n, 14); NaN where a command is unknown
+    track: Track  # centre line of the road, m
+    lane_width: float  # from the middle of the centre line to the middle of an edge line, m
     camera: FloorCamera
-    about: dict[str, Any]
+    about: dict[str, Any]  # contents of `recording.json`
 
     def column(self, name: str) -> Array:
         """One column of the table, (n,)."""

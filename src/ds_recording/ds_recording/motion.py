@@ -40,17 +40,11 @@ GATE = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """Motion of the car's centre, in the axes of the first image.
+    """Motion of the car's centre, in the axes of the first image."""
 
-    Attributes:
-        step: ahead, left, turned to the left: lane widths, lane widths, rad, (3,).
-        covariance: (3, 3).
-        corners: that agree with it.
-    """
-
-    step: Array
-    covariance: Array
-    corners: int
+    step: Array  # ahead, left, turned to the left: lane widths, lane widths, rad, (3,)
+    covariance: Array  # (3, 3)
+    corners: int  # that agree with it
 
 
 class MotionFinder:

@@ -73,21 +73,13 @@ SURPRISE = 2.0 * math.hypot(SCALE_STD, IMAGE_STD)
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """One source of ways or turns.
+    """One source of ways or turns."""
 
-    Attributes:
-        name: field or topic.
-        device: what it is of; sources of one device are different readings of the same values.
-        part: `AHEAD` or `TURN`.
-        times: s, as those of the images, increasing, (m,).
-        values: way or turn since the start, m or rad, (m,); or places, m, (m, 2), for ways without a sign.
-    """
-
-    name: str
-    device: str
-    part: int
-    times: Array
-    values: Array
+    name: str  # field or topic
+    device: str  # what it is of; sources of one device are different readings of the same values
+    part: int  # `AHEAD` or `TURN`
+    times: Array  # s, as those of the images, increasing, (m,)
+    values: Array  # way or turn since the start, m or rad, (m,); or places, m, (m, 2), for ways without a sign
 
     def steps(self, seconds: Array) -> Array:
         """Ways or turns between times, (n,): (n - 1,); NaN in gaps."""
@@ -103,28 +95,17 @@ class Source:
 
 @dataclass(frozen=True, kw_only=True)
 class Checked:
-    """A source beside the images.
-
-    Attributes:
-        scale: motion in images over that of the source, NaN if unknown.
-        bias: of a turn, rad/s; 0 for a way.
-        delay: by which images are later, s.
-        residual: deviation of a motion between two images from theirs, m or rad.
-        std: deviation of the source's own motions, m or rad.
-        left: share of the motion's deviation that is left unexplained.
-        steps: what it says about each motion, m or rad, in the images' scale, (n - 1,); NaN where nothing.
-        reason: why it is not used; empty if it is.
-    """
+    """A source beside the images."""
 
     source: Source
-    scale: float = math.nan
-    bias: float = 0.0
-    delay: float = 0.0
-    residual: float = math.nan
-    std: float = math.nan
-    left: float = math.inf
-    steps: Array
-    reason: str = ""
+    scale: float = math.nan  # motion in images over that of the source, NaN if unknown
+    bias: float = 0.0  # of a turn, rad/s; 0 for a way
+    delay: float = 0.0  # by which images are later, s
+    residual: float = math.nan  # deviation of a motion between two images from theirs, m or rad
+    std: float = math.nan  # deviation of the source's own motions, m or rad
+    left: float = math.inf  # share of the motion's deviation that is left unexplained
+    steps: Array  # what it says about each motion, m or rad, in the images' scale, (n - 1,); NaN where nothing
+    reason: str = ""  # why it is not used; empty if it is
 
     @property
     def about(self) -> dict[str, Any]:

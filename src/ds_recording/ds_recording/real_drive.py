@@ -30,18 +30,13 @@ _LONGEST_GAP = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedOutcome:
-    """What a recording says about a drive.
+    """What a recording says about a drive."""
 
-    Attributes:
-        lateral: largest absolute lateral position until the car leaves its lane, m of the road frame; None if the
-            recording does not tell.
-        share: share of the lane that was driven; None if it does not tell.
-        when: time of its first message, ISO 8601, UTC.
-    """
-
+    # Largest absolute lateral position until the car leaves its lane, m of the road frame; None if the recording does
+    # not tell.
     lateral: float | None
-    share: float | None
-    when: str
+    share: float | None  # share of the lane that was driven; None if it does not tell
+    when: str  # time of its first message, ISO 8601, UTC
 
     def outcome(self, half_lane: float) -> str | None:
         """The outcome that follows from the recording; None if it takes a person to say."""

@@ -40,29 +40,19 @@ SIZES = (16, LARGEST_SIDE)
 
 @dataclass(frozen=True, kw_only=True)
 class Views:
-    """One stretch.
-
-    Attributes:
-        total: images of the whole recording.
-        frames: index of each image in the recording, (n,).
-        seconds: time since the first image of the recording, (n,), increasing.
-        images: (rows, columns, 3) uint8 RGB, n of them, shrunk to `WIDEST_IMAGE`.
-        size: columns and rows of the images as recorded.
-        steering: -1 full left to +1 full right; NaN where unknown, (n,).
-        throttle: NaN where unknown, (n,).
-        centre: colour of the centre line, a key of `ds_recording.lines.CENTRES`.
-    """
+    """One stretch."""
 
     recording: Recording
-    total: int
-    frames: NDArray[np.int64]
-    seconds: Array
+    total: int  # images of the whole recording
+    frames: NDArray[np.int64]  # index of each image in the recording, (n,)
+    seconds: Array  # time since the first image of the recording, (n,), increasing
+    # (rows, columns, 3) uint8 RGB, n of them, shrunk to `WIDEST_IMAGE`.
     images: list[NDArray[np.uint8]] = field(repr=False)
-    size: tuple[int, int]
-    steering: Array
-    throttle: Array
+    size: tuple[int, int]  # columns and rows of the images as recorded
+    steering: Array  # -1 full left to +1 full right; NaN where unknown, (n,)
+    throttle: Array  # NaN where unknown, (n,)
     odometry: list[Source]
-    centre: str
+    centre: str  # colour of the centre line, a key of `ds_recording.lines.CENTRES`
 
 
 def read_views(path: Path, reading: Reading, odometry: str | None = None, centre: str = "yellow") -> Views:

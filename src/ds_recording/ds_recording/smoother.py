@@ -56,46 +56,29 @@ TURNS = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence:
-    """What one stretch of a recording says.
+    """What one stretch of a recording says."""
 
-    Attributes:
-        times: s, (n,), increasing.
-        motions: of each frame, from the one before, hints included; None where it was not seen.
-        hints: about each frame's motion.
-        steering: of each frame, -1 left to +1 right; NaN where unknown, (n,).
-    """
-
-    times: Array
+    times: Array  # s, (n,), increasing
     lines: list[LinePoints]
-    motions: list[Motion | None]
-    hints: list[Hint]
-    steering: Array
+    motions: list[Motion | None]  # of each frame, from the one before, hints included; None where it was not seen
+    hints: list[Hint]  # about each frame's motion
+    steering: Array  # of each frame, -1 left to +1 right; NaN where unknown, (n,)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Poses and road.
+    """Poses and road."""
 
-    Attributes:
-        poses: x, y, yaw, (n, 3).
-        along: station of each pose, (n,).
-        lateral: offset to the right of the centre line, (n,).
-        heading: relative to the line's, left positive, (n,).
-        agree: share of each frame's line points that are where the road has its lines, NaN without points, (n,).
-        residuals: median distance of these points from their line, (n,).
-        steering: gain and delay; None if unknown.
-    """
-
-    poses: Array
+    poses: Array  # x, y, yaw, (n, 3)
     track: Track
-    along: Array
-    lateral: Array
-    heading: Array
+    along: Array  # station of each pose, (n,)
+    lateral: Array  # offset to the right of the centre line, (n,)
+    heading: Array  # relative to the line's, left positive, (n,)
     std_lateral: Array
     std_heading: Array
-    agree: Array
-    residuals: Array
-    steering: Steering | None
+    agree: Array  # share of each frame's line points that are where the road has its lines, NaN without points, (n,)
+    residuals: Array  # median distance of these points from their line, (n,)
+    steering: Steering | None  # gain and delay; None if unknown
 
 
 @dataclass

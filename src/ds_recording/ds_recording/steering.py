@@ -21,25 +21,15 @@ LEAST_SHARE = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class Steering:
-    """Curvature of the path = gain * steering + trim, delayed and lagged.
+    """Curvature of the path = gain * steering + trim, delayed and lagged."""
 
-    Attributes:
-        gain: 1/lane width, left positive, so negative for a car that steers right with positive steering.
-        trim: 1/lane width.
-        delay: s.
-        lag: s.
-        std: standard deviation of what is left, 1/lane width.
-        explained: share of the variance that the steering explains.
-        curvatures: expected for the way to each frame, (n,); NaN where the steering is unknown.
-    """
-
-    gain: float
-    trim: float
-    delay: float
-    lag: float
-    std: float
-    explained: float
-    curvatures: Array
+    gain: float  # 1/lane width, left positive, so negative for a car that steers right with positive steering
+    trim: float  # 1/lane width
+    delay: float  # s
+    lag: float  # s
+    std: float  # standard deviation of what is left, 1/lane width
+    explained: float  # share of the variance that the steering explains
+    curvatures: Array  # expected for the way to each frame, (n,); NaN where the steering is unknown
 
 
 def follow_steering(times: Array, steering: Array, speeds: Array, yaw_rates: Array) -> Steering | None:

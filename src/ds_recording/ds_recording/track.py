@@ -30,15 +30,10 @@ _WALK = 12
 
 @dataclass(frozen=True)
 class Track:
-    """Centre line.
+    """Centre line."""
 
-    Attributes:
-        points: (n, 2) in driving order, about `spacing` apart; a closed one does not repeat its first point.
-        closed: whether the last point is joined to the first.
-    """
-
-    points: Array
-    closed: bool = False
+    points: Array  # (n, 2) in driving order, about `spacing` apart; a closed one does not repeat its first point
+    closed: bool = False  # whether the last point is joined to the first
 
     @cached_property
     def _ends(self) -> Array:

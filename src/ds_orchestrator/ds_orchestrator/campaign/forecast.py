@@ -36,25 +36,15 @@ class MeasuredDrive:
 
 @dataclass(frozen=True, kw_only=True)
 class Forecast:
-    """What a campaign takes.
+    """What a campaign takes."""
 
-    Attributes:
-        drives: number of drives at most.
-        search_drives: number of them by searches, each of which drives one test after the other.
-        searches: number of searches.
-        gate_drives: number of drives of the autopilot at most, which decide whether a test is valid.
-        start_seconds: measured time in which the engine started.
-        measured: the drives that were measured, all at the same time.
-        free: free bytes of the disk.
-    """
-
-    drives: int
-    search_drives: int
+    drives: int  # at most
+    search_drives: int  # of them, by searches, each of which drives one test after the other
     searches: int
-    gate_drives: int
-    start_seconds: float
-    measured: tuple[MeasuredDrive, ...]
-    free: int
+    gate_drives: int  # of the autopilot at most, which decide whether a test is valid
+    start_seconds: float  # measured time in which the engine started
+    measured: tuple[MeasuredDrive, ...]  # the drives that were measured, all at the same time
+    free: int  # free bytes of the disk
 
     @property
     def seconds(self) -> float:

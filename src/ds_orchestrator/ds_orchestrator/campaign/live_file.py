@@ -39,42 +39,31 @@ _LARGEST_NUMBER = 2**63 - 1
 
 
 class LiveDrive(BaseModel):
-    """A drive under way.
-
-    Attributes:
-        began: time at which the engine took it, s since 1970.
-        step: frames so far; this and what follows are None from engines that give no feedback.
-        progress: driven part of the road, in [0, 1].
-        lateral_position: m from the lane's centre, positive to the right.
-    """
+    """A drive under way."""
 
     simulator: SimulatorName = Field(max_length=_LONGEST)
     road_id: str = Field(max_length=_LONGEST)
     seed: int = Field(ge=0, le=_LARGEST_NUMBER)
-    began: float = Field(allow_inf_nan=False)
+    began: float = Field(allow_inf_nan=False)  # time at which the engine took it, s since 1970
+    # Frames so far; this and what follows are None from engines that give no feedback.
     step: int | None = Field(default=None, ge=0, le=_LARGEST_NUMBER)
-    progress: float | None = Field(default=None, ge=0.0, le=1.0)
+    progress: float | None = Field(default=None, ge=0.0, le=1.0)  # driven part of the road, in [0, 1]
+    # Metres from the lane's centre, positive to the right.
     lateral_position: float | None = Field(default=None, allow_inf_nan=False)
 
 
 class Live(BaseModel):
-    """What a campaign does.
+    """What a campaign does."""
 
-    Attributes:
-        updated: time of writing, s since 1970.
-        stage: name of the stage, or "".
-        done: executions that are finished, those of earlier sessions included.
-        total: executions that are expected at the end, or 0 if that is not known yet.
-        seconds_left: estimate of the time that driving still takes, or None.
-        drives: drives under way, the oldest first.
-    """
-
-    updated: float = Field(allow_inf_nan=False)
-    stage: str = Field(default="", max_length=_LONGEST)
+    updated: float = Field(allow_inf_nan=False)  # time of writing, s since 1970
+    stage: str = Field(default="", max_length=_LONGEST)  # name of the stage, or ""
+    # Executions that are finished, those of earlier sessions included.
     done: int = Field(default=0, ge=0, le=_LARGEST_NUMBER)
+    # Executions that are expected at the end, or 0 if that is not known yet.
     total: int = Field(default=0, ge=0, le=_LARGEST_NUMBER)
+    # Estimate of the time that driving still takes, or None.
     seconds_left: float | None = Field(default=None, ge=0.0, allow_inf_nan=False)
-    drives: list[LiveDrive] = Field(default=[], max_length=MOST_DRIVES)
+    drives: list[LiveDrive] = Field(default=[], max_length=MOST_DRIVES)  # drives under way, the oldest first
 
 
 def read_live(folder: Path, now: float) -> Live | None:

@@ -35,19 +35,12 @@ class TlsFiles(Keys):
 
 
 class ClusterOptions(Keys):
-    """Which cluster to use: the keys of the file that `--cluster` names.
+    """Which cluster to use: the keys of the file that `--cluster` names."""
 
-    Attributes:
-        scheduler: address such as `tls://host:8786`; None for a cluster of its own on this machine.
-        listen: address on which the scheduler of an own cluster listens for further workers.
-        tls: files of a connection with encryption and authentication; None for one without.
-        unencrypted: accept a network connection without encryption and authentication.
-    """
-
-    scheduler: str | None = None
-    listen: str = "127.0.0.1"
-    tls: TlsFiles | None = None
-    unencrypted: bool = False
+    scheduler: str | None = None  # address such as `tls://host:8786`; None for a cluster of its own on this machine
+    listen: str = "127.0.0.1"  # address on which the scheduler of an own cluster listens for further workers
+    tls: TlsFiles | None = None  # files of a connection with encryption and authentication; None for one without
+    unencrypted: bool = False  # accept a network connection without encryption and authentication
 
     def check(self) -> None:
         """Check the options against each other, before anything starts.

@@ -45,18 +45,12 @@ class WorkerLostError(Exception):
 
 @dataclass(eq=False)
 class RemoteWorker:
-    """Worker of the cluster.
-
-    Attributes:
-        room: drives that it takes at a time; 0 until it is prepared.
-        drives: results that it owes.
-        refusal: why it may not drive, one line, or "".
-    """
+    """Worker of the cluster."""
 
     address: str
-    room: int = 0
-    drives: set[Future[Any]] = field(default_factory=set)
-    refusal: str = ""
+    room: int = 0  # drives that it takes at a time; 0 until it is prepared
+    drives: set[Future[Any]] = field(default_factory=set)  # results that it owes
+    refusal: str = ""  # why it may not drive, one line, or ""
 
     @property
     def is_free(self) -> bool:

@@ -22,21 +22,14 @@ LARGEST_PART = 2**29
 
 @dataclass(frozen=True, kw_only=True)
 class Parcel:
-    """Files of one campaign, for workers without its folders.
+    """Files of one campaign, for workers without its folders."""
 
-    Attributes:
-        driver: the driver's name where the campaign runs, as those of the simulators.
-        driver_sha256: digest of its files; "" for the autopilot.
-        backend: back end that runs its network; "" for the autopilot.
-        files: path relative to the worker's folder -> content.
-        renamed: name here -> name there, in which `{folder}` stands for the worker's folder.
-    """
-
-    driver: DriverName
-    driver_sha256: str
-    backend: str
+    driver: DriverName  # the driver's name where the campaign runs, as those of the simulators
+    driver_sha256: str  # digest of its files; "" for the autopilot
+    backend: str  # back end that runs its network; "" for the autopilot
     simulators: tuple[SimulatorName, ...]
-    files: dict[str, bytes] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict)  # path relative to the worker's folder -> content
+    # Name here -> name there, in which `{folder}` stands for the worker's folder.
     renamed: dict[str, str] = field(default_factory=dict)
 
     @cached_property

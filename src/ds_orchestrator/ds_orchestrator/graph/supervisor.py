@@ -48,22 +48,14 @@ class ProcessError(RunError):
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessSpec:
-    """Process with a node or two.
+    """Process with a node or two."""
 
-    Attributes:
-        name: name in messages, and of the log.
-        module: Python module to run.
-        arguments: of the command line, before those of ROS.
-        parameters: ROS parameters; lists are written as YAML lists.
-        remappings: topic or service -> name in the graph.
-    """
-
-    name: str
-    module: str
-    arguments: tuple[str, ...] = ()
+    name: str  # name in messages, and of the log
+    module: str  # Python module to run
+    arguments: tuple[str, ...] = ()  # of the command line, before those of ROS
     namespace: str = "/"
-    parameters: dict[str, object]
-    remappings: dict[str, str] = field(default_factory=dict)
+    parameters: dict[str, object]  # ROS parameters; lists are written as YAML lists
+    remappings: dict[str, str] = field(default_factory=dict)  # topic or service -> name in the graph
 
     def command(self) -> list[str]:
         """Build the command line."""

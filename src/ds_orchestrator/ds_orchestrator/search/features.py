@@ -49,42 +49,28 @@ class DriveSeries(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class TestedRun:
-    """What features are computed from: a test, and its run on the sibling whose search generated it.
-
-    Attributes:
-        road: road of the test.
-        conditions: its operating conditions.
-        drive: the run; None before it.
-        visible_contrast: contrast of the lines at the start (`Gate`); None if it was not measured.
-        maxitwo_compatible: count turns as the authors' package does.
-    """
+    """What features are computed from: a test, and its run on the sibling whose search generated it."""
 
     __test__ = False  # not a test case for pytest
 
     road: Road
     conditions: Conditions = DEFAULT
-    drive: DriveSeries | None = None
-    visible_contrast: float | None = None
-    maxitwo_compatible: bool = False
+    drive: DriveSeries | None = None  # the run; None before it
+    visible_contrast: float | None = None  # contrast of the lines at the start (`Gate`); None if it was not measured
+    maxitwo_compatible: bool = False  # count turns as the authors' package does
 
 
 @dataclass(frozen=True, kw_only=True)
 class Bins:
-    """Numbered intervals of a feature's values.
+    """Numbered intervals of a feature's values."""
 
-    Attributes:
-        per_unit: bins of width 1 in one unit of the axis title.
-        size: size of a bin of an imported column, in its unit; None for any other feature.
-        position: converts a value to bins of width 1, if they are not of equal size.
-        edge: converts such a position back to the unit of the title; None for bins of equal size.
-        width: number of bins joined into one.
-    """
-
-    per_unit: int = 1
-    size: float | None = None
+    per_unit: int = 1  # bins of width 1 in one unit of the axis title
+    size: float | None = None  # size of a bin of an imported column, in its unit; None for any other feature
+    # Converts a value to bins of width 1, if they are not of equal size.
     position: Callable[[float], float] | None = None
+    # Converts such a position back to the unit of the title; None for bins of equal size.
     edge: Callable[[int], float] | None = None
-    width: int = 1
+    width: int = 1  # number of bins joined into one
 
     def number(self, value: float) -> int:
         """Compute the bin of a value."""
@@ -102,19 +88,13 @@ class Bins:
 
 @dataclass(frozen=True, kw_only=True)
 class Feature:
-    """One axis of a feature map.
+    """One axis of a feature map."""
 
-    Attributes:
-        name: name in configurations and results.
-        title: axis title, with the unit.
-        value: computes the feature; None if it needs a run, a gate or a condition's value that is missing.
-        bins: intervals into which its values fall.
-    """
-
-    name: str
-    title: str
+    name: str  # name in configurations and results
+    title: str  # axis title, with the unit
+    # Computes the feature; None if it needs a run, a gate or a condition's value that is missing.
     value: Callable[[TestedRun], float | None]
-    bins: Bins = Bins()
+    bins: Bins = Bins()  # intervals into which its values fall
 
     @property
     def axis(self) -> str:

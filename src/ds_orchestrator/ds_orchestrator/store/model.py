@@ -69,15 +69,10 @@ class Test(OfScenario):
 
 @dataclass(frozen=True, eq=False)
 class DriveArrays:
-    """Every frame of a run.
+    """Every frame of a run."""
 
-    Attributes:
-        trajectory: (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s.
-        steering: (steps,) float64, the commands in [-1, 1].
-    """
-
-    trajectory: NDArray[np.float64]
-    steering: NDArray[np.float64]
+    trajectory: NDArray[np.float64]  # (steps + 1, 5) float64: x, y, yaw, speed, lateral position; m, rad, m/s
+    steering: NDArray[np.float64]  # (steps,) float64, the commands in [-1, 1]
 
 
 NO_DRIVE = DriveArrays(np.empty((0, 5)), np.empty(0))
@@ -193,10 +188,6 @@ class StoredDrive:
 
     A file whose store is closed by then is opened once more.
 
-    Attributes:
-        file: file of the campaign.
-        rowid: of the execution; the other attributes are its own, as a large campaign has no memory for whole rows.
-
     Raises:
         StoreError: by its properties: no campaign can have written these frames.
     """
@@ -207,7 +198,7 @@ class StoredDrive:
     max_lateral_position: float
     steps: int
     sha256: str
-    rowid: int
+    rowid: int  # of the execution; the other attributes are its own, as a large campaign has no memory for whole rows
 
     @property
     def trajectory(self) -> NDArray[np.float64]:

@@ -36,22 +36,14 @@ SPACING = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedDrive:
-    """Everything that the sibling knows of a recording, in road metres (16 to a metre on the floor), in the road's box.
+    """What the sibling knows of a recording, in road metres (16 to a metre on the floor), in the road's box."""
 
-    Attributes:
-        poses: x, y (m) and yaw (rad) of the car's centre at each photograph, (n, 3).
-        photographs: as JPEG or PNG files, in the same order.
-        lane: centre line of the lane that was driven.
-        lane_width: m.
-        sha256: of the poses, the track and the camera.
-    """
-
-    poses: Array
-    photographs: tuple[bytes, ...]
+    poses: Array  # x, y (m) and yaw (rad) of the car's centre at each photograph, (n, 3)
+    photographs: tuple[bytes, ...]  # as JPEG or PNG files, in the same order
     camera: FloorCamera
-    lane: Track
-    lane_width: float
-    sha256: str
+    lane: Track  # centre line of the lane that was driven
+    lane_width: float  # m
+    sha256: str  # of the poses, the track and the camera
 
     def photograph(self, index: int) -> NDArray[np.uint8]:
         """Photograph, (rows, columns, 3) uint8 RGB."""

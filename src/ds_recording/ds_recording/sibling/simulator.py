@@ -32,15 +32,11 @@ LOOK = Look(asphalt=(90, 90, 90), grass=(90, 90, 90))
 
 
 class RecordingSettings(Keys, strict=True):
-    """What a user may add to a located recording.
+    """What a user may add to a located recording."""
 
-    Attributes:
-        car: parameter file of the car, written by `ds twin fit`, relative to the folder; None for the nominal car.
-        crop_top: image rows at the top, of 160, that a network does not see.
-    """
-
+    # Parameter file of the car, written by `ds twin fit`, relative to the folder; None for the nominal car.
     car: str | None = None
-    crop_top: Annotated[int, Field(ge=0, lt=160)] = 0
+    crop_top: Annotated[int, Field(ge=0, lt=160)] = 0  # image rows at the top, of 160, that a network does not see
     crop_bottom: Annotated[int, Field(ge=0, lt=160)] = 0
 
 
