@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, requires
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -139,8 +139,7 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
     ]
     for name in needed:
         version, problem = places[name]
-        fix = f"python -m pip install {WHEEL}" if problem else ""
-        checks.append(Check(name, not problem, problem or version, fix))
+        checks.append(_check(name, not problem, version, problem, f"python -m pip install {WHEEL}"))
     for name, group in extras.items():
         version, problem = places[name]
         absent = f"not installed; optional: python -m pip install '{WHEEL}[{group}]'"
@@ -235,10 +234,9 @@ def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:
 
 def check_parts(python: Path) -> list[Check]:
     """List the parts that installed packages add, and check that each can be imported and has what it needs."""
-    try:
-        listed = _answer(python, _PARTS)
-    except LookUpError as error:
-        return [Check("installed parts", False, str(error), _SET_UP)]
+    listed, failure = _answer(python, _PARTS)
+    if failure:
+        return [Check("installed parts", False, failure, _SET_UP)]
     return [
         Check(f"{group} {name}", not problem, f"of {package}" + (f": {problem}" if problem else ""), "")
         for group, name, package, problem in listed
@@ -271,37 +269,26 @@ def look_up(python: Path, modules: Mapping[str, str], *, imports: bool = False) 
 
     Of each distribution, given with the name of its module, returns its version and "", or "" and why it is unusable.
     """
-    try:
-        answer = _answer(python, _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else []))
-    except LookUpError as error:
-        return dict.fromkeys(modules, ("", str(error)))
+    answer, failure = _answer(python, _LOOK_UP, json.dumps(dict(modules)), *(["imports"] if imports else []))
+    if failure:
+        return dict.fromkeys(modules, ("", failure))
     return {name: (version, problem) for name, (version, problem) in answer.items()}
 
 
-class LookUpError(Exception):
-    """The interpreter that looks things up gives no answer."""
-
-
-def _answer(python: Path, script: str, *arguments: str) -> Any:
-    """Run a script in an interpreter and parse the last line that it prints as JSON, or raise `LookUpError`."""
+def _answer(python: Path, script: str, *arguments: str) -> tuple[Any, str]:
+    """Run a script in an interpreter; the last line that it prints, parsed as JSON, or why there is none."""
     try:
         done = subprocess.run(
             [str(python), "-c", script, *arguments], capture_output=True, text=True, check=False, timeout=IMPORT_TIME
         )
     except subprocess.TimeoutExpired:
-        raise LookUpError(f"the interpreter was still importing after {IMPORT_TIME:g} s") from None
+        return None, f"the interpreter was still importing after {IMPORT_TIME:g} s"
     except OSError as error:
-        raise LookUpError(f"the interpreter does not start: {error.strerror}") from None
+        return None, f"the interpreter does not start: {error.strerror}"
     try:
-        return json.loads(done.stdout.splitlines()[-1])
+        return json.loads(done.stdout.splitlines()[-1]), ""
     except (IndexError, ValueError):
-        raise LookUpError(f"the interpreter ended with status {done.returncode} while importing") from None
-
-
-def to_json(checks: Iterable[Check]) -> str:
-    """One JSON document: `ok`, and the list of all checks."""
-    listed = [check._asdict() for check in checks]
-    return json.dumps({"ok": all(check["ok"] for check in listed), "checks": listed}, indent=2)
+        return None, f"the interpreter ended with status {done.returncode} while importing"
 
 
 def show(checks: Sequence[Check]) -> None:
@@ -341,11 +328,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: ds doctor: unknown argument {unknown[0]}; see ds doctor --help", file=sys.stderr)
         return 2
     checks = diagnose(imports="--imports" in words)
+    healthy = all(check.ok for check in checks)
     if "--json" in words:
-        print(to_json(checks))
+        print(json.dumps({"ok": healthy, "checks": [check._asdict() for check in checks]}, indent=2))
     else:
         show(checks)
-    healthy = all(check.ok for check in checks)
     print(f"next: {os.environ.get('DS_COMMAND', 'ds')} {'demo' if healthy else 'doctor'}", file=sys.stderr)
     return 0 if healthy else 1
 

@@ -24,7 +24,7 @@ from ds_recording.mounting import mount
 from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import TURNS, Evidence, Smoother, Solution
-from ds_recording.track import Track
+from ds_recording.track import Track, wrap
 
 Array = NDArray[np.float64]
 LEAST_MOTION = 0.6
@@ -191,7 +191,7 @@ def in_metres(
     stds = [
         np.hypot(std, more) for std, more in zip((solution.std_lateral, solution.std_heading), MODEL_STD, strict=True)
     ]
-    yaw = (solution.poses[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+    yaw = wrap(solution.poses[:, 2])
     table = np.stack(
         (
             views.frames, times, solution.poses[:, 0] * lane_width, solution.poses[:, 1] * lane_width, yaw,

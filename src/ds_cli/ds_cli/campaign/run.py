@@ -265,16 +265,8 @@ def campaign_resume_command(
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
     changed = options.with_engine(stored_config(folder, trust), workers, engine)
-    end(
-        judged(
-            campaign(changed, folder, attach=attach, cluster=options.cluster_of(cluster)),
-            folder,
-            criteria,
-            junit,
-            videos,
-        ),
-        as_json,
-    )
+    result = campaign(changed, folder, attach=attach, cluster=options.cluster_of(cluster))
+    end(judged(result, folder, criteria, junit, videos), as_json)
 
 
 def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions | None, following: str) -> Result:

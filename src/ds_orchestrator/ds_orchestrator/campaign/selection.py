@@ -24,15 +24,10 @@ def roads_of(
     cell: str | None = None,
     test: str | None = None,
 ) -> list[dict[str, Any]]:
-    """Select roads of a campaign.
+    """Select roads of a campaign: of one test, of those driven on a simulator, or of one cell.
 
-    Args:
-        folder: campaign folder.
-        failed: keep roads on which the driver failed, on any simulator or on `simulator`.
-        simulator: keep roads that were driven there.
-        cell: keep roads of this cell, as the axes of `ds maps` or the bins of `ds maps --json` name it, such as
-            `3,0.17` or `3,17`.
-        test: keep the road of this test.
+    `failed` keeps those on which the driver failed, on any simulator or on the one given. A cell is named as by the
+    axes of `ds maps` or the bins of `ds maps --json`, such as `3,0.17` or `3,17`.
 
     Returns:
         Roads as `ds_road.road_from_json` takes them, with `test_id`, `seed`, `cell` (bin by feature) and `outcomes`

@@ -86,7 +86,7 @@ class Bins:
         return str(begin) if self.per_unit == 1 else f"{begin / self.per_unit:.2f}"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Feature:
     """One axis of a feature map."""
 
@@ -132,58 +132,45 @@ def _mean_lateral_position(run: TestedRun) -> float | None:
 
 _HUNDREDTHS = Bins(per_unit=100)
 _ALL = (
-    Feature(name="turns_count", title="turns count", value=_turns_count),
-    Feature(name="curvature", title="curvature, 1/m", bins=_HUNDREDTHS, value=lambda run: run.road.curvature),
-    Feature(name="steering_deviation", title="steering deviation", bins=_HUNDREDTHS, value=_steering_deviation),
-    Feature(
-        name="mean_lateral_position",
-        title="mean lateral position, m",
-        bins=_HUNDREDTHS,
-        value=_mean_lateral_position,
-    ),
-    Feature(
-        name="direction_coverage",
-        title="direction coverage, %",
-        value=lambda run: 100 * direction_coverage(run.road.points),
-    ),
-    Feature(
-        name="minimum_radius",
-        title="minimum radius, feet",
-        value=lambda run: FEET * minimum_radius(run.road.points),
-    ),
+    Feature("turns_count", "turns count", _turns_count),
+    Feature("curvature", "curvature, 1/m", lambda run: run.road.curvature, _HUNDREDTHS),
+    Feature("steering_deviation", "steering deviation", _steering_deviation, _HUNDREDTHS),
+    Feature("mean_lateral_position", "mean lateral position, m", _mean_lateral_position, _HUNDREDTHS),
+    Feature("direction_coverage", "direction coverage, %", lambda run: 100 * direction_coverage(run.road.points)),
+    Feature("minimum_radius", "minimum radius, feet", lambda run: FEET * minimum_radius(run.road.points)),
     # Bins as wide as those of the curvature, so that the axes compare.
     Feature(
-        name="lane_curvature",
-        title="lane curvature, 1/m",
-        bins=_HUNDREDTHS,
-        value=lambda run: max(run.road.lane_curvature_max_right, run.road.lane_curvature_max_left),
+        "lane_curvature",
+        "lane curvature, 1/m",
+        lambda run: max(run.road.lane_curvature_max_right, run.road.lane_curvature_max_left),
+        _HUNDREDTHS,
     ),
     Feature(
-        name="lane_curvature_max_right",
-        title="lane curvature to the right, 1/m",
-        bins=_HUNDREDTHS,
-        value=lambda run: run.road.lane_curvature_max_right,
+        "lane_curvature_max_right",
+        "lane curvature to the right, 1/m",
+        lambda run: run.road.lane_curvature_max_right,
+        _HUNDREDTHS,
     ),
     Feature(
-        name="lane_curvature_max_left",
-        title="lane curvature to the left, 1/m",
-        bins=_HUNDREDTHS,
-        value=lambda run: run.road.lane_curvature_max_left,
+        "lane_curvature_max_left",
+        "lane curvature to the left, 1/m",
+        lambda run: run.road.lane_curvature_max_left,
+        _HUNDREDTHS,
     ),
     Feature(
-        name="other_lane_curvature_max_right",
-        title="other lane's curvature to the right, 1/m",
-        bins=_HUNDREDTHS,
-        value=lambda run: largest_lane_curvature(run.road.other_lane_centre, "right"),
+        "other_lane_curvature_max_right",
+        "other lane's curvature to the right, 1/m",
+        lambda run: largest_lane_curvature(run.road.other_lane_centre, "right"),
+        _HUNDREDTHS,
     ),
     Feature(
-        name="other_lane_curvature_max_left",
-        title="other lane's curvature to the left, 1/m",
-        bins=_HUNDREDTHS,
-        value=lambda run: largest_lane_curvature(run.road.other_lane_centre, "left"),
+        "other_lane_curvature_max_left",
+        "other lane's curvature to the left, 1/m",
+        lambda run: largest_lane_curvature(run.road.other_lane_centre, "left"),
+        _HUNDREDTHS,
     ),
     # DeepHyperion's segment count is the number of turns: its code returns the runs that are not straight.
-    Feature(name="segment_count", title="segment count", value=_turns_count),
+    Feature("segment_count", "segment count", _turns_count),
 )
 
 
