@@ -18,11 +18,10 @@ from ds_road import Road
 from ds_sim.camera.look import Look
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.road_simulator import RoadSimulator
-from ds_sim.simulator import FRAME_TIME, AutopilotGains, Observation, SimulatorSpec, VehicleState
-from ds_twin_donkey.dynamics import SUBSTEPS
+from ds_sim.simulator import Observation, SimulatorSpec, VehicleState
 from ds_twin_donkey.parameter_file import read_parameters
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
-from ds_twin_donkey.simulator import GAINS, PREVIEW_DISTANCE
+from ds_twin_donkey.simulator import DonkeySimulator
 from ds_twin_donkey.vehicle import DonkeyVehicle
 
 SETTINGS = "simulator.yaml"
@@ -64,21 +63,16 @@ class RecordingSimulator(RoadSimulator):
     ) -> None:
         settings, parameters = settings or RecordingSettings(), parameters or DonkeyParameters()
         self.drive, self._photos = drive, PhotoScene(drive)
-        spec = SimulatorSpec(
+        twin = DonkeySimulator(parameters).spec
+        spec = replace(
+            twin,
             name="recording",
             physics="the twin's 1:16 car, on the track of a recording",
-            # As the twin's.
-            vehicle_length=0.28 * SCALE,
-            vehicle_width=0.18 * SCALE,
-            wheelbase=parameters.wheelbase * SCALE,
-            max_steering_angle=parameters.max_steering_angle,
             camera=camera_spec(drive),
             look=LOOK,
             crop_top=settings.crop_top,
             crop_bottom=settings.crop_bottom,
-            autopilot=AutopilotGains(proportional=GAINS.proportional),
-            preview_distance=PREVIEW_DISTANCE,
-            engine=f"own four-wheel model, Runge-Kutta at {SUBSTEPS / FRAME_TIME:g} Hz; photographs moved by the floor",
+            engine=f"{twin.engine}; photographs moved by the floor",
             extra={
                 "scale": f"1:{SCALE:g}",
                 "car": settings.car or "nominal",
