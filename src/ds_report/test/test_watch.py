@@ -27,7 +27,7 @@ from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener
-from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, ObservedEngine, read_live
+from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, read_live
 from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
@@ -236,9 +236,14 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path, m
         live.expect([{BULLET: 10}])
         live.stage("search")
         live.finished(store.tests()[0], BULLET, None, fresh=True)
-        observed = ObservedEngine(GraphEngine([slow], [BULLET], SlowEngine), live)
+        engine = GraphEngine([slow], [BULLET], SlowEngine)
         asked = DriveRequest(test.scenario, DriverName("dave2"), BULLET)
-        thread = threading.Thread(target=observed.drive, args=(asked,))
+
+        def drive() -> None:
+            with live.driving(asked) as watch:
+                engine.drive(asked, watch)
+
+        thread = threading.Thread(target=drive)
         thread.daemon = True
         thread.start()
         deadline = time.monotonic() + 60.0

@@ -21,7 +21,7 @@ from ds_orchestrator.campaign.folder import (
     record_provenance,
     store_of,
 )
-from ds_orchestrator.campaign.live_file import LiveFile, ObservedEngine
+from ds_orchestrator.campaign.live_file import LiveFile
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import is_driven
 from ds_orchestrator.engines.cluster import ClusterOptions
@@ -106,7 +106,7 @@ def run_campaign(
         try:
             with running_engine(settings, logs=folder / "logs") as engine:
                 driven = config.model_copy(update={"driver": settings.driver})
-                campaign = Campaign(driven, folder, store, ObservedEngine(engine, live), live)
+                campaign = Campaign(driven, folder, store, engine, live)
                 (stop or StopSwitch()).connect(campaign.stop, engine.stop)
                 try:
                     if first is not None and not is_short:

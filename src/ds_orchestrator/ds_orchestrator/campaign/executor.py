@@ -7,6 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from ds_base.errors import RunError
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
-from ds_orchestrator.campaign.engine import DriveSettings, Engine
+from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import DriveArrays, Execution, Test
 from ds_orchestrator.store.store import Store
@@ -80,6 +81,10 @@ class Listener:
             execution: outcome; why the test is excluded there; or None if every attempt ended in an error.
             fresh: False if the execution was read from the store.
         """
+
+    def driving(self, request: DriveRequest) -> AbstractContextManager[Watch | None]:
+        """Enter a drive of the driver; what is yielded, if anything, gets its feedback."""
+        return nullcontext()
 
 
 class NoOutcomeError(RunError):
@@ -232,7 +237,9 @@ class Executor:
         """Drive until there is a verdict, or the simulator cannot realise the test; repeats errors `retries` times."""
         for attempt in range(self._settings.retries + 1):
             self._check_stop()
-            run = self._engine.drive(DriveRequest(test.scenario, driver, simulator, probed=probed))
+            request = DriveRequest(test.scenario, driver, simulator, probed=probed)
+            with nullcontext() if probed else self._listener.driving(request) as watch:
+                run = self._engine.drive(request, watch)
             if run.outcome.is_verdict or exclusion_of(run) is not None:
                 return run
             self._check_stop()

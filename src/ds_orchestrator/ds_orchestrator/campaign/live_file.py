@@ -17,14 +17,13 @@ from pydantic import BaseModel, Field, ValidationError
 from ds_base.atomic_files import write_whole
 from ds_base.folder_files import StoreError, read_file
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_orchestrator.campaign.engine import Engine, Watch
+from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import SimulatorName
-from ds_sim.session import RunRecord
 
 EVERY = 1.0
 """Seconds between two writings of the file; chosen: as often as a page asks."""
@@ -121,14 +120,20 @@ class LiveFile(TimedListener):
             self._stage, self._eta = name, Eta()
 
     @contextmanager
-    def driving(self, simulator: SimulatorName, road_id: str, seed: int) -> Iterator[LiveDrive]:
-        """Enter a drive under way; whoever has feedback sets its attributes."""
+    def driving(self, request: DriveRequest) -> Iterator[Watch]:
+        """Enter a drive under way into the file."""
         # Not checked: what is wrong with a name must not end a campaign here.
-        drive = LiveDrive.model_construct(simulator=simulator, road_id=road_id, seed=seed, began=time.monotonic())
+        drive = LiveDrive.model_construct(
+            simulator=request.simulator, road_id=request.road.road_id, seed=request.seed, began=time.monotonic()
+        )
+
+        def watch(step: int, progress: float, lateral_position: float) -> None:
+            drive.step, drive.progress, drive.lateral_position = step, progress, lateral_position
+
         with self._lock:
             self._drives[id(drive)] = drive
         try:
-            yield drive
+            yield watch
         finally:
             with self._lock:
                 del self._drives[id(drive)]
@@ -153,32 +158,3 @@ class LiveFile(TimedListener):
             text = live.model_copy(update={"drives": drives}).model_dump_json()  # names are not checked here
         with suppress(OSError):
             write_whole(self._path, text)
-
-
-class ObservedEngine:
-    """Engine that enters its drives into a live file, those of the gates excepted."""
-
-    def __init__(self, engine: Engine, live: LiveFile) -> None:
-        self._engine, self._live = engine, live
-
-    @property
-    def capacity(self) -> int | None:
-        """See `Engine.capacity`."""
-        return self._engine.capacity
-
-    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        """See `Engine.drive`."""
-        if request.probed:
-            return self._engine.drive(request, watch)
-        with self._live.driving(request.simulator, request.road.road_id, request.seed) as drive:
-
-            def note(step: int, progress: float, lateral_position: float) -> None:
-                drive.step, drive.progress, drive.lateral_position = step, progress, lateral_position
-                if watch is not None:
-                    watch(step, progress, lateral_position)
-
-            return self._engine.drive(request, note)
-
-    def stop(self) -> None:
-        """See `Engine.stop`."""
-        self._engine.stop()
