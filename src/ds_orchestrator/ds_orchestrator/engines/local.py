@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 
@@ -74,25 +75,11 @@ def running_local(driver: DriverName, *, workers: int, command_timeout: float, l
     """
     enter_folder(logs)
     with ExitStack() as stack:
+        threads = stack.enter_context(ThreadPoolExecutor(workers))
         pool = []
         for number in range(1, workers + 1):
             log = logs / f"worker_{number}.log"
             pool.append(WorkerProcess(driver, command_timeout=command_timeout, log=log))
             stack.callback(pool[-1].close)
-        batches: list[int] = []
-        failures: list[Exception] = []
-
-        def start(worker: WorkerProcess) -> None:
-            try:
-                batches.append(worker.start())
-            except Exception as error:
-                failures.append(error)
-
-        starters = [threading.Thread(target=start, args=(worker,), daemon=True) for worker in pool]
-        for starter in starters:
-            starter.start()
-        for starter in starters:
-            starter.join()
-        if failures:
-            raise failures[0]
+        batches = threads.map(WorkerProcess.start, pool)
         yield LocalEngine(pool, min(DRIVES_PER_WORKER, *batches))
