@@ -15,7 +15,7 @@ from ds_base.installation import ds_command
 from ds_base.words import duration
 from ds_cli import options
 from ds_cli.output import Interrupted, Result, end, say, warning
-from ds_sim.conditions.model import Conditions, ConditionsError
+from ds_sim.conditions.model import ConditionsError
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 
@@ -96,28 +96,16 @@ def _run_on_nodes(
         return client.execute(sim, scenario, conditions_of_node=own, watch=progress.update)
 
 
-def seed_of(road: Path | None) -> int:
-    """The seed that a road file of `ds campaign roads` names, else 0."""
-    seed = _test_in(road).get("seed")
-    return seed if isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32 else 0
-
-
-def conditions_in(road: Path | None) -> Conditions:
-    """The conditions that a road file of `ds campaign roads` names, else the default."""
-    from ds_sim.conditions.text import parse_conditions
-
-    text = _test_in(road).get("conditions", "")
-    if not isinstance(text, str):
-        raise ConditionsError(f"{road}: its conditions are not a text, expected such as visibility=40")
-    return parse_conditions(text)
-
-
-def _test_in(road: Path | None) -> dict[str, Any]:
-    """What a file of one road holds beside it."""
+def _test_in(road: Path | None) -> tuple[int, object]:
+    """Seed and conditions that a file of one road has beside it, as of `ds campaign roads`; else 0 and none."""
     from ds_road import read_raw_roads
 
     raw = read_raw_roads(road) if road is not None else []
-    return raw[0] if len(raw) == 1 and isinstance(raw[0], dict) else {}
+    about = raw[0] if len(raw) == 1 and isinstance(raw[0], dict) else {}
+    seed, conditions = about.get("seed"), about.get("conditions", "")
+    if isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed < 2**32:
+        return seed, conditions
+    return 0, conditions
 
 
 @app.command("drive")
@@ -194,9 +182,13 @@ def drive_command(
     from ds_sim.resimulation import resimulate
     from ds_sim.video import check_path, write_video
 
-    chosen = seed if seed is not None else seed_of(road)
+    own_seed, own_conditions = _test_in(road)
+    chosen = own_seed if seed is None else seed
     network = options.driver_named(driver, backend, device)
-    under = conditions_in(road) if conditions is None else parse_conditions(conditions)
+    said = own_conditions if conditions is None else conditions
+    if not isinstance(said, str):
+        raise ConditionsError(f"{road}: its conditions are not a text, expected such as visibility=40")
+    under = parse_conditions(said)
     way = one_road(road, chosen, max_angle, lane, own=own_road_of(sim) if road is None else None)
     scenario, used_engine = Scenario(way, under, seed=chosen), engine_here(engine, attach=attach)
     if bag is not None:

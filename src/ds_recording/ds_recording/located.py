@@ -84,6 +84,5 @@ def read_located(folder: Path) -> Located:
     except (OSError, ValueError, FileError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{folder}: {reason!s:.200}: give a folder that `ds recording locate` wrote") from None
-    track, _ = read_track(folder / TRACK)
-    camera = read_camera(folder / CAMERA)
+    track, camera = read_track(folder / TRACK), read_camera(folder / CAMERA)
     return Located(table=table, track=track, lane_width=float(width), camera=camera, about=about)

@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_regular
 from ds_recording.errors import RecordingError
+from ds_road import RoadError, tracks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -132,30 +133,19 @@ def write_track(path: Path, track: Track, half_width: float) -> None:
     write_whole(path, "\n".join([HEADER, *rows]) + "\n")
 
 
-def read_track(path: Path) -> tuple[Track, Array]:
-    """Read a RoboRacer track file.
-
-    Returns:
-        Centre line, closed if its ends are at most two steps apart, and the widths to its right and left, (n, 2) m.
+def read_track(path: Path) -> Track:
+    """Read a RoboRacer track file; the line is closed if its ends are at most two steps apart.
 
     Raises:
         RecordingError: it cannot be read, or is no such file.
     """
     try:
-        text = read_regular(path, MAX_TRACK_FILE).decode()
-        rows = [line.split(",") for line in text.splitlines() if line.strip() and not line.startswith("#")]
-        values = np.array([[float(v) for v in row] for row in rows])
-    except (OSError, UnicodeDecodeError, FileError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise RecordingError(f"{path}: {reason!s:.200}: expected lines x_m,y_m,w_tr_right_m,w_tr_left_m") from None
-    if values.ndim != 2 or values.shape[1] != 4 or len(values) < 4 or not np.isfinite(values).all():
-        raise RecordingError(
-            f"{path}: expected 4 or more lines of four finite numbers x_m,y_m,w_tr_right_m,w_tr_left_m"
-        )
-    steps = np.hypot(*np.diff(values[:, :2], axis=0).T)
-    if (steps <= 0.0).any():
-        raise RecordingError(f"{path}: two neighbouring points are the same: remove one of them")
+        points = tracks.read_track(read_regular(path, MAX_TRACK_FILE)).points
+    except (OSError, FileError, RoadError) as error:
+        raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error!s:.200}") from None
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    if len(points) < 4 or (steps <= 0.0).any():
+        raise RecordingError(f"{path}: expected 4 or more points, of which no neighbours are the same")
     if not steps.sum() <= MAX_LENGTH:
         raise RecordingError(f"{path}: {steps.sum():.3g} m long, expected at most {MAX_LENGTH:g} m on the floor")
-    closed = bool(np.hypot(*(values[-1, :2] - values[0, :2])) <= 2.0 * np.median(steps))
-    return Track(values[:, :2], closed), values[:, 2:]
+    return Track(points, bool(np.hypot(*(points[-1] - points[0])) <= 2.0 * np.median(steps)))

@@ -174,7 +174,7 @@ def test_only_its_own_track_is_driven(folder: Path) -> None:
             "located.csv needs a row of 14 numbers",
         ),
         ("camera.yaml", "focal_px: -1\n", "camera.yaml: "),
-        ("track.csv", "0,0\n", "expected 4 or more lines"),
+        ("track.csv", "0,0\n", "track.csv: not a track: expected at least two lines"),
         ("simulator.yaml", "car: 3\n", "simulator.yaml: car: "),
         ("simulator.yaml", "crop_top: 500\n", "simulator.yaml: crop_top: 500, expected below 160"),
     ],
