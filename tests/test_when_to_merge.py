@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The study of when to merge: its analysis computes the paper's numbers, and its plan is whole."""
 
+import csv
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
@@ -54,3 +55,15 @@ def test_a_table_of_a_campaign_gives_the_campaign_again(tmp_path: Path) -> None:
     write_table(data, tmp_path / "table.parquet")
     again = read(tmp_path / "table.parquet")
     assert (again.tests, again.config) == (data.tests, data.config) and maps_of(again) == maps_of(data)
+
+
+def test_the_page_says_what_the_table_of_cases_says() -> None:
+    with Path("docs/data/when_to_merge_plain.csv").open(newline="") as file:
+        cases = list(csv.DictReader(file))
+    page = " ".join(Path("docs/when_to_merge.md").read_text().split())
+    better = sum(float(case["low"]) > 0 for case in cases)
+    worse = [sum(float(one["high"]) < 0 for one in cases if one["both_harder"] == kind) for kind in ("True", "False")]
+    both = sum(case["both_harder"] == "True" for case in cases)
+    assert better == 0 and f"in none of {len(cases)} cases" in page and f"in {sum(worse)} it was worse" in page
+    assert f"| {both} | 4 | -0.03 (-0.30 to +0.23) | 0 | {worse[0]} |" in page
+    assert f"| {len(cases) - both} | 5 | **-0.22** (-0.31 to -0.12) | 0 | {worse[1]} |" in page

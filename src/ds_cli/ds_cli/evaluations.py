@@ -97,9 +97,9 @@ def evaluate_command(
 ) -> None:
     """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
 
-    The tables of the paper show its numbers next to those of your campaign, and which operator suits it. With --data
-    and no campaign, you get RQ1 of any network: its steering errors on the images of the siblings and of the twin,
-    without driving. With --json, CSV and LaTeX, all tables.
+    The tables of the paper show its numbers next to those of your campaign. With --data and no campaign, you get RQ1 of
+    any network: its steering errors on the images of the siblings and of the twin, without driving. With --json, CSV
+    and LaTeX, all tables.
 
     Example: ds evaluate out
     """
@@ -122,22 +122,21 @@ def evaluate_command(
     from ds_driver.networks.received_driver import received_driver
     from ds_orchestrator.campaign.folder import read_folder
     from ds_report.build import RQ1
-    from ds_report.sections import merge_tables, sibling_section
+    from ds_report.sections import sibling_section
 
     if out is not None:
         make_folder(out)
     with locked(folder) if out is None or data is not None else nullcontext():
         campaign = read_folder(folder)
         config, maps = campaign.config, maps_of(campaign)
-        cases = merge_tables(folder, campaign)
-        if config.twin is None and (data is not None or not cases):
+        if config.twin is None:
             raise OpenLoopError(f"the campaign in {folder} has no twin, so there is nothing to compare its maps with")
         tables = []
-        if data is not None and config.twin is not None:
+        if data is not None:
             received_driver(config.driver, confirmed=trusted)
             tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
             keep_tables(tables, folder / RQ1)
-        tables += [*tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps)), *cases]
+        tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
         tables += section.tables if (section := sibling_section(campaign)) else []
         following = ds_command("report", folder)
         result = tables_result(tables, out or folder / "evaluation", following, everything=everything)

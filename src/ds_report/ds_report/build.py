@@ -50,7 +50,7 @@ def write_all(
     """
     from ds_report.heatmap import write_maps
     from ds_report.html_report import SHOWN_TESTS, write_report
-    from ds_report.sections import answer_section, failure_section, further_map, merge_tables, sibling_section
+    from ds_report.sections import answer_section, failure_section, further_map, sibling_section
 
     report, listener = folder / "report.html", listener or Listener()
     count, results = store.count_results(), store.results()
@@ -85,7 +85,7 @@ def write_all(
     listener.stage("evaluation")
     correlations = correlations_of(data.config, maps)
     differences = paired_differences_of(data.config, maps)
-    tables = [*tables_of(data.config, maps, correlations, differences), *merge_tables(folder, data)]
+    tables = tables_of(data.config, maps, correlations, differences)
     write_json(folder / CORRELATIONS, [one.document() for one in correlations])
     siblings = sibling_section(data)
     excluded = [excluded_table(data)] if data.excluded else []

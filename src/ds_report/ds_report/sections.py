@@ -14,7 +14,6 @@ from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, t
 from ds_analysis.common.selection import most_frequent
 from ds_analysis.common.statistics import families_of
 from ds_analysis.failures.reasons import FailureReason, groups_of, reasons_of, where
-from ds_analysis.paper.merge_case import merge_case_table, merge_cases
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.verdicts import ERROR_RATE, Verdicts, cell_table
 from ds_analysis.real.records import RecordError, read_drives
@@ -74,15 +73,6 @@ def _reading(verdicts: Verdicts, drives: int) -> str:
         f"would; either is meant to be wrong at most {wrong} of the time. Where that cannot be said, it is disputed. "
         f"The table has 90% intervals.{framed}"
     )
-
-
-def merge_tables(folder: Path, data: CampaignData) -> list[Table]:
-    """Tabulate which operator suits a campaign; the answer's section says if the car's drives are damaged."""
-    try:
-        driven = {drive.test_id: drive.failed for drive in read_drives(folder)}
-    except (RecordError, StoreError):
-        driven = {}
-    return [merge_case_table(cases)] if (cases := merge_cases(data, driven)) else []
 
 
 @dataclass(frozen=True, kw_only=True)
