@@ -62,7 +62,7 @@ def write_all(
             _ = execution.trajectory  # damage is found before anything is written
     for name in data.config.simulators:
         try:
-            received_simulator(name, confirmed=trusted, option="--trust")
+            received_simulator(name, confirmed=trusted)
         except UntrustedSimulatorError as error:
             LOG.warning("report without its pictures: %s", error)
     began = time.monotonic()

@@ -210,7 +210,7 @@ def camera_picture(
 ) -> CameraPicture:
     """Render a place of a road on a simulator, driven by the autopilot; below it what a driver sees."""
     try:
-        with closing(make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))) as simulator:
+        with closing(make_simulator(received_simulator(name, confirmed=trusted))) as simulator:
             reached = _drive_to(simulator, scenario)
             physics = simulator.spec.physics
             image = _paired(reached.image, driver, name)
@@ -260,7 +260,7 @@ def drive_pictures(
         if not drives:
             return {}
         try:
-            simulator = make_simulator(received_simulator(name, confirmed=trusted, option="--trust"))
+            simulator = make_simulator(received_simulator(name, confirmed=trusted))
         except Exception as error:  # a missing or broken simulator must not prevent the report
             return dict.fromkeys(drives, _no_pictures(error))
         with closing(simulator):

@@ -198,17 +198,16 @@ class UntrustedSimulatorError(InputError):
     """A received file names a simulator whose code is not shipped, and nobody confirmed it."""
 
 
-def received_simulator(name: object, *, confirmed: Collection[str] = (), option: str = "--trust") -> SimulatorName:
+def received_simulator(name: object, *, confirmed: Collection[str] = ()) -> SimulatorName:
     """Check a simulator name that was read from a received file, before anything is imported.
 
     A shipped simulator may be named freely, with a parameter file too: `donkey@FILE` opens one regular file of YAML, of
     bounded size, in which nothing can run. Any other name imports Python code, and `ros@FILE` commands whatever listens
-    to its topics: the user repeats exactly that name in an option.
+    to its topics: the user repeats exactly that name with `--trust`.
 
     Args:
         name: as the file has it.
         confirmed: names that the user gave on the command line or in a configuration of their own.
-        option: option that confirms a name, for the message.
 
     Returns:
         The name, safe to hand to `make_simulator`.
@@ -240,9 +239,7 @@ def received_simulator(name: object, *, confirmed: Collection[str] = (), option:
         reason = f"{what}, which a received file must not decide"
     else:
         reason = "is Python code that is not shipped, and a received file must not run code"
-    raise UntrustedSimulatorError(
-        f"simulator {shown} {reason}: if you trust it, name it yourself with {option} {shown}"
-    )
+    raise UntrustedSimulatorError(f"simulator {shown} {reason}: if you trust it, name it yourself with --trust {shown}")
 
 
 def simulator_class(base: str) -> type[Simulator]:

@@ -146,5 +146,5 @@ def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
     from ds_sim.registry import received_simulator
 
     for name in config.simulators:
-        received_simulator(name, confirmed=trusted, option="--trust")
+        received_simulator(name, confirmed=trusted)
     received_driver(config.driver, confirmed=trusted)

@@ -117,7 +117,7 @@ def suite_run_command(
     check_writable(junit, markdown, update)
     tests = suite_file.read_suite(suite)
     for name in tests.simulators:
-        received_simulator(name, confirmed=trust or [], option="--trust")
+        received_simulator(name, confirmed=trust or [])
     candidate = network_named(network, tests.simulators)
     code = code_sha256()
     source = f"The {len(tests.tests)} tests of the suite {suite.name} on {', '.join(tests.simulators)}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive as it is asked for, of this process, of others on this machine, or of other machines."""
+"""A request for one drive, to this process, a local worker or another machine."""
 
 from __future__ import annotations
 
@@ -18,14 +18,7 @@ from ds_sim.simulator import Outcome, Reason
 
 @dataclass(frozen=True)
 class DriveRequest(OfScenario):
-    """One scenario to drive.
-
-    Attributes:
-        scenario: road to drive, operating conditions, and seed of the run.
-        driver: the autopilot, or what `ds_driver.networks.network_driver.NetworkDriver` accepts.
-        simulator: name known to `ds_sim.registry`.
-        probed: measure the contrast of the lines; see `ds_sim.gates`.
-    """
+    """One scenario to drive; if `probed`, the contrast of the lines is measured, see `ds_sim.gates`."""
 
     scenario: Scenario
     driver: DriverName

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Process that drives roads for `ds_driver.closed_loop.worker_process.WorkerProcess`, without ROS.
 
-Requests and answers are frames of a `multiprocessing.connection.Connection`: a request is one JSON object (the key and
-a `ds_driver.closed_loop.drive_request.DriveRequest`); an answer is the key and the run of `ds_sim.run_codec`.
-The first answer says whether the driver was loaded. Nothing is pickled.
+Over a `multiprocessing.connection.Connection`, a request is one JSON object (the key and a `DriveRequest`), an answer
+the key and the run of `ds_sim.run_codec`; the first says whether the driver was loaded. Nothing is pickled.
 """
 
 from __future__ import annotations
@@ -33,10 +32,7 @@ LARGEST_ANSWER = 2**30
 
 
 class PhaseMemory:
-    """A few bytes that one process writes and another reads.
-
-    Its `descriptor` is passed on to the other process, which opens the memory with it.
-    """
+    """A few bytes that one process writes and another reads, which opens them with the `descriptor`."""
 
     def __init__(self, file: int | None = None) -> None:
         if file is None:
@@ -103,8 +99,7 @@ def _answer(connection: Connection, key: int, run: RunRecord) -> None:
     try:
         encoded = encode_run(run)
     except RunCodecError as error:  # a simulator whose numbers are not finite
-        failed = RunRecord(scenario=run.scenario, outcome=Outcome.SIM_ERROR, message=str(error))
-        encoded = encode_run(failed)
+        encoded = encode_run(RunRecord(scenario=run.scenario, outcome=Outcome.SIM_ERROR, message=str(error)))
     connection.send_bytes(KEY.pack(key) + encoded)
 
 

@@ -26,7 +26,7 @@ from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
 START_TIME = 90.0
-"""Limit for loading the driver, s; as for the start of a ROS graph."""
+"""Limit for loading the driver, s."""
 LOAD_TIME = 90.0
 """Limit for making a simulator and loading a road, s; chosen: importing a simulator on a busy machine takes 10 s."""
 TAKE_TIME = 30.0
@@ -124,7 +124,6 @@ class WorkerProcess:
         return None if self._process is None else self._process.child.pid
 
     def _running(self) -> _Process:
-        """The process, started if it does not run; the lock is held."""
         failed = ""
         for _ in range(STARTS):
             if self._process is not None and self._process.alive:
@@ -166,7 +165,6 @@ class _Process:
         return not self._ended and self.child.poll() is None
 
     def request(self, key: int, asked: DriveRequest) -> Future[RunRecord]:
-        """Send a drive; its future holds the record, or `_Lost` if the process ends."""
         answer: Future[RunRecord] = Future()
         with self._lock:
             if self._ended:

@@ -12,13 +12,9 @@ _STANDSTILL = 0.1
 
 
 def throttle(steering: float, speed: float, *, max_speed: float = 30.0, min_speed: float = 15.0) -> float:
-    """Throttle in [0, 1] by the paper's equation 2.
+    """Throttle in [0, 1] by the paper's equation 2, for steering in [-1, 1] at a speed in m/s.
 
-    Args:
-        steering: steering in [-1, 1].
-        speed: current speed, m/s.
-        max_speed: speed threshold, and K = H below it, km/h (paper 4.2.4: 30).
-        min_speed: K = L above the threshold, km/h (maxitwo: 15).
+    K is H, `max_speed` in km/h (paper 4.2.4: 30), up to that speed, and L, `min_speed` (maxitwo: 15), above it.
     """
     kmh = speed * 3.6
     k = min_speed if kmh > max_speed else max_speed
@@ -35,8 +31,8 @@ ROWS_SEEN = (0, 1)
 class Autopilot:
     """Autopilot by the paper's equation 1: a PID controller on the lateral position, for one run.
 
-    The lateral position is taken at a preview point ahead of the vehicle (`preview_lateral_position`), as a human
-    driver looks ahead; the authors' simulators also send the autopilot a separate error (`cte_pid`).
+    The position is that of a preview point ahead of the vehicle (`preview_lateral_position`); the authors' simulators
+    also send the autopilot a separate error (`cte_pid`).
 
     Examples:
         >>> from ds_driver import Autopilot
@@ -53,12 +49,7 @@ class Autopilot:
         self._total = 0.0
 
     def command(self, lateral_position: float, speed: float) -> Command:
-        """Compute the command that steers back to the centre of the lane.
-
-        Args:
-            lateral_position: lateral position of the preview point, m, right positive.
-            speed: current speed, m/s.
-        """
+        """Steer back to the centre of the lane from a lateral position, m, right positive, at a speed, m/s."""
         gains = self._gains
         previous = lateral_position if self._previous is None else self._previous
         self._previous = lateral_position
@@ -69,7 +60,4 @@ class Autopilot:
             + gains.integral * self._total
         )
         steering = min(max(steering, -1.0), 1.0)
-        return Command(
-            steering,
-            throttle(steering, speed, max_speed=gains.max_speed, min_speed=gains.min_speed),
-        )
+        return Command(steering, throttle(steering, speed, max_speed=gains.max_speed, min_speed=gains.min_speed))

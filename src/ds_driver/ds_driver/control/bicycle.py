@@ -26,12 +26,7 @@ class MotionError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Geometry of a vehicle, needed to convert angles, curvatures and yaw rates to steering.
-
-    Attributes:
-        wheelbase: m.
-        max_steering_angle: angle of the front wheels at |steering| = 1, rad.
-    """
+    """Geometry of a vehicle: its wheelbase, m, and the angle of the front wheels at |steering| = 1, rad."""
 
     wheelbase: float
     max_steering_angle: float
@@ -70,11 +65,10 @@ class Geometry:
 
 
 def pursuit_curvature(path: NDArray[np.float64], lookahead: float) -> float:
-    """Curvature of the arc from the rear axle to a path's first point at a distance: pure pursuit.
+    """Curvature of the arc from the rear axle to a path's first point at a distance, `lookahead` in m: pure pursuit.
 
-    Args:
-        path: (n, 2) points that follow each other, m ahead and to the left of the middle of the rear axle, n >= 1.
-        lookahead: distance of the point, m; a shorter path is pursued to its end.
+    The path is (n, 2) points, m ahead and to the left of the middle of the rear axle; a shorter one is pursued to its
+    end.
 
     Returns:
         1/m, left positive; 0 for a point on the axle itself.

@@ -8,8 +8,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-HabitKind = Literal["saturated", "constant", "crawls"]
-
 SATURATED_SHARE = 0.5
 """Share of a drive's commands at full lock from which the driver counts as saturated; chosen: half of a drive."""
 CONSTANT_SPREAD = 1e-3
@@ -23,32 +21,23 @@ _FULL_LOCK = 1.0 - 1e-9
 
 
 class Habit(NamedTuple):
-    """One thing about a driver's commands that its user should know.
+    """One thing about a driver's commands that its user should know, with its number and the usual cause."""
 
-    Attributes:
-        kind: saturated, constant or crawls.
-        text: what was seen, with its number, and the usual cause.
-    """
-
-    kind: HabitKind
+    kind: Literal["saturated", "constant", "crawls"]
     text: str
 
 
 def command_habits(steering: NDArray[np.float64], speed: NDArray[np.float64]) -> tuple[Habit, ...]:
-    """Find what is unusual in the commands of one or several drives.
-
-    Args:
-        steering: (frames,) commands, clipped to [-1, 1].
-        speed: (frames,) or longer, m/s.
+    """Find what is unusual in the steering of drives, (frames,) clipped to [-1, 1], and in their speeds, m/s.
 
     Examples:
         >>> import numpy as np
         >>> [habit.kind for habit in command_habits(np.ones(100), np.full(101, 6.0))]
         ['saturated', 'constant']
     """
-    habits: list[Habit] = []
     if len(steering) < FEWEST:
         return ()
+    habits = []
     share = float(np.mean(np.abs(steering) >= _FULL_LOCK))
     if share >= SATURATED_SHARE:
         habits.append(

@@ -15,6 +15,7 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, Generic, TypeVar
 
 from ds_driver.control.bicycle import Geometry, MotionError
@@ -36,12 +37,7 @@ within 0.3 m/s after six seconds, with an overshoot of 0.5 m/s at most."""
 
 @dataclass(frozen=True, slots=True)
 class MotionRequest:
-    """Request of a driver of any stack.
-
-    Attributes:
-        steering: -1 full left to +1 full right.
-        speed: desired speed, m/s; None if a throttle is given instead.
-        throttle: 0 to 1; None if a speed is given instead.
+    """Request of a driver of any stack: steering, -1 full left to +1 full right, and a speed, m/s, or a throttle.
 
     Raises:
         MotionError: a value is not finite or requests reversing, or not exactly one of speed and throttle is given.
@@ -116,13 +112,10 @@ class MessageKind:
     """Type of message used by other stacks to drive.
 
     Attributes:
-        package: package that defines the message.
-        type_name: name of the message in that package.
         topic: usual topic, relative.
         stamp: attribute path from the message to its stamp; "" if it has none.
         fields: attribute paths from the message to its two numbers.
-        decode: converts these numbers to a motion.
-        encode: converts a motion to them.
+        decode: converts these numbers to a motion, as `encode` does the other way.
         needs_throttle: whether it carries a throttle instead of a speed.
     """
 
@@ -134,6 +127,18 @@ class MessageKind:
     decode: Callable[[float, float, Geometry], MotionRequest]
     encode: Callable[[MotionRequest, Geometry], tuple[float, float]]
     needs_throttle: bool = False
+
+    @property
+    def message_class(self) -> Any:
+        """Import the class of the message.
+
+        Raises:
+            ValueError: its package is not installed.
+        """
+        try:
+            return getattr(import_module(f"{self.package}.msg"), self.type_name)
+        except ImportError:
+            raise ValueError(f"{self.package} is not installed: install it, or choose another message") from None
 
     def read(self, message: Any, geometry: Geometry) -> MotionRequest:
         """Convert a message.
@@ -175,8 +180,8 @@ throttle: shares in [-1, 1], left positive.
 class StampMatcher(Generic[FrameT, CommandT]):
     """Pairs frames and commands, whichever arrives first.
 
-    A command with the stamp of a frame answers that frame. A command without a stamp answers the newest unanswered
-    frame, or else the next one to arrive. `FrameT` and `CommandT` are the types stored for a frame and for a command.
+    A command with the stamp of a frame answers that frame, one without a stamp the newest unanswered frame, or else the
+    next one to arrive.
     """
 
     def __init__(self) -> None:

@@ -25,7 +25,7 @@ from ds_sim.camera.encodings import jpeg
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.registry import SimulatorName, simulator_of_process, spec_of
-from ds_sim.simulator import Command, Outcome, Simulator
+from ds_sim.simulator import Command, Outcome
 
 DIRECTIONS = ("forward", "reverse")
 
@@ -36,8 +36,8 @@ class CollectionPlan:
 
     Attributes:
         roads: number of roads, each driven in both directions (paper 4.2.2: 25).
-        seed: seed of roads and disturbances.
-        max_angle: largest angle of the roads, degrees (paper 4.2.2: 270).
+        seed: of roads and disturbances.
+        max_angle: largest angle of random roads, degrees (paper 4.2.2: 270).
         disturbance: largest steering in [0, 1] that is added to the autopilot's but not to the label; 0 in the paper.
             With 0.5 a network learns to return to its lane and hardly ever fails.
         every: keep every n-th frame.
@@ -89,15 +89,10 @@ class GivenRoad(NamedTuple):
 
 
 def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
-    """Read roads, as `ds campaign roads --failed` writes them, and put mutants beside each.
-
-    Args:
-        file: roads as JSON, each with the `conditions` of its test as text if it had any.
-        mutants: number of mutants of each road, made as the search makes them, under the same conditions.
-        seed: of the mutants.
+    """Read roads, as `ds campaign roads --failed` writes them, and put mutants beside each, made as the search does.
 
     Returns:
-        Each road followed by its mutants; none twice under the same conditions.
+        Each road followed by its mutants, under the conditions of its test; none twice under the same conditions.
 
     Raises:
         DatasetError: the file holds no road, or conditions that are not a text.
@@ -133,7 +128,6 @@ class _Job(NamedTuple):
 
     @property
     def road(self) -> Road:
-        """The road in the job's direction."""
         return self.given.road if self.direction == "forward" else self.given.road.reversed()
 
 
@@ -144,15 +138,10 @@ def collect(
     progress: Progress,
     roads: Sequence[GivenRoad] | None = None,
 ) -> None:
-    """Drive every road; skip drives whose file exists, so a stopped collection resumes.
+    """Drive every road, and write the folder of a data set; skip drives whose file exists, so a stopped one resumes.
 
-    Args:
-        plan: settings; `max_angle` is for random roads only.
-        simulators: names of the simulators.
-        folder: folder of the data set, created if missing.
-        progress: counts the drives.
-        roads: roads to drive instead of random ones; a direction in which one is not valid is left out, and so is a
-            simulator that cannot realise its conditions.
+    Given `roads` are driven instead of random ones; a direction in which one is not valid is left out, and so is a
+    simulator that cannot realise its conditions. `progress` counts the drives.
 
     Raises:
         ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
@@ -179,26 +168,12 @@ def collect(
 
 
 def _collect(plan: CollectionPlan, job: _Job) -> str:
-    """Drive one road and write its file; return a line for the user."""
+    """Drive one road with disturbed commands, and write its frames, labelled with the undisturbed ones."""
     simulator, conditions = simulator_of_process(job.simulator), job.given.conditions
     rng = np.random.default_rng([plan.seed, job.number, job.direction == "reverse", crc32(job.simulator.encode())])
-    rows, outcome = _drive(simulator, job.road, rng, plan, conditions)
-    if outcome is not Outcome.COMPLETED and not conditions.is_default:
-        rows = []  # where the autopilot fails, no network can do what it does
-    for row in rows:
-        row.update(simulator=job.simulator, road_id=job.given.family, direction=job.direction)
-    write_drive(job.path, rows)
-    return f"{job.simulator} {job.given.name} {job.direction}: {outcome.name.lower()}, {len(rows)} images"
-
-
-def _drive(
-    simulator: Simulator, road: Road, rng: np.random.Generator, plan: CollectionPlan, conditions: Conditions
-) -> tuple[list[dict[str, object]], Outcome]:
-    """Drive a road with disturbed autopilot commands; label each frame with the undisturbed one."""
-    gains = simulator.spec.autopilot
-    autopilot = Autopilot(gains)
-    observation = simulator.load(road, seed=int(rng.integers(2**31)), conditions=conditions)
-    push, rows = 0.0, []
+    autopilot = Autopilot(simulator.spec.autopilot)
+    observation = simulator.load(job.road, seed=int(rng.integers(2**31)), conditions=conditions)
+    push, rows = 0.0, list[dict[str, object]]()
     while observation.outcome is Outcome.RUNNING:
         label = autopilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
         if observation.step % plan.every == 0:
@@ -210,6 +185,9 @@ def _drive(
                     "speed": observation.vehicle.speed,
                     "lateral_position": observation.lane.lateral_position,
                     "step": observation.step,
+                    "simulator": job.simulator,
+                    "road_id": job.given.family,
+                    "direction": job.direction,
                 }
             )
         # A push of random strength, about every two seconds for about half a second.
@@ -220,4 +198,8 @@ def _drive(
         near_edge = observation.lane.lateral_distance < 0.8
         steering = label.steering + (0.0 if near_edge else push)
         observation = simulator.step(Command(min(max(steering, -1.0), 1.0), label.throttle))
-    return rows, observation.outcome
+    if observation.outcome is not Outcome.COMPLETED and not conditions.is_default:
+        rows = []  # where the autopilot fails, no network can do what it does
+    write_drive(job.path, rows)
+    outcome = observation.outcome.name.lower()
+    return f"{job.simulator} {job.given.name} {job.direction}: {outcome}, {len(rows)} images"

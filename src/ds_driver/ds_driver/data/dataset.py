@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +23,7 @@ from ds_base.bounded_tables import read_parquet
 from ds_base.errors import InputError
 from ds_base.installation import ds_command
 from ds_driver.networks.images import Crop, ImageError, rgb_of_file
+from ds_driver.sim2real.generator import LARGEST_FILE
 from ds_sim.registry import label_of, received_simulator, spec_of
 
 _READ = ["image", "steering", "simulator", "road_id", "step", "speed"]
@@ -52,10 +53,6 @@ LONGEST_NAME = 4096
 """Longest name of a simulator, which may contain a path, or road id, characters."""
 GENERATOR = "generator.safetensors"
 """File of the generator, in the folder of its simulator's drives."""
-LARGEST_GENERATOR = 2**28
-"""Bytes of a generator; chosen: ten times the shipped ones."""
-TRUST = "--trust"
-"""Command line option that confirms code named by a file."""
 
 
 class DatasetError(InputError):
@@ -67,11 +64,11 @@ class Sample:
     """Labelled image, still encoded.
 
     Attributes:
-        jpeg: JPEG of (160, 320, 3) RGB.
+        jpeg: of (160, 320, 3) RGB.
         steering: label in [-1, 1].
-        simulator: name of the simulator or of the recordings.
-        road_id: id of the road, of the road that it is a mutant of, or of a block of a recording.
-        drive: name of its drive's file.
+        simulator: its name, or that of the recordings.
+        road_id: of the road, of the road that it is a mutant of, or of a block of a recording.
+        drive: name of its file.
         step: frames since the start of the drive; 0 if not recorded.
         speed: m/s; 0 if not recorded.
     """
@@ -146,8 +143,7 @@ def read_samples(folder: Path) -> list[Sample]:
     files = sorted(folder.glob("*/*.parquet"))
     if not files:
         raise DatasetError(f"no drives in {folder}: collect some with `{ds_command('collect', '--out', folder)}`")
-    samples: list[Sample] = []
-    size = 0
+    samples, size = list[Sample](), 0
     for file in files:
         table = read_drive(file)
         size += int(table.nbytes)
@@ -172,15 +168,13 @@ def read_drive(file: Path) -> pa.Table:
     except (FileError, OSError) as error:
         raise DatasetError(f"{file} cannot be read ({error}): collect it again") from None
     _check_schema(file, table.schema)
-    for name in ("steering", "throttle", "speed", "lateral_position"):
+    for name in ("throttle", "speed", "lateral_position"):
         if name in table.column_names and not np.isfinite(table[name].drop_null().to_numpy()).all():
-            if name == "steering":
-                raise DatasetError(f"{file} has a steering label outside [-1, 1]: collect it again")
             raise DatasetError(f"{file} has a {name} that is not a finite number: collect it again")
     for name in ("steering", "simulator", "road_id"):
         if table[name].null_count:
             raise DatasetError(f"{file} has rows without {name}: collect it again")
-    if len(table) and np.abs(table["steering"].to_numpy()).max() > 1.0:
+    if not (np.abs(table["steering"].to_numpy()) <= 1.0).all():
         raise DatasetError(f"{file} has a steering label outside [-1, 1]: collect it again")
     for row, jpeg in enumerate(table["image"].to_pylist()):
         if not jpeg or jpeg[:2] != JPEG_BEGIN or jpeg[-2:] != JPEG_END:
@@ -198,7 +192,7 @@ def read_drive(file: Path) -> pa.Table:
 
 
 def _is_like(actual: pa.DataType, expected: pa.DataType) -> bool:
-    """Check the type of a column, of any width, as pandas and others write wider types."""
+    """Check the type of a column, of any width, as others write wider types."""
     kinds = (
         (pa.types.is_binary, pa.types.is_large_binary),
         (pa.types.is_string, pa.types.is_large_string),
@@ -211,7 +205,6 @@ def _is_like(actual: pa.DataType, expected: pa.DataType) -> bool:
 
 
 def _check_schema(file: Path, schema: pa.Schema) -> None:
-    """Check columns and types."""
     for name in ("image", "steering", "simulator", "road_id"):
         if schema.names.count(name) != 1:
             raise DatasetError(f"{file} has no column {name}: collect it again")
@@ -240,13 +233,12 @@ def check_equal(samples: list[Sample]) -> None:
 
 def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | None = None) -> list[Sample]:
     """Draw the same number of samples, at most `limit`, from every simulator (paper 3.2.2), without replacement."""
-    by_simulator: dict[str, list[Sample]] = {}
+    by_simulator = defaultdict[str, list[Sample]](list)
     for sample in samples:
-        by_simulator.setdefault(sample.simulator, []).append(sample)
+        by_simulator[sample.simulator].append(sample)
     count = min(min(map(len, by_simulator.values())), limit or len(samples))
     chosen = []
-    for name in sorted(by_simulator):
-        group = by_simulator[name]
+    for _, group in sorted(by_simulator.items()):
         chosen += [group[i] for i in np.sort(rng.choice(len(group), count, replace=False))]
     return chosen
 
@@ -254,14 +246,12 @@ def balance(samples: list[Sample], rng: np.random.Generator, *, limit: int | Non
 def write_manifest(folder: Path, about: dict[str, object]) -> None:
     """Write `manifest.json`: the given facts, image counts and steering histograms."""
     edges = np.linspace(-1.0, 1.0, 11)
-    counts: dict[str, int] = {}
     histograms: dict[str, list[int]] = {}
+    counts = Counter[str]()
     for path in sorted(folder.glob("*/*.parquet")):
-        steering = read_parquet(path, ["steering"])["steering"].to_numpy()
-        name = path.parent.name
-        counts[name] = counts.get(name, 0) + len(steering)
-        histogram = np.histogram(steering, edges)[0]
-        histograms[name] = (np.asarray(histograms.get(name, 0)) + histogram).tolist()
+        steering, name = read_parquet(path, ["steering"])["steering"].to_numpy(), path.parent.name
+        counts[name] += len(steering)
+        histograms[name] = (np.histogram(steering, edges)[0] + histograms.get(name, 0)).tolist()
     document = {**about, "images": counts, "steering_bins": edges.round(1).tolist(), "steering": histograms}
     write_json(folder / "manifest.json", document)
 
@@ -294,13 +284,12 @@ def copy_generators(data: Path, digests: Mapping[str, str], folder: Path) -> Non
         source = data / name / GENERATOR
         if not source.is_file():
             raise DatasetError(f"{source} is missing: translate the data set again")
-        write_whole(folder / f"{label_of(name)}.safetensors", read_regular(source, LARGEST_GENERATOR))
+        write_whole(folder / f"{label_of(name)}.safetensors", read_regular(source, LARGEST_FILE))
 
 
 def _digest(mark: Path) -> str:
     try:
-        about = read_json(mark)
-        return str(about.get(TRANSLATED, ""))
+        return str(read_json(mark).get(TRANSLATED, ""))
     except (OSError, ValueError, AttributeError):
         raise DatasetError(f"{mark} is damaged: import or translate these images again") from None
 
@@ -314,8 +303,6 @@ def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ())
     """
     recorded = imported_names(data)
     return {
-        name: Crop()
-        if name in recorded
-        else Crop.of(spec_of(received_simulator(name, confirmed=trusted, option=TRUST)))
+        name: Crop() if name in recorded else Crop.of(spec_of(received_simulator(name, confirmed=trusted)))
         for name in sorted(set(names))
     }

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import shutil
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any, Literal
@@ -24,7 +24,7 @@ from ds_base.left_out import LeftOut
 from ds_base.progress import Progress, counted, logger_of
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
-from ds_driver.data.dataset import TRUST, DatasetError, drive_path, keep_import, write_drive
+from ds_driver.data.dataset import DatasetError, drive_path, keep_import, write_drive
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, read_rgb, rgb_of_message
 from ds_driver.networks.pilot import NOT_SIMULATED, Frame
 from ds_sim.camera.encodings import jpeg
@@ -39,11 +39,10 @@ _PROJECT_BAG = "bag of ours"
 """Kind of a bag of this project; existing data sets store this text."""
 Truth = Literal["recorded", "autopilot"]
 BLOCK = 100
-"""Frames that are used together for training or for validation; chosen: 5 s at 20 Hz. Consecutive frames look alike,
-so splitting them would make the validation too easy."""
+"""Frames that are together in training or in validation, as consecutive ones look alike; chosen: 5 s at 20 Hz."""
 DIRECTION = "recorded"
 UNFINISHED = ".importing"
-"""Folder of an unfinished import, which readers of data sets ignore; an import appears whole or not at all."""
+"""Folder of an unfinished import, which readers of data sets ignore."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,8 +129,8 @@ class Recording:
     path: Path
     group: str
     kind: str
-    crop: Crop
     reading: Reading
+    crop: Crop = Crop()
     simulator: str = NOT_SIMULATED
 
     @cached_property
@@ -170,20 +169,19 @@ def open_recording(path: Path, reading: Reading) -> Recording:
     if is_tub(path):
         if reading.truth == "autopilot":
             raise BagError(f"{path} is a tub: the autopilot's commands are known only for bags of this project")
-        return Recording(path=path, group=path.resolve().name, kind="tub", crop=Crop(), reading=reading)
+        return Recording(path=path, group=path.resolve().name, kind="tub", reading=reading)
     with BagReader(path) as bag:
         camera = _camera(bag, reading)
-        is_project_bag = "simulator" in bag.facts and bool(bag.of_type(STATE))
-        if not is_project_bag and reading.truth == "autopilot":
-            raise BagError(f"{path} is no bag of this project: the autopilot's commands are known only for those")
-        if not is_project_bag:
-            return Recording(path=path, group=path.resolve().name, kind="bag", crop=Crop(), reading=reading)
-        name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted, option=TRUST)
+        if "simulator" not in bag.facts or not bag.of_type(STATE):
+            if reading.truth == "autopilot":
+                raise BagError(f"{path} is no bag of this project: the autopilot's commands are known only for those")
+            return Recording(path=path, group=path.resolve().name, kind="bag", reading=reading)
+        name = received_simulator(bag.facts["simulator"], confirmed=reading.trusted)
         spec = spec_of(name)
+        recording = Recording(path=path, group=name, kind=_PROJECT_BAG, reading=reading)
         if TRANSLATED in bag.facts or _is_translated(camera):
-            return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=Crop(), reading=reading)
-        crop = Crop.of(spec)
-        return Recording(path=path, group=name, kind=_PROJECT_BAG, crop=crop, reading=reading, simulator=spec.name)
+            return recording
+        return replace(recording, crop=Crop.of(spec), simulator=spec.name)
 
 
 def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
@@ -199,8 +197,8 @@ def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
             seconds=record.seconds - pictures[0][0].seconds,
             image=image,
             steering=record.steering,
-            trouble=trouble,
             throttle=record.throttle,
+            trouble=trouble,
             start=pictures[0][0].seconds,
         )
 
@@ -249,7 +247,7 @@ def _camera(bag: BagReader, reading: Reading) -> Any:
 
 
 def _is_translated(connection: Any) -> bool:
-    """Tell whether a topic holds the images as a driver saw them, cropped and translated."""
+    """Whether a topic has images as a driver saw them."""
     return f"/{TRANSLATED}/" in connection.topic
 
 
@@ -319,10 +317,9 @@ class Imported:
 def import_recordings(
     recordings: list[Recording], out: Path, name: str, progress: Progress, left_out: LeftOut | None = None
 ) -> Imported:
-    """Write recordings into a data set under a name of their own.
+    """Write recordings into a data set under a name of their own, as images of (160, 320, 3) RGB.
 
-    Images are resized to (160, 320, 3) RGB; training does not crop them. Images that cannot be read are `left_out`; the
-    first one is an error if that is None.
+    Training does not crop them. Images that cannot be read are `left_out`; the first one is an error if that is None.
 
     Raises:
         DatasetError: the name is taken, an image is damaged, or nothing has a label.

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Describes the driving networks (paper 4.1.1), which predict steering from an image, as tables of layers.
-
-Both the ONNX graph (`onnx_export`) and the PyTorch module (`torch_networks`) are made from these tables, so that
-driving needs no PyTorch.
-"""
+"""The driving networks (paper 4.1.1) as tables of layers, for ONNX (`onnx_export`) and PyTorch (`torch_networks`)."""
 
 from __future__ import annotations
 
@@ -51,13 +47,11 @@ class MaxPool:
 
 @dataclass(frozen=True, slots=True)
 class Dropout:
-    """Sets values to zero with a probability `rate`, only in training.
+    """Sets values to zero with a probability `rate`, only in training; with `rescale` others grow by 1 / (1 - rate).
 
-    Attributes:
-        rate: probability.
-        rescale: whether the other values grow by 1 / (1 - rate). That preserves the expected value of a sum, but makes
-            a maximum over nearly equal neighbours too large by the same factor, and only in training: when driving, the
-            features after Chauffeur's five blocks, and so its steering, would be 0.95^5 = 0.77 of those in training.
+    That preserves the expected value of a sum, but makes a maximum over nearly equal neighbours too large by that
+    factor, and only in training: when driving, the features after Chauffeur's five blocks, and so its steering, would
+    be 0.95^5 = 0.77 of those in training.
     """
 
     rate: float
@@ -169,9 +163,8 @@ EPOCH = Architecture(
 )
 """Epoch, from Udacity's second challenge, reduced as in the paper: three convolutions, 26,239,009 parameters.
 
-Its dropout in front of a ReLU makes the mean activation larger in training than when driving: trained with dropout to
-the end, it steered 0.85 to 0.90 of its labels, and 0.97 to 1.00 with dropout left on. So the laptop schedule leaves out
-dropout in the last epoch.
+Trained with dropout to the end, it steered 0.85 to 0.90 of its labels, and 0.97 to 1.00 with dropout left on, which
+makes the mean activation larger. So the laptop schedule leaves out dropout in the last epoch.
 """
 
 NETWORKS = {"dave2": DAVE2, "chauffeur": CHAUFFEUR, "epoch": EPOCH}

@@ -98,16 +98,16 @@ class OutputSpec(Keys, allow_inf_nan=False):
     """Location and scaling of one value among the outputs.
 
     Attributes:
-        output: name or position of the output.
-        index: index into the flattened output.
-        scale: factor applied to the value; negative to flip the sign.
+        output: name or position.
+        index: into the flattened output.
+        scale: factor on the value; negative to flip the sign.
         offset: added after scaling.
-        bins: the output holds scores of bins, and the value is the centre of the bin with the highest score (Donkey
-            Car's `linear_unbin`); centres of the first and the last bin. `index` is not used.
+        bins: centres of the first and the last bin of an output of scores, without `index`; the value is the centre of
+            the bin with the highest one (Donkey Car's `linear_unbin`).
         expectation: of bins whose scores are probabilities, take the expected value instead.
-        unit: what steering is measured in, after scale and offset, right positive: a share of full steering, an angle
-            of the wheels, or the curvature of the arc in 1/m.
-        ratio: angle of a steering wheel per angle of the wheels, where it is the wheel's that is given.
+        unit: of steering after scale and offset, right positive: a share of full steering, an angle of the wheels, or
+            the curvature of the arc in 1/m.
+        ratio: angle of a steering wheel per angle of the wheels, where the steering wheel's is given.
     """
 
     output: Annotated[int, Field(ge=0)] | str = 0
@@ -129,13 +129,12 @@ class OutputSpec(Keys, allow_inf_nan=False):
 
     def value(self, numbers: NDArray[np.float32]) -> float:
         """Return the value in a flattened output, which is long enough."""
-        if self.bins is not None:
-            low, high = self.bins
-            expected = float(np.sum(np.arange(numbers.size) * numbers.astype(np.float64)))
-            place = expected if self.expectation else int(np.argmax(numbers))
-            value = low + (high - low) * place / max(numbers.size - 1, 1)
-        else:
-            value = float(numbers[self.index])
+        if self.bins is None:
+            return float(numbers[self.index]) * self.scale + self.offset
+        low, high = self.bins
+        expected = float(np.sum(np.arange(numbers.size) * numbers.astype(np.float64)))
+        place = expected if self.expectation else int(np.argmax(numbers))
+        value = low + (high - low) * place / max(numbers.size - 1, 1)
         return value * self.scale + self.offset
 
     def steering(self, value: float, vehicle: Geometry | None) -> float:
@@ -156,13 +155,13 @@ class PathSpec(Keys, allow_inf_nan=False):
     """Points on the ground that a network wants to pass, or one; pure pursuit steers towards them.
 
     Attributes:
-        output: name or position of the output.
+        output: name or position.
         index: of the first number in the flattened output.
-        points: number of points, the nearest first; each has two numbers, which follow each other.
+        points: number of points, the nearest first, of two numbers that follow each other.
         axes: directions of these two from the origin.
         scale: m for each unit.
         ahead: distance of the origin ahead of the middle of the rear axle, m.
-        lookahead: distance at which the path is pursued, m; needed for more than one point.
+        lookahead: distance at which several points are pursued, m.
     """
 
     output: Annotated[int, Field(ge=0)] | str = 0
@@ -229,10 +228,9 @@ class GivenInput(Keys, allow_inf_nan=False):
 
     Attributes:
         state: name or position of the output that comes back in the next frame.
-        value: `speed` of the vehicle in m/s; or what the network itself answered in the `last` frames, the oldest
-            first: its `steering`, or its `commands`, which are pairs of steering and throttle (Donkey Car's `mem_in`).
+        value: `speed` of the vehicle in m/s; or what the network answered in the `last` frames, the oldest first: its
+            `steering`, or its `commands`, pairs of steering and throttle (Donkey Car's `mem_in`).
         constant: the same numbers in every frame, or one for all: a route's command, a behaviour, an IMU at rest.
-        last: number of frames; only with `steering` and `commands`.
         start: every number of it before the first frame.
         scale: factor on a speed.
         shape: with a batch of one; needed for a state whose shape the file does not say.
@@ -273,7 +271,7 @@ class GivenInput(Keys, allow_inf_nan=False):
         """
         numbers = None
         if self.value is not None:
-            numbers = 1 if self.value == "speed" else self.last * (2 if self.value == "commands" else 1)
+            numbers = self.last * (2 if self.value == "commands" else 1)
         elif isinstance(self.constant, list):
             numbers = len(self.constant)
         if self.shape is not None:

@@ -45,13 +45,12 @@ class Frame:
 
     Attributes:
         image: (160, 320, 3) uint8 RGB, the whole camera image, read-only.
-        speed: speed of the vehicle, m/s.
+        speed: of the vehicle, m/s.
         crop: rows that the paper's networks do not see on this simulator.
         step: number of frames since the start of the run.
-        simulator: name of the simulator whose camera took the image, or `NOT_SIMULATED`; None if that is unknown, which
-            networks refuse that see translated images (`ds_driver.sim2real.image_translation`).
-        vehicle: geometry of the vehicle, in road metres; None if unknown, which networks refuse whose answers are
-            angles, curvatures or paths.
+        simulator: whose camera took the image, or `NOT_SIMULATED`; None if unknown, which networks refuse that see
+            translated images (`ds_driver.sim2real.image_translation`).
+        vehicle: in road metres; None if unknown, which networks refuse that answer angles, curvatures or paths.
     """
 
     image: NDArray[np.uint8]
@@ -108,8 +107,8 @@ class Pilot(ABC):
         largest_batch: frames that `predict_batch` takes at once; more than one only if a prediction depends on its
             frame alone, so that frames of several runs may alternate.
         sees_crop_only: whether it never looks at rows outside the crop of a frame.
-        has_memory: whether an answer may depend on earlier frames of its run, so that none may be left out.
-        translation: what translates images before the network sees them; None if it sees them as they are.
+        has_memory: whether an answer may depend on earlier frames of its run.
+        translation: of images before the network sees them; None if it sees them as they are.
     """
 
     largest_batch: int = 1
@@ -131,19 +130,13 @@ class Pilot(ABC):
         """
 
     def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
-        """Return what it sees of a frame, for pictures: (rows, columns, channels) uint8, and what the channels are.
-
-        Without an override, the image as the paper's networks see it.
-        """
+        """Return what it sees of a frame, for pictures: (rows, columns, channels) uint8, and what the channels are."""
         return prepare(frame.image, frame.crop), "yuv"
 
     def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
         """Return first row and end of the rows that it looks at; None if it may look at all.
 
-        Args:
-            crop: crop of the simulator's images.
-            height: rows of its images.
-            simulator: name of the simulator; None if unknown.
+        The images have so many rows and this crop, and are of a simulator, None if that is unknown.
         """
         return (crop.top, height - crop.bottom) if self.sees_crop_only else None
 

@@ -18,10 +18,8 @@ def received_driver(driver: DriverName, *, confirmed: Collection[str] = ()) -> D
     """Check and return a driver that a received file names, before anything is loaded.
 
     The autopilot, shipped networks, safetensors weights, and described ONNX or TensorFlow Lite files run no code of
-    their own. A Python class runs its module, and a TorchScript file is a program that can write files: the user has
-    to confirm such a name with `--trust`.
-
-    The user gave `confirmed` names on the command line or in their own configuration.
+    their own. A Python class runs its module, and a TorchScript file is a program that can write files: such a name is
+    among the `confirmed` ones that the user gave with `--trust` or in a configuration.
 
     Raises:
         DriverError: it would run unconfirmed code, or has no readable description.

@@ -26,25 +26,23 @@ class UserClassPilot(Pilot):
     """
 
     def __init__(self, target: str) -> None:
-        kind = _find(target)
-        self._target = target
+        kind, self._target = _find(target), target
         try:
-            self._driver = kind()
+            self._driver: Any = kind()
         except Exception as error:
             raise DriverError(f"driver {target} cannot be created ({_describe(error)}): fix its __init__") from None
         if not callable(getattr(self._driver, "drive", None)):
             raise DriverError(f"driver {target} has no method drive(frame): see docs/bring_your_own_network.md")
-        self.has_memory = hasattr(self._driver, "start")
+        self.has_memory = getattr(self._driver, "start", None) is not None
         self.start()
         self.predict(Frame.black())
         self.start()
 
     def start(self) -> None:
         """Call `start` of the class, if it has one, at the start of a run."""
-        start = getattr(self._driver, "start", None)
-        if start is not None:
+        if self.has_memory:
             try:
-                start()
+                self._driver.start()
             except Exception as error:
                 raise DriverError(f"{self._target}.start failed ({_describe(error)})") from None
 
@@ -71,11 +69,7 @@ class UserClassPilot(Pilot):
 
 
 def source_of(target: str) -> Path:
-    """Return the source file of a class.
-
-    Raises:
-        DriverError: the class cannot be imported, or comes from no file.
-    """
+    """Return the source file of a class; a `DriverError` if it cannot be imported, or comes from no file."""
     file = getattr(sys.modules[_find(target).__module__], "__file__", None)
     if file is None:
         raise DriverError(f"driver {target} comes from no file: move it to a module")

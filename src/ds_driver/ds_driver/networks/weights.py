@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads network weights from safetensors, without pickle; the architecture is in the metadata.
-
-Large layers may be stored as 8-bit integers with a scale per row, which halves the file.
-"""
+"""Reads network weights from safetensors; the architecture is in the metadata, and large layers may be in 8 bits."""
 
 from __future__ import annotations
 
@@ -57,13 +54,7 @@ class WeightsError(InputError):
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """Trained weights of an architecture.
-
-    Attributes:
-        name: of the shipped network, or path of the file.
-        architecture: what they are weights of.
-        tensors: with the names and shapes of `Architecture.shapes`.
-    """
+    """Trained weights by the names of `Architecture.shapes`; `name` is that of the shipped network, or the file's."""
 
     name: str
     architecture: Architecture
@@ -105,11 +96,10 @@ def architecture_in(path: Path) -> str:
 
 
 def generators_in(name_or_path: str) -> dict[str, str]:
-    """Read which generators, simulator -> SHA-256, translated the images that a network was trained on; empty if none.
+    """Read which generators, simulator -> SHA-256, translated the images of a network's training; empty if none.
 
     Raises:
-        WeightsError: the file is missing.
-        UnknownNetworkError: neither a known name nor the path of a weights file.
+        ValueError: see `path_of_weights`.
     """
     return _about(path_of_weights(name_or_path))[1]
 
@@ -165,8 +155,7 @@ def load_weights(name_or_path: str) -> Weights:
     """Load the weights of a shipped network by name, or of a file by path.
 
     Raises:
-        WeightsError: the file is missing, damaged, in another format, or does not fit its architecture.
-        UnknownNetworkError: neither a known name nor an existing file.
+        WeightsError: the file is damaged, in another format, or does not fit its architecture; see `path_of_weights`.
     """
     path = path_of_weights(name_or_path)
     try:
@@ -203,8 +192,7 @@ def compress(path: Path, out: Path) -> list[str]:
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata()
         tensors: dict[str, NDArray[Any]] = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    matrices = {key: value for key, value in tensors.items() if value.ndim == 2 and value.dtype != np.int8}
-    large = [key for key, value in matrices.items() if value.size >= SMALLEST_LAYER]
+    large = [k for k, v in tensors.items() if v.ndim == 2 and v.dtype != np.int8 and v.size >= SMALLEST_LAYER]
     for key in large:
         values = tensors[key].astype(np.float32)
         largest = np.abs(values).max(axis=1)

@@ -52,14 +52,12 @@ class AutopilotNode(Node):
         self._info = SimulatorInfo(self, self._namespaces, purpose, self._on_info)
         self._simulators, answers = [], AnswerDiagnostics(self)
         for index, (namespace, geometry) in enumerate(zip(self._namespaces, self._given, strict=True)):
-            asks = ASK in geometry.values()
-            on_start = partial(self._info.ask, index) if asks else None
-            client = SimulatorClient(self, namespace, VehicleState, answers, on_start)
-            self._simulators.append(client)
-            if asks:
-                self._info.ask(index)
-            else:
+            on_start = partial(self._info.ask, index) if ASK in geometry.values() else None
+            self._simulators.append(SimulatorClient(self, namespace, VehicleState, answers, on_start))
+            if on_start is None:
                 self._use(index, AutopilotGains(**geometry), "from parameters")
+            else:
+                on_start()
         names = ", ".join(filter(None, self._namespaces)) or self.get_namespace()
         self.get_logger().info(f"the autopilot drives {names}")
 

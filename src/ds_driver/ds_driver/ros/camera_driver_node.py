@@ -3,30 +3,75 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from dataclasses import replace
 
 import cv2
+from ds_interfaces.msg import DriveCommand
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CompressedImage, Image
+from std_msgs.msg import Header
 
 from ds_driver.control.bicycle import Geometry
+from ds_driver.control.other_stacks import KINDS, MotionRequest, set_part
 from ds_driver.networks.images import Crop, fit_to_network, rgb_of_message
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import Frame
-from ds_driver.ros.command_publisher import OUTPUTS, CommandOutput
+from ds_sim.ros.conversions import MESSAGES
 from ds_sim.ros.diagnostics import STALE, AnswerDiagnostics
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
-from ds_sim.simulator import MAX_SPEED
+from ds_sim.simulator import MAX_SPEED, Command
 
+OUTPUTS = ("drive_command", *KINDS)
+"""Values of the parameter `output`: names of the message types."""
 MAX_CROP = 152
 """Largest number of cropped rows; `Crop` leaves at least eight of 160."""
 CAMERA_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches reliable and best-effort cameras, and keeps only the newest image (REP-2003)."""
+
+
+class CommandOutput:
+    """Publishes commands as `DriveCommand`, or as another stack's message, of `OUTPUTS`.
+
+    Messages with a speed carry, in place of a throttle, the speed at which the paper's equation 2 gives throttle 0:
+    `max_speed` times the square root of 1 - steering^2.
+
+    Raises:
+        ValueError: the geometry is missing where it is needed, or the package of the message is not installed.
+    """
+
+    def __init__(self, node: Node, output: str, geometry: Geometry | None, max_speed: float) -> None:
+        self._kind = KINDS.get(output)
+        self._geometry = geometry or Geometry(1.0, 1.0)
+        self._max_speed = max_speed
+        if self._kind is None:
+            self._publisher = node.create_publisher(DriveCommand, "drive", 1)
+            return
+        if geometry is None and not self._kind.needs_throttle:
+            raise ValueError(f"output {output}: set the parameters wheelbase and max_steering_angle of the vehicle")
+        self._type = self._kind.message_class
+        self._publisher = node.create_publisher(self._type, self._kind.topic, 1)
+
+    def send(self, command: Command, header: Header) -> None:
+        """Publish a command in answer to the image with this header."""
+        if self._kind is None:
+            self._publisher.publish(MESSAGES.command(command, header))
+            return
+        if self._kind.needs_throttle:
+            motion = MotionRequest(command.steering, throttle=command.throttle)
+        else:
+            speed = self._max_speed * math.sqrt(max(0.0, 1.0 - command.steering**2))
+            motion = MotionRequest(command.steering, speed=speed)
+        message = self._type()
+        self._kind.fill(message, motion, self._geometry)
+        if self._kind.stamp:
+            set_part(message, self._kind.stamp, header.stamp)
+        self._publisher.publish(message)
 
 
 class CameraDriver(Node):
@@ -36,9 +81,8 @@ class CameraDriver(Node):
         super().__init__("camera_driver")
         network = declare(self, "network", "dave2", "Shipped network, or a file of weights.")
         output = declare(self, "output", "drive_command", "Message by which it drives.", choices=OUTPUTS)
-        compressed = declare(
-            self, "compressed", False, "Subscribe to camera/image_raw/compressed instead of image_raw."
-        )
+        about = "Subscribe to camera/image_raw/compressed instead of image_raw."
+        compressed = declare(self, "compressed", False, about)
         about = "odom: from the topic odom; none: taken as 0, for outputs that carry a speed."
         speed_from = declare(self, "speed_from", "odom", about, choices=("odom", "none"))
         about = "Speed at steering 0, m/s, for outputs that carry a speed."
@@ -46,10 +90,9 @@ class CameraDriver(Node):
         wheelbase = declare(self, "wheelbase", 0.0, "Of the vehicle, m; 0 for unknown.", low=0.0, high=100.0)
         about = "Of the vehicle's wheels at full steering, rad; 0 for unknown."
         angle = declare(self, "max_steering_angle", 0.0, about, low=0.0, high=1.5)
-        about = "Top rows, of the image resized to 160 rows, that the network does not see."
-        top = declare(self, "crop_top", 0, about, low=0, high=MAX_CROP)
-        about = "Bottom rows, of the image resized to 160 rows, that the network does not see."
-        bottom = declare(self, "crop_bottom", 0, about, low=0, high=MAX_CROP)
+        about = "{} rows, of the image resized to 160 rows, that the network does not see."
+        top = declare(self, "crop_top", 0, about.format("Top"), low=0, high=MAX_CROP)
+        bottom = declare(self, "crop_bottom", 0, about.format("Bottom"), low=0, high=MAX_CROP)
         vehicle = Geometry(wheelbase, angle) if wheelbase and angle else None
         self._output = CommandOutput(self, output, vehicle, max_speed)
         self._driver = NetworkDriver(network)

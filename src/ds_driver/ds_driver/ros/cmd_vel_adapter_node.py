@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from typing import Any
@@ -15,8 +14,7 @@ from std_msgs.msg import Header
 
 from ds_driver.control.bicycle import Geometry, MotionError
 from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher, part
-from ds_driver.ros.command_publisher import message_type
-from ds_driver.ros.simulator_client import SimulatorInfo
+from ds_driver.ros.simulator_client import SimulatorInfo, refusal
 from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.runtime import run_node
@@ -34,9 +32,8 @@ class CmdVelAdapter(Node):
         name = declare(self, "message", "twist_stamped", "Message type of the driver's commands.", choices=tuple(KINDS))
         about = "copied: a command's stamp is that of the image it answers; ignored: it answers the newest image."
         self._ignore = declare(self, "stamps", "copied", about, choices=("copied", "ignored")) == "ignored"
-        wheelbase = declare(
-            self, "wheelbase", 0.0, "Wheelbase of the vehicle, m; 0 asks the simulator.", low=0.0, high=100.0
-        )
+        about = "Wheelbase of the vehicle, m; 0 asks the simulator."
+        wheelbase = declare(self, "wheelbase", 0.0, about, low=0.0, high=100.0)
         about = "Wheel angle at full steering, rad; 0 asks the simulator."
         angle = declare(self, "max_steering_angle", 0.0, about, low=0.0, high=1.5)
         self._kind = KINDS[name]
@@ -46,7 +43,7 @@ class CmdVelAdapter(Node):
         self._answers = AnswerDiagnostics(self)
         self._drive = self.create_publisher(DriveCommand, "drive", 1)
         self.create_subscription(VehicleState, "state", self._on_state, 5)
-        subscribe_to_commands(self, message_type(self._kind), self._kind.topic, self._on_command, 5)
+        subscribe_to_commands(self, self._kind.message_class, self._kind.topic, self._on_command, 5)
         if self._geometry is None:
             purpose = "for the vehicle's geometry (not needed with parameters wheelbase and max_steering_angle)"
             self._info = SimulatorInfo(self, [""], purpose, self._on_info)
@@ -85,8 +82,7 @@ class CmdVelAdapter(Node):
         if isinstance(motion, MotionError):
             self._answers.refused += 1
             self.get_logger().warning(f"command refused: {motion}", throttle_duration_sec=1.0)
-            refusal = {"steering": math.nan, "throttle": math.nan, "refusal": str(motion)}
-            self._drive.publish(DriveCommand(header=header, **refusal))
+            self._drive.publish(refusal(header, motion))
             return
         if motion.throttle is not None:
             throttle = min(motion.throttle, 1.0)

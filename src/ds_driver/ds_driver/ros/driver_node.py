@@ -60,7 +60,6 @@ class TranslatedImages:
         self._publishers = [
             node.create_publisher(Image, f"{name}/{TOPIC}" if name else TOPIC, FRAME_DEPTH) for name in namespaces
         ]
-
         for index in range(len(namespaces)):
             self._info.ask(index)
 
@@ -115,12 +114,12 @@ class DriverNode(Node):
         self._milliseconds: list[float] = []
         translation = self._driver.translation
         self._translated = None
-        if translation is not None:
-            self._translated = TranslatedImages(self, self._namespaces, translation, self._answer)
-        if self._translated is None:
+        if translation is None:
             answers = AnswerDiagnostics(self)
             for index, namespace in enumerate(self._namespaces):
                 SimulatorClient(self, namespace, Frame, answers).drive_with(partial(self._answer, index))
+        else:
+            self._translated = TranslatedImages(self, self._namespaces, translation, self._answer)
         self.get_logger().info(f"{network} drives {', '.join(filter(None, self._namespaces)) or self.get_namespace()}")
 
     def _answer(self, index: int, frame: Frame) -> Command:

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
+from std_msgs.msg import Header
 
 from ds_driver.networks.pilot import DriverError
 from ds_sim.ros.conversions import MESSAGES
@@ -37,18 +38,22 @@ LIMIT = 600.0
 OnInfo = Callable[[int, GetSimulatorInfo.Response], None]
 
 
+def refusal(header: Header, error: Exception) -> DriveCommand:
+    """Answer a frame with the reason why there is no command, which the result of the run repeats."""
+    return DriveCommand(header=header, steering=math.nan, throttle=math.nan, refusal=str(error))
+
+
 class SimulatorClient:
-    """Subscribes to the frames or the states of one simulator, and publishes the answer to each.
+    """Subscribes to each `Frame` of one simulator, or `VehicleState` for a driver without eyes, and publishes answers.
 
     Its topics appear in the ROS graph with the first call of `drive_with`, when it can answer.
 
     Args:
-        node: node that owns the subscription.
-        namespace: namespace of the simulator; "" for the node's own.
-        kind: what to subscribe to: `Frame`, or `VehicleState` for a driver without eyes.
+        node: owns the subscription.
+        namespace: of the simulator; "" for the node's own.
+        kind: what to subscribe to.
         answers: records the answers.
-        on_start: called at the first frame of each run, which then waits for `drive_with`; None to answer all runs
-            alike.
+        on_start: called at the first frame of each run, which then waits for `drive_with`.
     """
 
     def __init__(
@@ -70,12 +75,10 @@ class SimulatorClient:
         self._start: Time | None = None
 
     def drive_with(self, answer: Answer) -> None:
-        """Answer frames from now on, including one that is waiting.
+        """Answer each frame from now on, including one that is waiting.
 
-        Args:
-            answer: called once per frame. A ValueError leaves the frame unanswered and is logged in one line. After a
-                DriverError, which would recur with every frame, it is published as a refusal, which the result of the
-                run repeats.
+        A ValueError of `answer` leaves a frame unanswered, and is logged in one line. A DriverError, which would recur
+        with every frame, is published as a refusal.
         """
         self._answer = answer
         if self._drive is None:
@@ -104,8 +107,7 @@ class SimulatorClient:
             self._answers.refused += 1
             self._node.get_logger().error(f"frame not answered: {error}", throttle_duration_sec=1.0)
             if isinstance(error, DriverError):
-                refusal = {"steering": math.nan, "throttle": math.nan, "refusal": str(error)}
-                self._drive.publish(DriveCommand(header=message.header, **refusal))
+                self._drive.publish(refusal(message.header, error))
             return
         self._drive.publish(MESSAGES.command(command, message.header))
         self._answers.add(time.monotonic() - began)

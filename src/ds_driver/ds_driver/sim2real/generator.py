@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stored generators: their size, what they see of an image, and their files; known without PyTorch."""
+"""Stored generators: their size, what they see of an image, and their files; without PyTorch."""
 
 from __future__ import annotations
 
@@ -38,8 +38,7 @@ class GeneratorShape:
     Attributes:
         filters: channels of the first layer (paper: 64).
         blocks: residual blocks (paper: 9).
-        rows: rows of the image, a multiple of 4.
-        columns: columns of the image, a multiple of 4.
+        rows: of the image, a multiple of 4, as `columns`.
     """
 
     filters: int
@@ -86,8 +85,7 @@ def generator_input(image: NDArray[np.uint8], window: Window, size: tuple[int, i
         raise Sim2RealError(
             f"image of {image.shape[0]} x {image.shape[1]} px, expected one with {window}: it comes from another camera"
         )
-    part = image[window.top : window.bottom, window.left : window.right]
-    return resize(part, size)
+    return resize(image[window.top : window.bottom, window.left : window.right], size)
 
 
 def resize(image: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -138,7 +136,7 @@ def save_generator(
     window: Window,
     real_window: Window,
 ) -> None:
-    """Write a generator's weights as float16, in a file that appears whole or not at all."""
+    """Write a generator's weights as float16."""
     windows = {"window": asdict(window), "real_window": asdict(real_window)}
     # One entry, as the order of several is that of a hash table, which differs between processes.
     metadata = {KIND: json.dumps({"simulator": simulator, "shape": asdict(shape), **windows})}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -84,8 +85,7 @@ def open_set(name: str) -> GeneratorSet:
         DriverError: there is no such set.
     """
     sets = shipped_sets()
-    folder = sets.get(name, Path(name))
-    files = _files_in(folder)
+    files = _files_in(sets.get(name, Path(name)))
     if not files:
         shipped = f"a shipped one ({', '.join(sets)}), or " if sets else ""
         raise DriverError(
@@ -152,18 +152,16 @@ class ImageTranslation:
         """Return frames as the network sees them, with the bits of `translate`; frames of one simulator in one batch.
 
         Raises:
-            ds_driver.networks.images.ImageError: an image has another size or type.
-            DriverError: there is no generator for a frame, or the frame does not name its simulator.
+            DriverError: a frame does not name its simulator, or as in `translate`.
         """
-        places: dict[str, list[int]] = {}
+        places = defaultdict[str, list[int]](list)
         for index, frame in enumerate(frames):
             if frame.simulator is None:
                 raise DriverError("the network sees translated images, but the frame does not name its simulator")
-            places.setdefault(frame.simulator, []).append(index)
+            if frame.simulator != NOT_SIMULATED:
+                places[frame.simulator].append(index)
         translated = list(frames)
         for simulator, indices in places.items():
-            if simulator == NOT_SIMULATED:
-                continue
             images = self._translator(simulator).translate_all([checked(frames[i].image) for i in indices])
             for index, image in zip(indices, images, strict=True):
                 translated[index] = replace(frames[index], image=image, crop=Crop(), simulator=NOT_SIMULATED)

@@ -122,12 +122,9 @@ def _run_middles(row: Mask) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LanePosition:
-    """Where the lane is in a picture, as shares of its width and height.
+    """Columns of both lines at the bottom of a picture, and the row where they meet, as shares of its width and height.
 
-    Attributes:
-        yellow: column of the yellow line at the bottom.
-        white: column of the white line at the bottom; more than 1 if it leaves the picture before.
-        horizon: row where both lines meet; negative above the picture.
+    A line that leaves the picture before is beyond 1; a horizon above it is negative.
     """
 
     yellow: float
@@ -143,11 +140,9 @@ class LaneView:
     """Lines of the lane in the images of one camera, in the median over the images: column = slope * row + start, px.
 
     Attributes:
-        yellow: slope and start of the line to the left of the lane.
-        white: slope and start of the line to its right.
-        share: share of the images that show both.
-        rows: rows of the images.
-        columns: columns of the images.
+        yellow: slope and start of the line to the left of the lane, as `white` to its right.
+        share: of the images that show both.
+        rows: of the images, as `columns`.
         medians: (rows, 2) columns of both lines without a straight line through them; NaN where they are seldom seen.
     """
 
@@ -220,7 +215,7 @@ def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
 
 
 def _medians(columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Median column of a line in each row, from (images, rows); NaN in rows that seldom show it."""
+    """Median column in each row, from (images, rows); NaN in rows that seldom show the line."""
     counts = np.isfinite(columns).sum(axis=0)
     often = counts >= max(2, 0.4 * counts.max())
     return np.array([np.nanmedian(columns[:, row]) if is_often else np.nan for row, is_often in enumerate(often)])
@@ -241,11 +236,9 @@ def _fit(columns: NDArray[np.float64], row_medians: NDArray[np.float64]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Match:
-    """Crops that show the lane alike.
+    """Crops of simulated and real images that show the lane alike.
 
     Attributes:
-        simulated: window in the simulator's images.
-        real: window in the photographs.
         kept: share of the simulator's view that is left.
         positions: where the lane is, in simulated and real crops.
         difference: of the measured lines, see `lane_difference`; compare it with `BOUND`.

@@ -19,24 +19,22 @@ class Sim2RealSettings:
     """Settings of a training.
 
     Attributes:
-        shape: size of both generators.
+        shape: of both generators.
         discriminator_filters: channels of the discriminators' first layer (paper: 64).
         discriminator_depth: see `ds_driver.sim2real.networks.Discriminator` (paper: 3).
-        epochs: number of epochs; in the second half the learning rate falls linearly to 0.
-        steps: steps of one image of each domain per epoch; None for the larger domain's number of images.
+        epochs: in the second half of them the learning rate falls linearly to 0.
+        steps: of one image of each domain per epoch; None for the larger domain's number of images.
         keep_every: epochs between two stored checkpoints.
         roads: random roads, each driven both ways.
         every: keep every n-th simulated frame.
-        images: largest number of simulated images.
-        photographs: largest number of photographs.
-        longest: largest number of steps per drive; None for whole roads.
-        seed: seed of weights, order and roads' drives.
-        road_seed: seed of the roads.
+        images: simulated ones at most.
+        photographs: at most.
+        longest: steps per drive at most; None for whole roads.
+        seed: of weights, order and roads' drives.
         learning_rate: of Adam (Zhu et al. 2017: 2e-4).
         cycle: weight of the cycle loss (Zhu et al. 2017: 10).
         identity: weight of the identity loss, as a share of the cycle loss (Zhu et al. 2017: 0.5).
         pool: earlier translations shown to the discriminators (Zhu et al. 2017: 50).
-        threads: threads of PyTorch.
         device: `auto`, `cpu` or `cuda`.
     """
 
@@ -81,10 +79,9 @@ PRESETS = {
         images=5_000,
     ),
 }
-"""Both: 5,000 photographs (paper 4.1.2). `paper`: as many simulated images, 60 epochs, a checkpoint every 5 (4.1.2),
-for a GPU.
-`laptop`: 6,000 steps, half an hour of one core: in two trainings of 10,000, with discriminators of depth 3 and
-photographs that were not aligned, the distance to photographs did not fall after the fourth thousand.
-Its patches of 34 pixels are 0.43 of its image's rows, as the paper's 70 are of its 160: patches of nearly all rows
+"""All: 5,000 photographs (paper 4.1.2).
+`paper`: as many simulated images, 60 epochs, a checkpoint every 5 (4.1.2), for a GPU.
+`laptop`: half an hour of one core; in two trainings of 10,000 steps the distance to photographs did not fall after the
+fourth thousand. Its patches of 34 pixels are 0.43 of its image's rows, as the paper's 70 are of its 160: larger ones
 judge where lines are, and bend them.
-`fast`: half of the filters, a third of the time a frame; the discriminators stay."""
+`fast`: half of the filters, a third of the time a frame."""

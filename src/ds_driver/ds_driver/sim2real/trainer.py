@@ -34,7 +34,6 @@ EPOCHS = "epochs"
 SHOWN = 4
 """Pictures of each domain on a sheet."""
 REPORTS = 10
-"""Lines of progress per epoch."""
 LOSSES = ("adversarial", "cycle", "identity", "discriminator")
 
 
@@ -43,12 +42,10 @@ class Domains:
     """Prepared images of both domains, (n, rows, columns, 3) uint8 RGB of the generators' size.
 
     Attributes:
-        simulated: for training.
-        real: for training.
+        simulated: for training, as `real`.
         pairs: of the simulated images, the real ones to draw from, and where both show the lines.
-        shown_simulated: held-out ones for the sheets.
-        shown_real: held-out ones for the sheets.
-        simulator: name of the simulator.
+        shown_simulated: held-out ones for the sheets, as `shown_real`.
+        simulator: whose images they are.
         window: part of the simulator's images.
         real_window: part of the photographs.
     """
@@ -87,7 +84,7 @@ class CycleGan:
         self._settings, self._device = settings, device
 
     def set_learning_rate(self, share: float) -> None:
-        """Set the learning rate to a share of the settings' one."""
+        """Set it to a share of the settings' one."""
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = self._settings.learning_rate * share
@@ -162,10 +159,9 @@ def train(domains: Domains, settings: Sim2RealSettings, out: Path, progress: Pro
             progress.advance()
             if (step + 1) % max(1, steps // REPORTS) == 0:
                 values = _named(total / (step + 1))
-                if not all(np.isfinite(value) for value in values.values()):
-                    raise Sim2RealError(
-                        f"training diverged in epoch {epoch}: continue with another --seed in another --out"
-                    )
+                if not np.isfinite(list(values.values())).all():
+                    again = "continue with another --seed in another --out"
+                    raise Sim2RealError(f"training diverged in epoch {epoch}: {again}")
                 losses = ", ".join(f"{name} {value:.3f}" for name, value in values.items())
                 progress.describe(f"steps; epoch {epoch}/{settings.epochs}: {losses}")
         history.append(_named(total / steps))

@@ -59,10 +59,7 @@ def translate(
 
 
 def _data_set(folder: Path, out: Path, translator: Translator, progress: Progress, workers: int | None) -> int:
-    """Translate the drives of the generator's simulator.
-
-    Translated images are cropped already, so their folder is marked as imported recordings are.
-    """
+    """Translate the drives of the generator's simulator; as they are cropped already, they are marked as imported."""
     simulator = translator.generator.simulator
     files = sorted((folder / simulator).glob("*.parquet"))
     if not files:
@@ -95,7 +92,6 @@ def _translate_drive(backend: str, out: Path, file: Path) -> Path:
 
 @lru_cache(maxsize=1)
 def _translator(generator: Path, backend: str) -> Translator:
-    """A worker's own translator."""
     return Translator(load_generator(generator), backend)
 
 
@@ -109,7 +105,7 @@ def _facts(manifest: Path) -> dict[str, Any]:
 
 
 def _bag(folder: Path, out: Path, translator: Translator, progress: Progress) -> int:
-    """Translate the images of a bag; its camera information, which is that of the whole image, is left out."""
+    """Translate the images of a bag, without its camera information, which is of the whole image."""
     with BagReader(folder) as bag:
         simulator = bag.facts.get("simulator", "")
         total = sum(c.msgcount for c in bag.connections if c.msgtype in (IMAGE, COMPRESSED))

@@ -36,7 +36,7 @@ class DrivePictures:
         name = execution.simulator
         if name not in self._simulators:
             try:
-                checked = received_simulator(name, confirmed=self._trusted, option="--trust")
+                checked = received_simulator(name, confirmed=self._trusted)
                 self._simulators[name] = make_simulator(checked)
             except Exception as error:  # a missing or broken simulator must not prevent the page
                 self._simulators[name] = " ".join(str(error).split())

@@ -24,7 +24,6 @@ from ds_base.folder_files import enter_folder
 from ds_base.processes import USER_DOMAIN
 from ds_driver.control.bicycle import Geometry
 from ds_driver.control.other_stacks import KINDS, MotionRequest, set_part
-from ds_driver.ros.command_publisher import message_type
 from ds_road import Road
 from ds_sim.ros.conversions import road_to_message
 from ds_sim.ros.neighbours import names_of
@@ -202,7 +201,7 @@ class _CommandTopic:
         self._geometry = Geometry(vehicle.wheelbase, vehicle.max_steering_angle)
         self._kind = KINDS.get(command.type)
         try:
-            self._type = DriveCommand if self._kind is None else message_type(self._kind)
+            self._type = DriveCommand if self._kind is None else self._kind.message_class
         except ValueError as error:
             raise SimulatorError(f"command.type {command.type}: {error}") from None
         # Reliable and acknowledged before each step, or a command might reach a simulator after its step.
