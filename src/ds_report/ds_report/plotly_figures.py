@@ -35,34 +35,26 @@ def layouts(rows: int) -> dict[str, Any]:
     """Create layouts by name: `map`, `road`, `lateral` and `steering`; the script sets axes of maps with such rows."""
     # Automatic margins together with a scale anchor would never converge.
     grid = {"showgrid": True, "gridcolor": "#e3e7dc", "automargin": False}
-    return {
-        "map": _plain(
-            _layout(
-                margin={"l": 46, "r": 6, "t": 6, "b": 44},
-                height=min(max(_ROW * rows, _LEAST), _MOST) + 46,
-                xaxis=_axis(ticks="", side="bottom"),
-                yaxis=_axis(ticks=""),
-            )
+    plots = {
+        "map": _layout(
+            margin={"l": 46, "r": 6, "t": 6, "b": 44},
+            height=min(max(_ROW * rows, _LEAST), _MOST) + 46,
+            xaxis=_axis(ticks="", side="bottom"),
+            yaxis=_axis(ticks=""),
         ),
-        "road": _plain(
-            _layout(
-                margin={"l": 44, "r": 8, "t": 8, "b": 40},
-                height=430,
-                plot_bgcolor="#f0f4ea",
-                hovermode="closest",
-                xaxis=_axis("x, m", **grid),
-                yaxis=_axis("y, m", scaleanchor="x", scaleratio=1, **grid),
-            )
+        "road": _layout(
+            margin={"l": 44, "r": 8, "t": 8, "b": 40},
+            height=430,
+            plot_bgcolor="#f0f4ea",
+            hovermode="closest",
+            xaxis=_axis("x, m", **grid),
+            yaxis=_axis("y, m", scaleanchor="x", scaleratio=1, **grid),
         ),
-        "lateral": _plain(_line_layout("lateral position, m", autorange="reversed")),
-        "steering": _plain(_line_layout("steering, 1 = full lock", range=[1.08, -1.08], tickvals=[-1, 0, 1])),
-        "scales": {name: [list(stop) for stop in scale] for name, scale in SCALES.items()},
+        "lateral": _line_layout("lateral position, m", autorange="reversed"),
+        "steering": _line_layout("steering, 1 = full lock", range=[1.08, -1.08], tickvals=[-1, 0, 1]),
     }
-
-
-def _plain(layout: go.Layout) -> dict[str, Any]:
-    document: dict[str, Any] = layout.to_plotly_json()
-    return document
+    scales = {name: [list(stop) for stop in scale] for name, scale in SCALES.items()}
+    return {**{name: layout.to_plotly_json() for name, layout in plots.items()}, "scales": scales}
 
 
 def _layout(**more: Any) -> go.Layout:

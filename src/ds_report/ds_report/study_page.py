@@ -15,7 +15,7 @@ from ds_analysis.outcomes.study import Study
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
-from ds_analysis.siblings.failure_patterns import nestings
+from ds_analysis.siblings.failure_patterns import nesting
 from ds_base.installation import ds_command
 from ds_base.table import Column, Table, styled
 from ds_orchestrator.maps.feature_map import slices_of
@@ -107,8 +107,7 @@ def pair_table(table: OutcomeTable) -> Table:
     for pair in combinations(table.simulators, 2):
         both = np.all([table.known(name) for name in pair], axis=0)
         if both.any():
-            (one,) = [each for each in nestings(table.select(both)) if (each.first, each.second) == pair]
-            rows.append(tuple(vars(one).values()))
+            rows.append(tuple(vars(nesting(table.select(both), *pair)).values()))
     return Table(
         name="pairs",
         title="Whose failures lie inside whose",

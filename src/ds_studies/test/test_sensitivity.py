@@ -30,7 +30,6 @@ from ds_studies.sensitivity.measurement import (
     GATE,
     MOST_SEGMENTS,
     TESTED,
-    Bracket,
     candidate_roads,
     choose_roads,
     first_failure,
@@ -53,24 +52,28 @@ def step(threshold: float, driven: list[int] | None = None) -> Callable[[int], b
     return fails
 
 
+def result(completes: int, fails: int | None = None) -> RoadResult:
+    return RoadResult(completes=completes, fails=fails)
+
+
 @pytest.mark.parametrize("highest", [1, 5, 16])
 def test_bisection_finds_every_threshold(highest: int) -> None:
     for threshold in range(1, highest + 2):
-        expected = Bracket(threshold - 1, threshold) if threshold <= highest else Bracket(highest, None)
+        expected = result(threshold - 1, threshold) if threshold <= highest else result(highest)
         assert first_failure(step(threshold), highest) == expected
         for near in range(1, 20):  # a wrong guess costs drives, never the result
-            assert first_failure(step(threshold), highest, Bracket(near - 1, near)) == expected
+            assert first_failure(step(threshold), highest, result(near - 1, near)) == expected
     driven: list[int] = []
     first_failure(step(7, driven), 16)
     assert len(driven) == 5 and driven[0] == 16
     driven.clear()
-    first_failure(step(7, driven), 16, Bracket(6, 7))
+    first_failure(step(7, driven), 16, result(6, 7))
     assert driven == [7, 6]
     for near, steps in ((8, [8, 7, 6]), (6, [6, 7]), (9, [9, 8, 7, 5, 6]), (5, [5, 6, 8, 7])):
         driven.clear()
-        first_failure(step(7, driven), 16, Bracket(near - 1, near))
+        first_failure(step(7, driven), 16, result(near - 1, near))
         assert driven == steps  # they double
-    assert first_failure(step(1), 0) == Bracket(0, None)
+    assert first_failure(step(1), 0) == result(0)
 
 
 def test_on_a_road_that_is_not_monotone_failing_begins_at_the_result() -> None:

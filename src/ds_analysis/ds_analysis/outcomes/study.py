@@ -101,35 +101,28 @@ class Study:
         first = self.rows.drop_duplicates("test_id")
         if len(first) > MOST_TESTS:
             raise OutcomeTableError(f"{len(first)} tests, expected at most {MOST_TESTS}: import fewer")
-        place = {test: k for k, test in enumerate(first["test_id"])}
         names = self.simulators
-        shape = len(first), len(names)
-        states, lateral, limits = np.zeros(shape, np.int8), np.zeros(shape), np.ones(shape)
-        middle = self.rows.groupby(["test_id", "simulator"])[["failed", "margin", "limit"]].agg(
+        middle = self.rows.groupby(["test_id", "simulator"]).agg(
             {"failed": "mean", "margin": "median", "limit": "median"}
         )
-        for (test, name), share, margin, limit in middle.itertuples(name=None):
-            if name == self.car:
-                continue
-            at = place[test], names.index(name)
-            states[at] = State.FAILED if share >= 0.5 else State.COMPLETED
-            lateral[at], limits[at] = margin, limit if np.isfinite(limit) else 1.0
-        features = first[list(self.features)].to_numpy(np.float64).reshape(len(first), len(self.features))
-        families = pd.factorize(first["family"])[0]
-        axes = tuple(column_axis(name, width) for name, width in self.axes.items())
+        failed, margins, limits = (
+            middle[name].unstack().reindex(index=first["test_id"], columns=names).to_numpy(np.float64)
+            for name in ("failed", "margin", "limit")
+        )
+        verdicts = np.where(failed >= 0.5, State.FAILED, State.COMPLETED)
         binned = [np.floor(first[name].to_numpy(np.float64) / width) for name, width in self.axes.items()]
         return OutcomeTable(
-            test_ids=tuple(map(str, place)),
+            test_ids=tuple(map(str, first["test_id"])),
             siblings=tuple(name for name in names if name != self.twin),
             twin=self.twin,
-            axes=axes,
+            axes=tuple(column_axis(name, width) for name, width in self.axes.items()),
             cells=tuple(tuple(map(int, cell)) for cell in zip(*binned, strict=True)),
-            states=states,
-            lateral=lateral,
-            limits=limits,
+            states=np.where(np.isnan(failed), State.MISSING, verdicts).astype(np.int8),
+            lateral=np.where(np.isnan(failed), 0.0, margins),
+            limits=np.where(np.isfinite(limits), limits, 1.0),
             feature_names=self.features,
-            features=features,
-            families=families.astype(np.intp),
+            features=first[list(self.features)].to_numpy(np.float64).reshape(len(first), len(self.features)),
+            families=pd.factorize(first["family"])[0].astype(np.intp),
         )
 
 
@@ -391,32 +384,26 @@ def read_study(folder: Path) -> Study:
             car_drawn=about.get("car_drawn") is True,
             conditions=tuple(map(str, about.get("conditions", ()))),
         )
-        whole = [*LONG, *study.features, *study.conditions] == list(frame.columns) and set(study.axes) <= set(
-            study.features
-        )
         kinds = [(frame[one], pd.api.types.is_string_dtype) for one in _TEXTS]
         kinds += [(frame[one], pd.api.types.is_numeric_dtype) for one in {*frame.columns} - {*_TEXTS}]
-        if not all(is_kind(column) for column, is_kind in kinds):
-            raise damaged
         numbers = frame[["margin", "limit", *study.features]].to_numpy(np.float64)
-        features = numbers[:, 2:]
-        if not (whole and len(frame) and np.isfinite(features).all() and not np.isinf(numbers).any()):
+        sound = (
+            all(is_kind(column) for column, is_kind in kinds),
+            frame["failed"].dtype == np.bool_,
+            [*LONG, *study.features, *study.conditions] == list(frame.columns),
+            set(study.axes) <= set(study.features) and 2 <= len(study.axes) <= 3,
+            len(frame) and np.isfinite(numbers[:, 2:]).all() and not np.isinf(numbers).any(),
+            all(0.0 < one < np.inf and np.ptp(frame[name]) <= MOST_BINS * one for name, one in study.axes.items()),
+            study.simulators and study.twin in (None, *study.simulators),
+            study.car is None or (frame["simulator"] == study.car).any(),
+        )
+        if not all(sound):
             raise damaged
         wrong = (numbers[:, 0] < 0.0) | (numbers[:, 1] <= 0.0) | (frame["repeat"] < 0).to_numpy()
         wrong |= frame[[*_TEXTS]].isna().any(axis=1).to_numpy()
         if wrong.any():
             row = row_of(frame, int(np.flatnonzero(wrong)[0]), str(path))
             raise OutcomeTableError(f"{row}: an id is missing, or margin or repeat below 0, or limit not above 0")
-        wide = all(
-            0.0 < width < np.inf and float(np.ptp(frame[name])) <= MOST_BINS * width
-            for name, width in study.axes.items()
-        )
-        if frame["failed"].dtype != np.bool_ or not wide or not 2 <= len(study.axes) <= 3:
-            raise damaged
-        if study.twin is not None and study.twin not in study.simulators:
-            raise damaged
-        if not study.simulators or (study.car is not None and not (frame["simulator"] == study.car).any()):
-            raise damaged
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise (error if isinstance(error, OutcomeTableError) else damaged) from None
     return study
@@ -424,19 +411,27 @@ def read_study(folder: Path) -> Study:
 
 def study_of(table: RoadTable) -> Study:
     """Make a study of any table, such as a campaign's, to export it."""
-    rows = []
     changed = {name for one in table.conditions for name in one.changed}
     conditions = {column: name for column, name in CONDITIONS.items() if name in changed}
-    for k, test in enumerate(table.test_ids):
-        for column, name in enumerate(table.simulators):
-            if table.states[k, column] in (State.COMPLETED, State.FAILED):
-                failed = table.states[k, column] == State.FAILED
-                row = (test, 0, name, failed, table.lateral[k, column], table.limits[k, column], str(table.families[k]))
-                changed_here = (getattr(table.conditions[k], name) for name in conditions.values())
-                rows.append((*row, *table.features[k], *changed_here))
-    frame = pd.DataFrame(rows, columns=[*LONG, *table.feature_names, *conditions])
+    at = tests, columns = np.nonzero(np.isin(table.states, (State.COMPLETED, State.FAILED)))
+    frame = pd.DataFrame(
+        {
+            "test_id": [table.test_ids[test] for test in tests],
+            "repeat": 0,
+            "simulator": [table.simulators[column] for column in columns],
+            "failed": table.states[at] == State.FAILED,
+            "margin": table.lateral[at],
+            "limit": table.limits[at],
+            "family": table.families[tests].astype(str),
+            **dict(zip(table.feature_names, table.features[tests].T, strict=True)),
+            **{
+                column: np.array([getattr(table.conditions[test], name) for test in tests], np.float64)
+                for column, name in conditions.items()
+            },
+        }
+    )
     return Study(
-        rows=frame.astype(dict.fromkeys(conditions, np.float64)),
+        rows=frame,
         features=table.feature_names,
         axes=axes_of(frame, table.feature_names[:2]),
         twin=table.twin,

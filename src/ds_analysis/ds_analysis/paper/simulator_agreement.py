@@ -23,7 +23,7 @@ APART = 0.5
 """Distance from which two lateral positions count as apart, m; chosen: a quarter of half a lane."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PairComparison:
     """Comparison of two simulators on the same roads.
 
@@ -92,33 +92,24 @@ def _pair(outcomes: RoadTable, first: SimulatorName, second: SimulatorName) -> P
     failed, other_failed = outcomes.failed(first)[judged], outcomes.failed(second)[judged]
     table = np.zeros((2, 2), int)
     np.add.at(table, (failed.astype(int), other_failed.astype(int)), 1)
-    kappa, interval, reason = _kappa(first, second, table)
     pairs = [(outcomes.profiles[first][k], outcomes.profiles[second][k]) for k in judged]
     common = [min(map(len, pair)) for pair in pairs]
     ones, others = (
         np.concatenate([np.empty(0), *(pair[i][:both] for pair, both in zip(pairs, common, strict=True))])
         for i in (0, 1)
     )
-    apart = np.abs(ones - others)
-    measured = len(apart) > 0
-    correlation = r_or_nan(ones, others) if measured else math.nan
-    return PairComparison(
-        first=first,
-        second=second,
-        roads=len(judged),
-        both_fail=int(table[1, 1]),
-        only_first_fails=int(table[1, 0]),
-        only_second_fails=int(table[0, 1]),
-        both_complete=int(table[0, 0]),
-        kappa=kappa,
-        kappa_interval=interval,
-        reason=reason,
-        median_apart=float(np.median(apart)) if measured else None,
-        apart_95=float(np.percentile(apart, 95)) if measured else None,
-        most_apart=float(apart.max()) if measured else None,
-        share_apart=float((apart > APART).mean()) if measured else None,
-        correlation=None if math.isnan(correlation) else correlation,
-    )
+    none, only_second, only_first, both = table.ravel().tolist()
+    kappa, distances = _kappa(first, second, table), _distances(ones, others)
+    return PairComparison(first, second, len(judged), both, only_first, only_second, none, *kappa, *distances)
+
+
+def _distances(ones: Array, others: Array) -> tuple[float | None, ...]:
+    """Median, 95th percentile and largest distance of lateral positions, share of those apart, and correlation."""
+    if not len(ones):
+        return (None,) * 5
+    apart, correlation = np.abs(ones - others), r_or_nan(ones, others)
+    sizes = np.median(apart), np.percentile(apart, 95), apart.max(), (apart > APART).mean()
+    return (*map(float, sizes), None if math.isnan(correlation) else correlation)
 
 
 def _kappa(

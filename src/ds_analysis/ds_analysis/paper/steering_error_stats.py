@@ -30,7 +30,7 @@ EDGES = np.linspace(-2.0, 2.0, 201)
 """Bin edges of `density`: every possible error in steps of 0.02; chosen: a hundredth of the steering range."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ErrorSummary:
     """Summary of the steering errors of a group of recordings.
 
@@ -72,21 +72,12 @@ def _summary(group: str, answers: Sequence[OpenLoopAnswers]) -> ErrorSummary:
     errors = np.concatenate([one.errors for one in answers])
     recorded = np.concatenate([one.recorded for one in answers])
     answered = np.concatenate([one.answered for one in answers])
-    both = np.isfinite(recorded) & np.isfinite(answered)
-    size = np.abs(errors)
-    measured = bool(errors.size)
-    return ErrorSummary(
-        group=group,
-        images=sum(one.images for one in answers),
-        answered=int(np.isfinite(answered).sum()),
-        compared=int(errors.size),
-        mean=float(errors.mean()) if measured else None,
-        mean_absolute=float(size.mean()) if measured else None,
-        root_mean_square=float(np.sqrt(np.mean(errors**2))) if measured else None,
-        median_absolute=float(np.median(size)) if measured else None,
-        largest=float(size.max()) if measured else None,
-        outputs_apart=float(wasserstein_distance(answered[both], recorded[both])) if measured else None,
-    )
+    both, size = np.isfinite(recorded) & np.isfinite(answered), np.abs(errors)
+    counts = sum(one.images for one in answers), int(np.isfinite(answered).sum()), int(errors.size)
+    if not errors.size:
+        return ErrorSummary(group, *counts, *[None] * 6)
+    sizes = errors.mean(), size.mean(), np.sqrt(np.mean(errors**2)), np.median(size), size.max()
+    return ErrorSummary(group, *counts, *map(float, (*sizes, wasserstein_distance(answered[both], recorded[both]))))
 
 
 def density(errors: Array) -> Array:
@@ -132,7 +123,7 @@ class ErrorComparison:
         return self.p > ALPHA and self.power >= POWER
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ErrorRobustnessCheck:
     """Comparison of a sibling's errors, or of `MERGED`, computed and tested as `what` says."""
 
@@ -165,21 +156,16 @@ def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComp
 
 def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[ErrorRobustnessCheck]:
     """Compare errors in other ways; see `compare_errors`."""
-    groups = _with_merged(siblings, twin)
-    checks = []
+    groups, twin_shares, checks = _with_merged(siblings, twin), shares(twin), []
     for name, errors in groups.items():
-        binned, twin_binned = shares(errors), shares(twin)
-        distance = _binned_distance(binned, twin_binned)
-        what = "share of all errors per bin (paper 4.3.1)"
-        checks.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=_wilcoxon(binned, twin_binned)))
+        distance, p = _binned_distance(shares(errors), twin_shares), _wilcoxon(shares(errors), twin_shares)
+        checks.append(ErrorRobustnessCheck("share of all errors per bin (paper 4.3.1)", name, distance, p))
     for name, errors in groups.items():
-        distance = float(wasserstein_distance(errors, twin))
-        p = float(ks_2samp(errors, twin).pvalue)
-        what = "errors themselves, no bins; Kolmogorov-Smirnov test"
-        checks.append(ErrorRobustnessCheck(what=what, name=name, distance=distance, p=p))
+        distance, p = float(wasserstein_distance(errors, twin)), float(ks_2samp(errors, twin).pvalue)
+        checks.append(ErrorRobustnessCheck("errors themselves, no bins; Kolmogorov-Smirnov test", name, distance, p))
     for name, errors in groups.items():
         power = _power(cohens_d(errors, twin), len(errors), len(twin) / len(errors))
-        checks.append(ErrorRobustnessCheck(what="power with the true numbers of errors", name=name, power=power))
+        checks.append(ErrorRobustnessCheck("power with the true numbers of errors", name, power=power))
     return checks
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import Literal, get_args
 
 import numpy as np
@@ -20,7 +20,7 @@ from ds_road.geometry import lane_curvature
 from ds_sim.registry import SimulatorName
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Nesting:
     """Failures of two simulators on the same roads.
 
@@ -44,26 +44,15 @@ class Nesting:
 
 def nestings(table: OutcomeTable) -> list[Nesting]:
     """Count on which roads each pair of simulators fails, in their order."""
-    pairs = []
-    for first, second in combinations(table.simulators, 2):
-        one, other = table.failed(first), table.failed(second)
-        forward, forward_interval = _share(other[one], table.families[one])
-        backward, backward_interval = _share(one[other], table.families[other])
-        pairs.append(
-            Nesting(
-                first=first,
-                second=second,
-                both=int((one & other).sum()),
-                only_first=int((one & ~other).sum()),
-                only_second=int((~one & other).sum()),
-                neither=int((~one & ~other).sum()),
-                second_given_first=forward,
-                second_given_first_interval=forward_interval,
-                first_given_second=backward,
-                first_given_second_interval=backward_interval,
-            )
-        )
-    return pairs
+    return [nesting(table, first, second) for first, second in combinations(table.simulators, 2)]
+
+
+def nesting(table: OutcomeTable, first: SimulatorName, second: SimulatorName) -> Nesting:
+    """Count on which roads two simulators fail."""
+    one, other = table.failed(first), table.failed(second)
+    both, only_first, only_second, neither = (int((a & b).sum()) for a, b in product((one, ~one), (other, ~other)))
+    forward, backward = _share(other[one], table.families[one]), _share(one[other], table.families[other])
+    return Nesting(first, second, both, only_first, only_second, neither, *forward, *backward)
 
 
 def _share(failed: Bools, families: Indices) -> tuple[float | None, Interval | None]:

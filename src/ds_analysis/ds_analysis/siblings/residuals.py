@@ -34,7 +34,7 @@ FEWEST_ROADS = 2 * FEWEST_OF_EACH_KIND
 """Roads that a correlation over roads needs; chosen: as many as the rule for failures needs in all."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class ResidualCorrelation:
     """Correlation of two simulators' lateral positions; intervals are 95% bootstrap intervals over families of roads.
 
@@ -65,26 +65,13 @@ def residual_correlations(table: RoadTable, *, repeats: int = REPEATS) -> list[R
     by_place = _place_residuals(table)
     correlations = []
     for first, second in combinations(table.simulators, 2):
-        plain, plain_interval = _correlation(lateral[first], lateral[second], table.families)
+        plain = _correlation(lateral[first], lateral[second], table.families)
         one, other = by_road[first], by_road[second]
-        roads, roads_interval = (
-            (None, None) if one is None or other is None else _correlation(one, other, table.families)
-        )
-        places, places_interval = _clustered_correlation(by_place[first], by_place[second], table.families)
+        roads = (None, None) if one is None or other is None else _correlation(one, other, table.families)
+        places = _clustered_correlation(by_place[first], by_place[second], table.families)
         few = f"{len(table.roads)} roads, expected {FEWEST_ROADS}" if len(table.roads) < FEWEST_ROADS else ""
-        correlations.append(
-            ResidualCorrelation(
-                first=first,
-                second=second,
-                plain=plain,
-                plain_interval=plain_interval,
-                roads=roads,
-                roads_interval=roads_interval,
-                places=places,
-                places_interval=places_interval,
-                caution="; ".join(text for text in (few, cautions[first], cautions[second]) if text),
-            )
-        )
+        caution = "; ".join(filter(None, (few, cautions[first], cautions[second])))
+        correlations.append(ResidualCorrelation(first, second, *plain, *roads, *places, caution))
     return correlations
 
 
@@ -157,11 +144,9 @@ def _clustered_correlation(
     if (sums[:, 0] > 0).sum() < FEWEST_ROADS:
         return None, None
     correlation = _of_sums(*sums.T)
-    return (
-        (None, None)
-        if np.isnan(correlation)
-        else (correlation, interval_over_families(tuple(sums.T), _of_sums, families))
-    )
+    if np.isnan(correlation):
+        return None, None
+    return correlation, interval_over_families(tuple(sums.T), _of_sums, families)
 
 
 def _sums(one: Array, other: Array) -> tuple[float, ...]:

@@ -6,14 +6,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ds_analysis.common.driven_road import DrivenRoad
+from ds_analysis.common.driven_road import DrivenRoad, lateral_profile
 from ds_analysis.common.outcome_table import table_of_runs
 from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
 from ds_road import Road
 from ds_sim import SimulatorName
-from ds_sim.scenario import Scenario
-from ds_sim.session import RunRecord
-from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import Outcome
 
 A_NAME, B = map(SimulatorName, "ab")
 
@@ -24,26 +22,14 @@ def run(
     outcome: Outcome = Outcome.COMPLETED, lateral: tuple[float, float] = (0.0, 0.0), length: float = 50.0
 ) -> DrivenRoad:
     """Create a run whose lateral position changes linearly between two values; its speed varies."""
-    record = RunRecord(scenario=Scenario(ROAD, seed=0), outcome=outcome)
-    for step, share in enumerate(np.linspace(0.0, 1.0, 21) ** 2):
-        at = lateral[0] + share * (lateral[1] - lateral[0])
-        record.observations.append(
-            Observation(
-                image=np.empty((0, 0, 3), np.uint8),
-                step=step,
-                time=0.05 * step,
-                vehicle=VehicleState(x=0.0, y=0.0, yaw=0.0, speed=0.0, yaw_rate=0.0, steering_angle=0.0),
-                lane=LaneState(
-                    lateral_position=at,
-                    lateral_distance=2.0 - abs(at),
-                    preview_lateral_position=at,
-                    arc_length=share * length,
-                ),
-                outcome=Outcome.RUNNING,
-            )
-        )
-        record.commands.append(Command(0.0, 0.0))
-    return DrivenRoad.of_run(record)
+    shares = np.linspace(0.0, 1.0, 21) ** 2
+    positions = lateral[0] + shares * (lateral[1] - lateral[0])
+    return DrivenRoad(
+        road=ROAD,
+        outcome=outcome,
+        max_lateral_position=float(np.abs(positions).max()),
+        profile=lateral_profile(shares * length, positions, ROAD.lane_width / 2),
+    )
 
 
 def test_kappa_is_that_of_the_textbook_table() -> None:

@@ -15,7 +15,7 @@ from nav_msgs.msg import OccupancyGrid
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import SimulatorName, label_of
@@ -76,35 +76,31 @@ def grids_of(data: CampaignData) -> Grids | None:
     cells = [cell[:2] for one in chosen.values() for cell in one.cells]
     if not cells:
         return None
-    low, high = np.min(cells, axis=0), np.max(cells, axis=0)
-    size = high - low + 1
-    if int(size[0]) * int(size[1]) > MOST_CELLS:
+    columns, rows = (range(min(bins), max(bins) + 1) for bins in zip(*cells, strict=True))
+    if len(columns) * len(rows) > MOST_CELLS:
         return None
     grids, tests = {}, {}
     for name, one in chosen.items():
-        grids[name], tests[name] = _grid(one, (int(low[0]), int(low[1])), (int(size[0]), int(size[1])))
+        grids[name], tests[name] = _grid(one, columns, rows)
     across, up = (feature_of(name) for name in data.config.features[:2])
     legend = MapLegend(
-        across=across.title,
-        up=up.title,
-        columns=[across.label(bin_) for bin_ in range(int(low[0]), int(high[0]) + 1)],
-        rows=[up.label(bin_) for bin_ in range(int(low[1]), int(high[1]) + 1)],
+        across=across.title, up=up.title, columns=[*map(across.label, columns)], rows=[*map(up.label, rows)]
     )
     return Grids(grids, tests, legend)
 
 
-def _grid(one: FeatureMap, low: Cell, size: tuple[int, int]) -> tuple[OccupancyGrid, list[int]]:
+def _grid(one: FeatureMap, columns: range, rows: range) -> tuple[OccupancyGrid, list[int]]:
     """Place a map's cells on a grid, row by row from below."""
-    tests, failures = np.zeros((size[1], size[0]), np.int64), np.zeros((size[1], size[0]))
+    tests, failures = np.zeros((len(rows), len(columns)), np.int64), np.zeros((len(rows), len(columns)))
     for cell, content in one.cells.items():
-        place = cell[1] - low[1], cell[0] - low[0]
+        place = rows.index(cell[1]), columns.index(cell[0])
         tests[place] += content.tests
         failures[place] += content.tests * content.probability
     percent = np.where(tests > 0, np.rint(100.0 * failures / np.maximum(tests, 1)), -1.0)
     grid = OccupancyGrid()
     grid.header.frame_id = FRAME
-    grid.info.resolution, grid.info.width, grid.info.height = 1.0, size[0], size[1]
-    grid.info.origin.position.x, grid.info.origin.position.y = float(low[0]), float(low[1])
+    grid.info.resolution, grid.info.width, grid.info.height = 1.0, len(columns), len(rows)
+    grid.info.origin.position.x, grid.info.origin.position.y = float(columns[0]), float(rows[0])
     grid.info.origin.orientation.w = 1.0
     grid.data = percent.astype(np.int8).ravel().tolist()
     return grid, tests.ravel().tolist()

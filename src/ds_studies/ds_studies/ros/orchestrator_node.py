@@ -52,11 +52,8 @@ class OrchestratorNode(Node):
         self._job: Job | None = None
         self._presence = Presence(self, "orchestrator_presence", lambda: self.get_logger().error(self._crowd()))
         self._view = CampaignView(self, self._crowd)
-        for kind, name, work in (
-            (RunCampaign, "run_campaign", run_campaign_goal),
-            (DriveTests, "drive_tests", drive_tests_goal),
-        ):
-            self._serve(kind, name, work)
+        self._serve(RunCampaign, "run_campaign", run_campaign_goal)
+        self._serve(DriveTests, "drive_tests", drive_tests_goal)
         # Steady clock: under use_sim_time the node's own stands still between runs.
         self.create_timer(EVERY, self._show, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"ready; the folders of goals are below {self._root.resolve()}")

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -17,21 +17,14 @@ from ds_sim.oracle import OracleLimits
 from ds_sim.scenario import Scenario
 
 
-class Bracket(NamedTuple):
-    """Where failing begins on one road: a level that is completed, or 0, and the next, which fails if it is driven."""
-
-    completes: int
-    fails: int | None
-
-
-def first_failure(fails: Callable[[int], bool], highest: int, near: Bracket | None = None) -> Bracket:
+def first_failure(fails: Callable[[int], bool], highest: int, near: RoadResult | None = None) -> RoadResult:
     """Bisect integer levels from 0, which is taken to be completed, to the highest one, which may be 0.
 
     The level found fails, and the one below is completed; it is the lowest such one where failing is monotone. `near`
     is the result for a similar road, around which is searched: two drives if it holds here, too.
     """
     if highest == 0:
-        return Bracket(0, None)
+        return RoadResult(completes=0)
     low, high = 0, highest + 1
 
     def drive(level: int) -> None:
@@ -53,7 +46,7 @@ def first_failure(fails: Callable[[int], bool], highest: int, near: Bracket | No
             step *= 2
     while high - low > 1:
         drive((low + high) // 2)
-    return Bracket(low, high if high <= highest else None)
+    return RoadResult(completes=low, fails=high if high <= highest else None)
 
 
 SEGMENTS = 4
@@ -114,7 +107,7 @@ def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -
     """
     step = LEVELS // levels
     results: list[RoadResult] = []
-    near: Bracket | None = None
+    near: RoadResult | None = None
     for road in range(roads):
         if sum(one.withstands_all for one in results) > roads // 2:
             break
@@ -123,11 +116,10 @@ def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -
             levels,
             near,
         )
-        completes, failing = near.completes * step, None if near.fails is None else near.fails * step
-        if failing is not None and fails(GATE, road, factor.conditions(failing)):
-            results.append(RoadResult(completes=completes, excluded=failing))
-        else:
-            results.append(RoadResult(completes=completes, fails=failing))
+        one = RoadResult(completes=near.completes * step, fails=near.fails and near.fails * step)
+        if one.fails is not None and fails(GATE, road, factor.conditions(one.fails)):
+            one = replace(one, fails=None, excluded=one.fails)
+        results.append(one)
     return tuple(results)
 
 
