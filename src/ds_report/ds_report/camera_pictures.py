@@ -52,19 +52,12 @@ DriveKey = tuple[str, SimulatorName]
 
 @dataclass(frozen=True, kw_only=True)
 class PicturePlan:
-    """Frames of which a report has pictures.
+    """Frames of which a report has pictures."""
 
-    Attributes:
-        frames: test and simulator -> frames to render, increasing.
-        strips: number of tests of which every drive has a strip.
-        spacing: time between two pictures of a replay, s.
-        replayed: number of failed drives, of `failed` in all, whose replay has pictures.
-    """
-
-    frames: Mapping[DriveKey, Sequence[int]]
-    strips: int = 0
-    spacing: float = SPACINGS[0] / FRAME_RATE
-    replayed: int = 0
+    frames: Mapping[DriveKey, Sequence[int]]  # test and simulator -> frames to render, increasing
+    strips: int = 0  # number of tests of which every drive has a strip
+    spacing: float = SPACINGS[0] / FRAME_RATE  # time between two pictures of a replay, s
+    replayed: int = 0  # number of failed drives, of `failed` in all, whose replay has pictures
     failed: int = 0
 
 

@@ -48,17 +48,11 @@ FEW_FAMILIES = 16
 
 @dataclass(frozen=True, kw_only=True)
 class Split:
-    """Threshold that separates failing roads from the others.
+    """Threshold that separates failing roads from the others."""
 
-    Attributes:
-        axis: `curvature`, the largest of a road in 1/m, `turns`, or the name of a condition.
-        threshold: of the harder roads, the value nearest to the others.
-        is_lower_bound: whether the harder roads have the threshold or more, otherwise the threshold or less.
-    """
-
-    axis: str
-    threshold: float
-    is_lower_bound: bool
+    axis: str  # `curvature`, the largest of a road in 1/m, `turns`, or the name of a condition
+    threshold: float  # of the harder roads, the value nearest to the others
+    is_lower_bound: bool  # whether the harder roads have the threshold or more, otherwise the threshold or less
     found: ChosenSplit
 
 

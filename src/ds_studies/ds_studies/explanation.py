@@ -71,17 +71,13 @@ def loss_of(execution: Execution, half_lane: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Explanation:
-    """Why a test fails on one simulator and not on another.
-
-    Attributes:
-        against: simulator on which it completes.
-        losses: each subset of the parts in which the two differ -> loss of the drive with these of `fails`, all others
-            of `against`. A drive with the loss 1 fails.
-    """
+    """Why a test fails on one simulator and not on another."""
 
     test_id: str
     fails: SimulatorName
-    against: SimulatorName
+    against: SimulatorName  # simulator on which it completes
+    # Each subset of the parts in which the two differ -> loss of the drive with these of `fails`, all others of
+    # `against`. A drive with the loss 1 fails.
     losses: Mapping[Subset, float]
 
     @property

@@ -39,31 +39,22 @@ SEED = 14
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fold:
-    """Indices of (m,) training roads and of a (k,) part of the roads, and logits of failure on both.
-
-    Attributes:
-        known: (m,) each from a model of training roads in other inner parts.
-        predicted: (k,) from a model of all training roads.
-    """
+    """Indices of (m,) training roads and of a (k,) part of the roads, and logits of failure on both."""
 
     repeat: int
     train: Indices
     test: Indices
-    known: Array
-    predicted: Array
+    known: Array  # (m,) each from a model of training roads in other inner parts
+    predicted: Array  # (k,) from a model of all training roads
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Predictions:
-    """Predictions from road features.
+    """Predictions from road features."""
 
-    Attributes:
-        probability: (repeats, roads) of failure, each from a model that did not see the road; see `bounded`.
-        chosen: index of the feature that separated the training roads best -> number of folds in which it did.
-    """
-
-    probability: Array
+    probability: Array  # (repeats, roads) of failure, each from a model that did not see the road; see `bounded`
     folds: Sequence[Fold]
+    # Index of the feature that separated the training roads best -> number of folds in which it did.
     chosen: Counter[int]
 
 

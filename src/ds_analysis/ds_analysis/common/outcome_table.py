@@ -189,14 +189,11 @@ class RoadTable(OutcomeTable):
 
     Their features are those of the road, `ROAD_FEATURES`, then the conditions that differ between tests, each as a
     share of its range on its scale; a family is all that descend from one root of mutation.
-
-    Attributes:
-        drives: (tests, simulators) recorded drives, or None; see `profiles`.
     """
 
     roads: tuple[Road, ...]
     conditions: tuple[Conditions, ...]
-    drives: NDArray[np.object_]
+    drives: NDArray[np.object_]  # (tests, simulators) recorded drives, or None; see `profiles`
     PER_TEST: ClassVar[tuple[str, ...]] = (*OutcomeTable.PER_TEST, "roads", "conditions", "drives")
     PER_SIMULATOR: ClassVar[tuple[str, ...]] = (*OutcomeTable.PER_SIMULATOR, "drives")
 

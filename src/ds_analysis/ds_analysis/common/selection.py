@@ -75,20 +75,13 @@ def _clopper_pearson(failures: float, tests: float) -> Interval:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChosenSplit:
-    """The split of tests with the largest Youden index over all axes and thresholds.
+    """The split of tests with the largest Youden index over all axes and thresholds."""
 
-    Attributes:
-        axis: row of the values.
-        threshold: value of the harder tests that is nearest to the others.
-        harder: (tests,) whether a test has the threshold or more.
-        p: of rule 1.
-        apart: of rule 2: failures of the tests that other families call harder, and gentler; None where there are none.
-    """
-
-    axis: int
-    threshold: float
-    harder: Bools
-    p: float
+    axis: int  # row of the values
+    threshold: float  # value of the harder tests that is nearest to the others
+    harder: Bools  # (tests,) whether a test has the threshold or more
+    p: float  # of rule 1
+    # Of rule 2: failures of the tests that other families call harder, and gentler; None where there are none.
     apart: tuple[Share, Share] | None
 
     @property

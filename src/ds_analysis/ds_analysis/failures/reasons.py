@@ -35,17 +35,12 @@ _HABITS = {"constant": "always steers the same", "saturated": "is at full lock h
 
 
 class FailureReason(NamedTuple):
-    """Why one drive failed, in words that follow "the driver".
-
-    Attributes:
-        kind: how it left the lane or did not finish, and what led there if the record tells; one for a group.
-        details: where and how fast, and under which conditions if they are not the default.
-    """
+    """Why one drive failed, in words that follow "the driver"."""
 
     test_id: str
     simulator: SimulatorName
-    kind: str
-    details: str
+    kind: str  # how it left the lane or did not finish, and what led there if the record tells; one for a group
+    details: str  # where and how fast, and under which conditions if they are not the default
 
 
 Groups = Mapping[str, Sequence[FailureReason]]

@@ -36,20 +36,15 @@ MOST_GROUPS = 20
 
 @dataclass
 class Guess:
-    """What the columns of a table seem to be.
+    """What the columns of a table seem to be."""
 
-    Attributes:
-        columns: content of the YAML file so far; `reasons` say why.
-        asked: key that only a person can fill in -> lines for it, each with a question.
-        sure: whether every key comes from a usual name that only one column has, and the verdict from known words.
-        only: name of the simulator where no column tells several apart.
-    """
-
-    columns: dict[str, Any] = field(default_factory=dict)
+    columns: dict[str, Any] = field(default_factory=dict)  # content of the YAML file so far; `reasons` say why
     reasons: dict[str, str] = field(default_factory=dict)
+    # Key that only a person can fill in -> lines for it, each with a question.
     asked: dict[str, list[tuple[str, str]]] = field(default_factory=dict)
+    # Whether every key comes from a usual name that only one column has, and the verdict from known words.
     sure: bool = True
-    only: str = ""
+    only: str = ""  # name of the simulator where no column tells several apart
 
     def set(self, key: str, value: Any, reason: str, *, sure: bool) -> None:
         """Add a key."""

@@ -65,15 +65,11 @@ class Rule(Keys, allow_inf_nan=False):
 
 
 class Margin(Keys, allow_inf_nan=False):
-    """Column with how close a run came to its limit, beyond which it failed.
+    """Column with how close a run came to its limit, beyond which it failed."""
 
-    Attributes:
-        column: its name; at least 0, such as the largest distance from the lane's centre; empty where only the verdict
-            is known.
-        limit: number, one for each simulator, or the name of a column.
-    """
-
+    # Its name; at least 0, such as the largest distance from the lane's centre; empty where only the verdict is known.
     column: str
+    # A number, one for each simulator, or the name of a column.
     limit: Annotated[float, Field(gt=0.0)] | dict[str, Annotated[float, Field(gt=0.0)]] | str
 
 
@@ -89,37 +85,25 @@ class Verdict(Keys, allow_inf_nan=False):
 
 
 class Columns(Keys, allow_inf_nan=False):
-    """Content of the YAML file; left out, columns have the names that `ds outcomes export` gives them, if they exist.
+    """Content of the YAML file; left out, columns have the names that `ds outcomes export` gives, if they exist."""
 
-    Attributes:
-        test: column, or columns, with the id of the test.
-        simulator: column, or columns, that name the simulator.
-        simulators: of a wide table, with one row a test: simulator -> its columns; instead of `simulator`.
-        failed: column or rules; see `Failed`.
-        margin: instead of, or beside, `failed`.
-        repeat: column with the number of the repetition.
-        family: column of what tests have in common that are not independent, such as the road that they change.
-        features: columns that are known before a test is driven, of numbers or of few words; all others if left out.
-        where: rows to read.
-        map: axes of the map, feature -> width of a bin; the first two features in ten bins each if left out.
-        twin: simulator that the others are to predict.
-        car: real car whose rows are its drives: they update the prediction, and are not a simulator's.
-        car_drawn: whether the car's tests were drawn at random from all, so that they certify something.
-    """
-
-    test: str | list[str] = "test_id"
-    simulator: str | list[str] = "simulator"
+    test: str | list[str] = "test_id"  # column, or columns, with the id of the test
+    simulator: str | list[str] = "simulator"  # column, or columns, that name the simulator
+    # Of a wide table, with one row a test: simulator -> its columns; instead of `simulator`.
     simulators: dict[SimulatorName, Verdict] | None = None
-    failed: Failed | None = None
-    margin: Margin | None = None
-    repeat: str | None = None
+    failed: Failed | None = None  # column or rules; see `Failed`
+    margin: Margin | None = None  # instead of, or beside, `failed`
+    repeat: str | None = None  # column with the number of the repetition
+    # Column of what tests have in common that are not independent, such as the road that they change.
     family: str | None = None
+    # Columns that are known before a test is driven, of numbers or of few words; all others if left out.
     features: list[str] | None = None
-    where: list[Rule] = []
+    where: list[Rule] = []  # rows to read
+    # Axes of the map, feature -> width of a bin; the first two features in ten bins each if left out.
     map: Annotated[dict[str, Annotated[float, Field(gt=0.0)]], Field(min_length=2, max_length=3)] | None = None
-    twin: SimulatorName | None = None
-    car: str | None = None
-    car_drawn: bool = False
+    twin: SimulatorName | None = None  # simulator that the others are to predict
+    car: str | None = None  # real car whose rows are its drives: they update the prediction, and are not a simulator's
+    car_drawn: bool = False  # whether the car's tests were drawn at random from all, so that they certify something
 
     def filled(self, names: Sequence[str]) -> Columns:
         """Return the same, with columns of the usual names where nothing was said."""

@@ -52,24 +52,19 @@ CONDITIONS = {f"condition_{name}": name for name in FIELDS}
 
 @dataclass(frozen=True, kw_only=True)
 class Study:
-    """Imported outcomes.
+    """Imported outcomes."""
 
-    Attributes:
-        rows: one for each drive, with the columns `LONG`, the features, and the conditions; `margin` and `limit` are
-            NaN where only the verdict is known.
-        axes: feature -> width of a bin of the map.
-        twin: simulator that the others are to predict.
-        car: real car whose rows are drives, not a simulator's; with `car_drawn`, of tests drawn at random from all.
-        conditions: columns `condition_NAME` in SI units, of conditions that a campaign changed; empty where the
-            simulator chooses. The features have the same as shares of their ranges.
-    """
-
+    # One for each drive, with the columns `LONG`, the features, and the conditions; `margin` and `limit` are NaN where
+    # only the verdict is known.
     rows: pd.DataFrame
     features: tuple[str, ...]
-    axes: dict[str, float]
-    twin: SimulatorName | None = None
+    axes: dict[str, float]  # feature -> width of a bin of the map
+    twin: SimulatorName | None = None  # simulator that the others are to predict
+    # Real car whose rows are drives, not a simulator's; with `car_drawn`, of tests drawn at random from all.
     car: str | None = None
     car_drawn: bool = False
+    # Columns `condition_NAME` in SI units, of conditions that a campaign changed; empty where the simulator chooses.
+    # The features have the same as shares of their ranges.
     conditions: tuple[str, ...] = ()
 
     @property

@@ -35,26 +35,17 @@ APART = 10
 
 @dataclass(frozen=True, kw_only=True)
 class OpenLoopAnswers:
-    """A driver's steering on one recording, or on one simulator's images of a data set.
-
-    Attributes:
-        group: group with which it is pooled.
-        index: (n,) indices of the images; unreadable ones are left out.
-        seconds: (n,) s since the first image; NaN in a data set.
-        recorded: (n,) recorded steering; NaN if there is none.
-        answered: (n,) the driver's steering, not clipped, as in the authors' package; NaN without an answer.
-        trouble: one line for each image that cannot be read.
-        worst: frames with the largest errors, largest first, each with the driver's steering.
-    """
+    """A driver's steering on one recording, or on one simulator's images of a data set."""
 
     name: str
-    group: str
-    index: NDArray[np.int64]
-    seconds: Array
-    recorded: Array
-    answered: Array
+    group: str  # group with which it is pooled
+    index: NDArray[np.int64]  # (n,) indices of the images; unreadable ones are left out
+    seconds: Array  # (n,) s since the first image; NaN in a data set
+    recorded: Array  # (n,) recorded steering; NaN if there is none
+    answered: Array  # (n,) the driver's steering, not clipped, as in the authors' package; NaN without an answer
     images: int
-    trouble: list[str] = field(default_factory=list)
+    trouble: list[str] = field(default_factory=list)  # one line for each image that cannot be read
+    # Frames with the largest errors, largest first, each with the driver's steering.
     worst: list[tuple[RecordedFrame, float]] = field(default_factory=list)
 
     @property

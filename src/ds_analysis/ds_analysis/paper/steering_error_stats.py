@@ -32,24 +32,18 @@ EDGES = np.linspace(-2.0, 2.0, 201)
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """Summary of the steering errors of a group of recordings.
-
-    Attributes:
-        compared: number of answered images with recorded steering.
-        mean: mean error, positive to the right; None without errors, as are the following.
-        outputs_apart: Wasserstein distance between answered and recorded steering as distributions.
-    """
+    """Summary of the steering errors of a group of recordings."""
 
     group: str
     images: int
     answered: int
-    compared: int
-    mean: float | None
+    compared: int  # number of answered images with recorded steering
+    mean: float | None  # mean error, positive to the right; None without errors, as are the following
     mean_absolute: float | None
     root_mean_square: float | None
     median_absolute: float | None
     largest: float | None
-    outputs_apart: float | None
+    outputs_apart: float | None  # Wasserstein distance between answered and recorded steering as distributions
 
 
 def pooled_errors(answers: Sequence[OpenLoopAnswers]) -> dict[str, Array]:
@@ -92,28 +86,20 @@ def distances(errors: Mapping[str, Array]) -> list[tuple[str, str, float]]:
 
 @dataclass(frozen=True, kw_only=True)
 class ErrorComparison:
-    """Comparison of the errors on one sibling, or on all siblings, with those on the twin.
+    """Comparison of the errors on one sibling, or on all siblings, with those on the twin."""
 
-    Attributes:
-        name: name of the sibling, or `MERGED`.
-        beyond: share of errors above `RANGE`, which the densities leave out.
-        distance: Wasserstein distance of the densities, each at its bin's right edge (maxitwo).
-        p: two-sided p-value of Wilcoxon's signed-rank test on the pairs of densities; None if all pairs are equal.
-        effect: Cohen's d with pooled standard deviation; None if all errors are equal.
-        power: power of a two-sample t test on the errors; as in the authors' package, each sample has the size of both
-            together. None without an effect.
-        enough: errors in each sample for a power of 0.8; None without an effect.
-    """
-
-    name: str
+    name: str  # name of the sibling, or `MERGED`
     images: int
     mean_squared: float
-    beyond: float
-    distance: float
+    beyond: float  # share of errors above `RANGE`, which the densities leave out
+    distance: float  # Wasserstein distance of the densities, each at its bin's right edge (maxitwo)
+    # Two-sided p-value of Wilcoxon's signed-rank test on the pairs of densities; None if all pairs are equal.
     p: float | None
-    effect: float | None
+    effect: float | None  # Cohen's d with pooled standard deviation; None if all errors are equal
+    # Power of a two-sample t test on the errors; as in the authors' package, each sample has the size of both together.
+    # None without an effect.
     power: float | None
-    enough: float | None
+    enough: float | None  # errors in each sample for a power of 0.8; None without an effect
 
     @property
     def alike(self) -> bool | None:

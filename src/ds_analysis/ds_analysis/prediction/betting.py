@@ -42,19 +42,13 @@ def predicted_before(undriven: Prediction, prediction: Prediction) -> Iterator[t
 
 @dataclass(frozen=True, kw_only=True)
 class SiblingHelp:
-    """Whether the siblings have helped to predict the car's drives.
-
-    Attributes:
-        with_siblings: mean squared error of predictions with the siblings, and `without`.
-        helped: largest capital, so far, of the bet that the siblings help, now `capital`.
-        misled: the same of the bet that predictions without them are better.
-    """
+    """Whether the siblings have helped to predict the car's drives."""
 
     drives: int = 0
-    with_siblings: float = 0.0
+    with_siblings: float = 0.0  # mean squared error of predictions with the siblings, and `without`
     without: float = 0.0
-    helped: float = 1.0
-    misled: float = 1.0
+    helped: float = 1.0  # largest capital, so far, of the bet that the siblings help, now `capital`
+    misled: float = 1.0  # the same of the bet that predictions without them are better
     capital: float = 1.0
 
     @property

@@ -137,19 +137,12 @@ Learnt = LearntLogistic | LearntRate
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SiblingOutcomes:
-    """What siblings did.
+    """What siblings did."""
 
-    Attributes:
-        features: (tests, features) standardised.
-        failed: (tests, siblings) whether a test failed.
-        known: (tests, siblings) whether there is a verdict.
-        margins: (tests, siblings) logarithm of the largest lateral position over its limit; NaN if not known.
-    """
-
-    features: Array
-    failed: Bools
-    known: Bools
-    margins: Array
+    features: Array  # (tests, features) standardised
+    failed: Bools  # (tests, siblings) whether a test failed
+    known: Bools  # (tests, siblings) whether there is a verdict
+    margins: Array  # (tests, siblings) logarithm of the largest lateral position over its limit; NaN if not known
 
     def of(self, siblings: Sequence[int]) -> SiblingOutcomes:
         """Keep some siblings."""

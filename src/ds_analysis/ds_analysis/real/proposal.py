@@ -47,18 +47,14 @@ class _Row(BaseModel):
 
 
 class Proposed(BaseModel):
-    """What was proposed for a folder so far.
+    """What was proposed for a folder so far."""
 
-    Attributes:
-        scale: metres of the road per metre of the car's; None before the first proposal.
-        population: tests from which all rounds are drawn; () before the first proposal, and in files of 0.2.
-        rounds: proposals, each in the order of its drives.
-        before: of each round, the tests that the car had driven by then without being proposed.
-    """
-
+    # Metres of the road per metre of the car's; None before the first proposal.
     scale: Annotated[float, Field(ge=1.0, le=100.0)] | None = None
+    # Tests from which all rounds are drawn; () before the first proposal, and in files of 0.2.
     population: Annotated[list[Text], Field(max_length=MOST_TESTS)] = []
-    rounds: Annotated[list[list[_Row]], Field(max_length=MOST_ROWS)] = []
+    rounds: Annotated[list[list[_Row]], Field(max_length=MOST_ROWS)] = []  # proposals, each in the order of its drives
+    # Of each round, the tests that the car had driven by then without being proposed.
     before: Annotated[list[list[Text]], Field(max_length=MOST_ROWS)] = []
 
     @property
@@ -100,24 +96,16 @@ def candidates_of(table: OutcomeTable) -> Indices:
 
 @dataclass(frozen=True, kw_only=True)
 class ProposedDrive:
-    """A test to drive on the car.
-
-    Attributes:
-        road: road to tape out; None if the test is known by its imported features alone.
-        scale: metres of the road per metre of the car's.
-        probability: predicted probability that the car fails.
-        drawn: whether it was drawn from all tests that were left, so that it certifies something.
-        siblings: simulator -> outcome of this test there: `failed`, `completed` or `not driven`.
-    """
+    """A test to drive on the car."""
 
     test_id: str
-    road: Road | None
+    road: Road | None  # road to tape out; None if the test is known by its imported features alone
     conditions: Conditions
     features: dict[str, float]
-    scale: float
-    probability: float
-    drawn: bool
-    siblings: dict[str, str]
+    scale: float  # metres of the road per metre of the car's
+    probability: float  # predicted probability that the car fails
+    drawn: bool  # whether it was drawn from all tests that were left, so that it certifies something
+    siblings: dict[str, str]  # simulator -> outcome of this test there: `failed`, `completed` or `not driven`
 
     @property
     def to_set(self) -> dict[str, str]:

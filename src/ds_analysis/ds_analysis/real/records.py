@@ -42,24 +42,19 @@ class RecordError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class RealDrive:
-    """Outcome of one test on a real car.
-
-    Attributes:
-        max_lateral_position: largest absolute lateral position of a completed drive, m of the road frame (the car's
-            metres times the scale); None if it was not measured.
-        when: date, or date and time, ISO 8601.
-        drawn: whether the person says that its test was drawn at random from all, where it was not proposed.
-    """
+    """Outcome of one test on a real car."""
 
     test_id: Text
     failed: bool
     outcome: Text
+    # Largest absolute lateral position of a completed drive, m of the road frame (the car's metres times the scale);
+    # None if it was not measured.
     max_lateral_position: Annotated[float, Field(ge=0.0, le=LARGEST_OFFSET)] | None
     who: Text
-    when: Text
+    when: Text  # date, or date and time, ISO 8601
     source: Text
     note: Text = ""
-    drawn: bool = False
+    drawn: bool = False  # whether the person says that its test was drawn at random from all, where it was not proposed
 
 
 _KEPT = TypeAdapter(Annotated[list[RealDrive], Field(max_length=MOST_ROWS)])

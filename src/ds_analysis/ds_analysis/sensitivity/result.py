@@ -19,17 +19,12 @@ from ds_sim.scenario import Scenario
 
 @dataclass(frozen=True, kw_only=True)
 class RoadResult:
-    """One factor on one road; levels of strength are those of `Factor`.
+    """One factor on one road; levels of strength are those of `Factor`."""
 
-    Attributes:
-        completes: highest level that the driver completes below the one at which it fails.
-        fails: next level that may be driven, at which it fails; None if it fails at none, or there as `excluded`.
-        excluded: that level if the driver fails there and cannot be judged.
-    """
-
-    completes: int
+    completes: int  # highest level that the driver completes below the one at which it fails
+    # Next level that may be driven, at which it fails; None if it fails at none, or there as `excluded`.
     fails: int | None = None
-    excluded: int | None = None
+    excluded: int | None = None  # that level if the driver fails there and cannot be judged
 
     @property
     def withstands_all(self) -> bool:

@@ -25,19 +25,13 @@ from ds_sim.registry import SimulatorName
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Quality of cross-validated predictions; intervals are 95% bootstrap intervals over families of roads.
+    """Quality of cross-validated predictions; intervals are 95% bootstrap intervals over families of roads."""
 
-    Attributes:
-        auc: area under the ROC curve of the mean predicted probability; no interval where all resamples have 1.
-        brier: mean squared error of the probabilities; the share of failures p alone scores p (1 - p).
-        bits: mean logarithmic loss, bits a road.
-    """
-
-    auc: float
+    auc: float  # area under the ROC curve of the mean predicted probability; no interval where all resamples have 1
     auc_interval: Interval | None
-    brier: float
+    brier: float  # mean squared error of the probabilities; the share of failures p alone scores p (1 - p)
     brier_interval: Interval | None
-    bits: float
+    bits: float  # mean logarithmic loss, bits a road
 
 
 @dataclass(frozen=True, kw_only=True)

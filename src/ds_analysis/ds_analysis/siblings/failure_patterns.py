@@ -22,13 +22,7 @@ from ds_sim.registry import SimulatorName
 
 @dataclass(frozen=True)
 class Nesting:
-    """Failures of two simulators on the same roads.
-
-    Attributes:
-        second_given_first: share of the first's failures on which the second fails too; None if the first never fails.
-        second_given_first_interval: its 95% interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over
-            families where roads descend from each other.
-    """
+    """Failures of two simulators on the same roads."""
 
     first: str
     second: str
@@ -36,7 +30,10 @@ class Nesting:
     only_first: int
     only_second: int
     neither: int
+    # Share of the first's failures on which the second fails too; None if the first never fails.
     second_given_first: float | None
+    # Its 95% interval: Clopper and Pearson's (Biometrika 26, 1934), or a bootstrap over families where roads descend
+    # from each other.
     second_given_first_interval: Interval | None
     first_given_second: float | None
     first_given_second_interval: Interval | None

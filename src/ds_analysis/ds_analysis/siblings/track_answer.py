@@ -17,24 +17,18 @@ from ds_sim.simulator import Outcome
 
 @dataclass(frozen=True, kw_only=True)
 class TrackAnswer:
-    """What became of one driver on the roads of a recorded track.
-
-    Attributes:
-        recording: simulator with the recording's photographs; `twin` has its own picture of the world.
-        drives: driver and simulator -> a drive for each road; None where it has no verdict.
-        undecided: driver and simulator -> why, one line for each road without a verdict.
-        recorded: whether the recorded car left the lane of each road.
-        limits: what could not be done, one sentence each.
-    """
+    """What became of one driver on the roads of a recorded track."""
 
     driver: DriverName
-    recording: SimulatorName
+    recording: SimulatorName  # simulator with the recording's photographs; `twin` has its own picture of the world
     twin: SimulatorName
     roads: Sequence[Road]
+    # Driver and simulator -> a drive for each road; None where it has no verdict.
     drives: Mapping[tuple[DriverName, SimulatorName], Sequence[Execution | None]]
+    # Driver and simulator -> why, one line for each road without a verdict.
     undecided: Mapping[tuple[DriverName, SimulatorName], Sequence[str]] = field(default_factory=dict)
-    recorded: Sequence[bool]
-    limits: Sequence[str] = ()
+    recorded: Sequence[bool]  # whether the recorded car left the lane of each road
+    limits: Sequence[str] = ()  # what could not be done, one sentence each
 
     def failures(self, driver: DriverName, simulator: SimulatorName) -> tuple[int, int]:
         """Roads on which a driver fails, and roads with a verdict."""

@@ -21,21 +21,13 @@ from ds_sim.registry import SimulatorName
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """A campaign at one moment.
+    """A campaign at one moment."""
 
-    Attributes:
-        data: contents of the store; executions without their trajectories.
-        latest: simulator -> test that was driven there last.
-        live: what the campaign does, or None if no process works on it.
-        complete: whether everything was driven and the report is up to date.
-        at: time of reading, s since 1970.
-    """
-
-    data: CampaignData
-    latest: dict[str, str]
-    live: Live | None
-    complete: bool
-    at: float
+    data: CampaignData  # contents of the store; executions without their trajectories
+    latest: dict[str, str]  # simulator -> test that was driven there last
+    live: Live | None  # what the campaign does, or None if no process works on it
+    complete: bool  # whether everything was driven and the report is up to date
+    at: float  # time of reading, s since 1970
 
 
 @dataclass

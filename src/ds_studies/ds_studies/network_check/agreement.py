@@ -33,18 +33,13 @@ FEWEST_BINS = 5
 
 @dataclass(frozen=True)
 class Agreement:
-    """Answers n of a network against the autopilot's steering a, by the regression n = slope * a + offset.
+    """Answers n of a network against the autopilot's steering a, by the regression n = slope * a + offset."""
 
-    Attributes:
-        correlation: over all images; 0 for a constant answer.
-        by_simulator: correlation on each simulator alone.
-        without: (drives,) size of the correlation without one drive each, as Fisher's z.
-    """
-
-    correlation: float
+    correlation: float  # over all images; 0 for a constant answer
     slope: float
     offset: float
-    by_simulator: tuple[float, ...]
+    by_simulator: tuple[float, ...]  # correlation on each simulator alone
+    # (drives,) size of the correlation without one drive each, as Fisher's z.
     without: NDArray[np.float64] = field(default_factory=lambda: np.zeros(1), compare=False, repr=False)
 
     @property

@@ -107,21 +107,15 @@ class AnswerStatistics:
 
 @dataclass(frozen=True, kw_only=True)
 class NetworkCheck:
-    """What was found out about a network.
-
-    Attributes:
-        correlation: of its steering with the autopilot's.
-        findings: what is wrong.
-        steering: simulator -> its answers to all images.
-        fixed: the description with every line applied; None without a description, or without a line.
-    """
+    """What was found out about a network."""
 
     driver: DriverName
     images: int
-    correlation: float
+    correlation: float  # of its steering with the autopilot's
     answers: Sequence[AnswerStatistics]
-    findings: Sequence[Finding]
-    steering: dict[SimulatorName, NDArray[np.float64]]
+    findings: Sequence[Finding]  # what is wrong
+    steering: dict[SimulatorName, NDArray[np.float64]]  # simulator -> its answers to all images
+    # The description with every line applied; None without a description, or without a line.
     fixed: DescribedNetwork | None
 
     @property

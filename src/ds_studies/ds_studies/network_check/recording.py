@@ -47,18 +47,12 @@ class TooSlowError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class AutopilotDrives:
-    """Images of the autopilot's drives on one simulator.
-
-    Attributes:
-        frames: images and speeds, drive after drive.
-        steering: (frames,) the autopilot's steering, -1 left to +1 right.
-        throttle: (frames,) its throttle, 0 to 1.
-    """
+    """Images of the autopilot's drives on one simulator."""
 
     simulator: SimulatorName
-    frames: tuple[Frame, ...]
-    steering: NDArray[np.float64]
-    throttle: NDArray[np.float64]
+    frames: tuple[Frame, ...]  # images and speeds, drive after drive
+    steering: NDArray[np.float64]  # (frames,) the autopilot's steering, -1 left to +1 right
+    throttle: NDArray[np.float64]  # (frames,) its throttle, 0 to 1
 
     @property
     def drives(self) -> NDArray[np.intp]:
