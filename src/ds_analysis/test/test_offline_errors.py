@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from progress_lines import ProgressLines
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
-from ds_analysis.paper.open_loop import OpenLoopError, architecture_of, predict
+from ds_analysis.paper.campaign_evaluation import network_of
+from ds_analysis.paper.open_loop import OpenLoopError, predict
 from ds_analysis.paper.paper_tables import error_tables
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_base.progress import SILENT
@@ -168,11 +169,11 @@ def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_p
 
 def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:
     save_weights(make_network("chauffeur"), tmp_path / "mine.safetensors", architecture="chauffeur")
-    assert architecture_of(DriverName.parse(str(tmp_path / "mine.safetensors"))) == "chauffeur"
+    assert network_of(DriverName.parse(str(tmp_path / "mine.safetensors"))) == ("chauffeur", "sim")
     names = [DriverName.parse(name) for name in ("dave2", "dave2_short", "dave2_short@onnx")]
-    assert {architecture_of(name) for name in names} == {"dave2"}
+    assert {network_of(name) for name in names} == {("dave2", "sim")}
     others = [DriverName.parse(name) for name in ("autopilot", "missing.safetensors", "my_driver:Driver")]
-    assert {architecture_of(name) for name in others} == {""}
+    assert {network_of(name) for name in others} == {None}
 
 
 def test_the_table_stands_beside_the_papers() -> None:

@@ -115,7 +115,7 @@ def evaluate_command(
     if of_campaign := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
         raise typer.BadParameter(f"--{of_campaign[0]} is the campaign's: leave it out, or leave out {folder}")
     from ds_analysis.paper.campaign_contents import maps_of
-    from ds_analysis.paper.campaign_evaluation import correlations_of, paired_differences_of, tables_of
+    from ds_analysis.paper.campaign_evaluation import evaluate_campaign
     from ds_analysis.paper.open_loop import OpenLoopError
     from ds_base.folder_files import locked, make_folder
     from ds_base.table import keep_tables
@@ -136,7 +136,7 @@ def evaluate_command(
             received_driver(config.driver, confirmed=trusted)
             tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
             keep_tables(tables, folder / RQ1)
-        tables += tables_of(config, maps, correlations_of(config, maps), paired_differences_of(config, maps))
+        tables += evaluate_campaign(config, maps).tables
         tables += section.tables if (section := sibling_section(campaign)) else []
         following = ds_command("report", folder)
         result = tables_result(tables, out or folder / "evaluation", following, everything=everything)

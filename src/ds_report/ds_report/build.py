@@ -9,13 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
-from ds_analysis.paper.campaign_evaluation import (
-    CORRELATIONS,
-    correlations_of,
-    network_of,
-    paired_differences_of,
-    tables_of,
-)
+from ds_analysis.paper.campaign_evaluation import CORRELATIONS, evaluate_campaign, network_of
 from ds_base.atomic_files import write_json
 from ds_base.progress import logger_of
 from ds_base.table import read_tables, write_tables
@@ -83,9 +77,7 @@ def write_all(
     store.set_result("maps", count)
     mapped = time.monotonic()
     listener.stage("evaluation")
-    correlations = correlations_of(data.config, maps)
-    differences = paired_differences_of(data.config, maps)
-    tables = tables_of(data.config, maps, correlations, differences)
+    correlations, differences, tables = evaluate_campaign(data.config, maps)
     write_json(folder / CORRELATIONS, [one.document() for one in correlations])
     siblings = sibling_section(data)
     excluded = [excluded_table(data)] if data.excluded else []

@@ -257,10 +257,10 @@ def drive_pictures(
         except Exception as error:  # a missing or broken simulator must not prevent the report
             return dict.fromkeys(drives, _no_pictures(error))
         with closing(simulator):
-            shown = [test for test in tests if test.test_id in drives]
             return {
-                one.test_id: render_drive(simulator, name, one, drives[one.test_id], frames[one.test_id, name], driver)
-                for one in shown
+                one.test_id: render_drive(simulator, one, drives[one.test_id], frames[one.test_id, name], driver)
+                for one in tests
+                if one.test_id in drives
             }
 
     with ThreadPoolExecutor(1 if one_by_one else _THREADS) as pool:
@@ -271,15 +271,10 @@ def drive_pictures(
 
 
 def render_drive(
-    simulator: Simulator,
-    name: SimulatorName,
-    test: Test,
-    execution: Execution,
-    steps: Sequence[int],
-    driver: DriverName,
+    simulator: Simulator, test: Test, execution: Execution, steps: Sequence[int], driver: DriverName
 ) -> PicturedDrive:
     """Render increasing frames of one drive, with what the driver sees, on a simulator that drives nothing now."""
-    see = partial(_paired, driver=driver, simulator=name)
+    see = partial(_paired, driver=driver, simulator=execution.simulator)
     if not isinstance(simulator, RoadSimulator):
         return PicturedDrive(note="no pictures: this simulator renders images only while it drives")
     try:

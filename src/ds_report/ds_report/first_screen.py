@@ -72,17 +72,13 @@ Failures = Mapping[tuple[str, SimulatorName], bool]
 """Test and simulator -> whether the driver failed; only verdicts."""
 
 
-def _keys(test: Test, names: Sequence[SimulatorName]) -> list[tuple[str, SimulatorName]]:
-    return [(test.test_id, name) for name in names]
-
-
 def _believe(data: CampaignData, failed: Failures) -> str:
     """State where the siblings disagree, and which of them the twin agrees with, by rule 2 of this module."""
     siblings, twin = data.config.siblings, data.config.twin
-    tests = [test for test in data.tests if all(key in failed for key in _keys(test, siblings))]
+    tests = [test for test in data.tests if all((test.test_id, name) in failed for name in siblings)]
     if not tests:
         return ""
-    split = [test for test in tests if len({failed[key] for key in _keys(test, siblings)}) > 1]
+    split = [test for test in tests if len({failed[test.test_id, name] for name in siblings}) > 1]
     judged = [test for test in split or tests if twin and (test.test_id, twin) in failed]
     if not split:
         return _of_agreement(siblings, twin, tests, judged, failed)

@@ -6,13 +6,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import TypeAdapter
 
 from ds_analysis.common.statistics import RESAMPLES
 from ds_analysis.paper.correlation import Correlation, PairedDifference, check_robustness, evaluate, paired_differences
-from ds_analysis.paper.open_loop import architecture_of, kind_of
 from ds_analysis.paper.paper_tables import (
     NETWORKS,
     Network,
@@ -35,14 +34,26 @@ _RENAMED_VALUES = {"quality": "quality_loss"}
 """Value in files of earlier versions -> present name."""
 
 
-def correlations_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[Correlation]:
-    """Compare the siblings' maps with the twin's; empty without a twin."""
-    return evaluate(maps, config.siblings, config.twin, resamples=RESAMPLES) if config.twin else []
+class CampaignEvaluation(NamedTuple):
+    """Comparison of a campaign's maps with the twin's, and its tables; empty without a twin."""
+
+    correlations: Sequence[Correlation] = ()
+    differences: Sequence[PairedDifference] = ()
+    tables: Sequence[Table] = ()
 
 
-def paired_differences_of(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> list[PairedDifference]:
-    """Compute the paired differences between the merged map and each sibling's; empty without a twin."""
-    return paired_differences(maps, config.siblings, config.twin) if config.twin else []
+def evaluate_campaign(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> CampaignEvaluation:
+    """Compute and tabulate RQ2, RQ3, paired differences if siblings are merged, and robustness checks."""
+    if config.twin is None:
+        return CampaignEvaluation()
+    compared = maps, config.siblings, config.twin
+    correlations, differences = evaluate(*compared, resamples=RESAMPLES), paired_differences(*compared)
+    tables = [
+        *correlation_tables(correlations, config.siblings, config.twin, network_of(config.driver)),
+        *([paired_difference_table(differences, config.siblings)] if differences else []),
+        robustness_table(check_robustness(*compared), cautions(correlations)),
+    ]
+    return CampaignEvaluation(correlations, differences, tables)
 
 
 def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]:
@@ -68,22 +79,9 @@ def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]
 
 
 def network_of(driver: DriverName) -> Network | None:
-    """Find the paper's heading for a network; None if the paper does not test it."""
-    architecture = architecture_of(driver)
-    return (architecture, kind_of(driver)) if architecture in NETWORKS else None
+    """Find the paper's heading for a network, M_S if it sees plain images, M_R translated ones; None for any other."""
+    from ds_driver.networks.network_driver import sees_translated
+    from ds_driver.networks.weights import architecture_in, shipped_networks
 
-
-def tables_of(
-    config: CampaignConfig,
-    maps: Mapping[MapId, FeatureMap],
-    correlations: Sequence[Correlation],
-    added: Sequence[PairedDifference],
-) -> list[Table]:
-    """Tabulate RQ2, RQ3, paired differences if siblings are merged, and robustness checks; empty without a twin."""
-    if config.twin is None:
-        return []
-    return [
-        *correlation_tables(correlations, config.siblings, config.twin, network_of(config.driver)),
-        *([paired_difference_table(added, config.siblings)] if added else []),
-        robustness_table(check_robustness(maps, config.siblings, config.twin), cautions(correlations)),
-    ]
+    architecture = architecture_in(shipped_networks().get(driver.network, Path(driver.network)))
+    return (architecture, "real" if sees_translated(driver) else "sim") if architecture in NETWORKS else None

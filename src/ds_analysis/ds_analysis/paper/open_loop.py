@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -199,17 +199,3 @@ def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
     if len(group) <= images:
         return group
     return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]
-
-
-def architecture_of(driver: DriverName) -> str:
-    """Read the architecture of a shipped network or a weights file; "" if it has none."""
-    from ds_driver.networks.weights import architecture_in, shipped_networks
-
-    return architecture_in(shipped_networks().get(driver.network, Path(driver.network)))
-
-
-def kind_of(driver: DriverName) -> Literal["sim", "real"]:
-    """Return which of the paper's networks one compares with: M_S for plain images, M_R for translated ones."""
-    from ds_driver.networks.network_driver import sees_translated
-
-    return "real" if sees_translated(driver) else "sim"

@@ -44,7 +44,7 @@ class DrivePictures:
         if isinstance(simulator, str):
             return asdict(PicturedDrive(note=f"no pictures: {simulator}"))
         frames = replay_frames(execution, SPACINGS[0])
-        return asdict(render_drive(simulator, name, test, execution, frames, self._driver))
+        return asdict(render_drive(simulator, test, execution, frames, self._driver))
 
     def close(self) -> None:
         """Close the simulators."""

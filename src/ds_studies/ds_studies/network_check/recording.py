@@ -6,8 +6,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,12 +105,6 @@ def affordable(
     )
 
 
-class _Job(NamedTuple):
-    simulator: SimulatorName
-    scenarios: Sequence[Scenario]
-    kept: slice
-
-
 def record(
     simulators: Sequence[SimulatorName], seed: int, progress: Progress, *, whole: bool = False, lane: Side = "right"
 ) -> list[AutopilotDrives]:
@@ -128,20 +123,17 @@ def record(
     recordings = []
     progress.start(len(simulators))
     # A simulator in one process, as starting it takes longer than a drive.
-    for one in map_in_processes(_record, [_Job(name, scenarios, kept) for name in simulators], abandon=True):
+    for one in map_in_processes(partial(_record, scenarios, kept), simulators, abandon=True):
         recordings.append(one)
         progress.advance(line=f"the autopilot drove on {one.simulator}")
     return recordings
 
 
-def _record(job: _Job) -> AutopilotDrives:
-    kept = [
-        one for scenario in job.scenarios for one in _drive(job.simulator, scenario, job.kept, lambda _: None)[job.kept]
-    ]
-    steering, throttle = np.array([(command.steering, command.throttle) for _, command in kept]).T
-    return AutopilotDrives(
-        simulator=job.simulator, frames=tuple(frame for frame, _ in kept), steering=steering, throttle=throttle
-    )
+def _record(scenarios: Sequence[Scenario], kept: slice, simulator: SimulatorName) -> AutopilotDrives:
+    driven = [one for scenario in scenarios for one in _drive(simulator, scenario, kept, lambda _: None)[kept]]
+    steering, throttle = np.array([(command.steering, command.throttle) for _, command in driven]).T
+    frames = tuple(frame for frame, _ in driven)
+    return AutopilotDrives(simulator=simulator, frames=frames, steering=steering, throttle=throttle)
 
 
 def speeds_of_throttle(pilot: Pilot, simulator: SimulatorName, seed: int) -> NDArray[np.float64]:
