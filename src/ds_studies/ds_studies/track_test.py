@@ -103,11 +103,7 @@ class TrackTest:
 
 
 def locate_recording(of: LocationInputs, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
-    """Locate a recording, and write a folder; its page, whose path is returned, too, is written last.
-
-    Raises:
-        ds_recording.errors.RecordingError: it cannot carry a location.
-    """
+    """Locate a recording, or raise `RecordingError`, and write a folder; its page, with this path, is written last."""
     camera = read_camera(of.camera)
     views = read_views(of.source, of.reading, of.odometry, of.centre)
     located, fit = located_of(views, camera, of.lane_width, progress)
@@ -123,10 +119,7 @@ def run_track_test(
     callbacks: Callbacks | None = None,
     progress: Callable[[], Progress] = lambda: SILENT,
 ) -> TrackAnswer:
-    """Do what is left to do, and write `answer.json` and the page.
-
-    The driver and simulators of the settings are replaced by those of the test; `progress` makes one that counts the
-    work of a step.
+    """Do what is left to do, with the driver and simulators of the test, and write `answer.json` and the page.
 
     Raises:
         TrackTestError: the folder holds the test of another recording, camera or lane.

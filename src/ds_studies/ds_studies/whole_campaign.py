@@ -62,7 +62,7 @@ def run_campaign(
     Args:
         config: what to run.
         folder: campaign folder, created if missing.
-        listener: receives every stage and every finished execution, from several threads.
+        listener: called from several threads.
         attach: use the nodes that are already running in this environment's ROS domain instead of starting any.
         cluster: cluster of the engine `dask`; one on this machine if None.
         stop: ends driving from another thread.
@@ -133,10 +133,7 @@ def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: C
 
 
 def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
-    """Refuse a configuration from a campaign folder that names code which the user has not confirmed.
-
-    A folder may have been received, so its configuration alone never decides which code runs. The caller's own
-    configuration needs no such check.
+    """Refuse a configuration from a campaign folder, which may have been received, that names unconfirmed code.
 
     Raises:
         ds_sim.registry.UntrustedSimulatorError: a simulator is neither shipped nor trusted.

@@ -212,19 +212,10 @@ class RoadTable(OutcomeTable):
         cells: Sequence[Cell | None] | None = None,
         drives: Sequence[Sequence[DrivenRoad | Execution | None]] | None = None,
     ) -> RoadTable:
-        """Make a table, with the features and families of its tests.
+        """Make a table, with the features and families of its tests, from (tests, simulators) arrays.
 
-        Args:
-            roads: (tests,) roads.
-            states: (tests, simulators) values of `State`.
-            lateral: (tests, simulators) largest absolute lateral position, m.
-            siblings: all simulators but the twin.
-            twin: last simulator, if it is the twin.
-            test_ids: ids of the roads if None.
-            conditions: the default ones if None.
-            axes: axes of the feature map.
-            cells: those of the paper's maps if None.
-            drives: (tests, simulators) recorded drives, of verdicts only; none if None.
+        By default, tests have the ids of their roads, the default conditions, and the cells of the paper's maps. Drives
+        are of verdicts only.
         """
         conditions = [DEFAULT] * len(roads) if conditions is None else conditions
         half = np.array([road.lane_width / 2 for road in roads], np.float64)

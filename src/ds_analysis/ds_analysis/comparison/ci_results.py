@@ -73,11 +73,7 @@ class Criteria:
         newly_failing: int | None = None,
         worse: Sequence[str] = (),
     ) -> list[str]:
-        """Say which criteria are not met, one sentence each; `newly_failing` is None without a reference.
-
-        Raises:
-            ConfigError: the criterion needs a comparison, and there is none.
-        """
+        """Say which criteria are not met, after `check`; `newly_failing` is None without a reference."""
         self.check(has_reference=newly_failing is not None)
         unmet = []
         failing = {name: failures for name, (failures, _) in tally.items() if failures}
@@ -96,11 +92,7 @@ class Criteria:
         return unmet
 
     def check(self, *, has_reference: bool) -> None:
-        """Refuse a criterion that needs a comparison where there is none.
-
-        Raises:
-            ConfigError: it does.
-        """
+        """Refuse, by a `ConfigError`, a criterion that needs a comparison where there is none."""
         if self.fail_on in ("regression", "worse") and not has_reference:
             raise ConfigError(
                 f"--fail-on {self.fail_on} needs outcomes to compare with: use it with `ds compare` or "

@@ -118,11 +118,7 @@ class Columns(Keys, allow_inf_nan=False):
 
 
 def read_columns(path: Path) -> Columns:
-    """Read and check the YAML file.
-
-    Raises:
-        OutcomeTableError: one line says which key is wrong, and what is expected.
-    """
+    """Read the YAML file; one line of an `OutcomeTableError` says which key is wrong, and what is expected."""
     try:
         return Columns.model_validate(read_yaml(path))
     except OSError as error:

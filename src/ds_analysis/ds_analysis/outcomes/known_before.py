@@ -62,15 +62,9 @@ def features_of(
     A missing number is the median of the other tests, and 1 in a further feature, `NAME missing`. Each word of a column
     is a feature of 0 and 1, `NAME=WORD`.
 
-    Args:
-        frame: rows of the table.
-        tests: (rows,) test of each.
-        names: columns to take; all that may be features if None.
-        used: columns that are something else.
-        notes: takes what is left out.
-        source: name of the table, for errors.
-        owners: simulators of a wide table, whose names end their columns; None if all columns are known to be features.
-        failed: verdict of each test, where one simulator drove each once.
+    The frame has rows of the (rows,) `tests`, and columns with these `names`; None takes all that may be features, and
+    are not `used` otherwise: not those that end in one of the `owners`, simulators of a wide table (None: all are known
+    to be features), or tell which tests `failed`, where one simulator drove each once. `notes` take what is left out.
     """
     columns: dict[str, pd.Series[Any]] = {}
     for name in names if names is not None else [one for one in frame.columns if one not in used]:

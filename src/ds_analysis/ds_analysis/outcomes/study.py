@@ -125,10 +125,8 @@ def import_outcomes(tables: Sequence[Path], columns: Columns, notes: ImportNotes
     """Read tables, CSV or Parquet: the first has the outcomes, each other one further columns for every test.
 
     Folders are read as SBFT's test files, one for each simulator. A row without a test, simulator, verdict or needed
-    margin is left out, and a column that is no feature, too: see `ImportNotes`, by default the first refuses.
-
-    Raises:
-        OutcomeTableError: one line says what is wrong, in which row.
+    margin is left out, and a column that is no feature, too: see `ImportNotes`, by default the first refuses. One line
+    of an `OutcomeTableError` says what is wrong, in which row.
     """
     notes = notes or ImportNotes()
     source = tables[0].name
@@ -359,11 +357,7 @@ def write_study(folder: Path, study: Study) -> Path:
 
 
 def read_study(folder: Path) -> Study:
-    """Read a study's file.
-
-    Raises:
-        OutcomeTableError: it is damaged, or not one.
-    """
+    """Read a study's file; `OutcomeTableError` if it is damaged, or not one."""
     path = folder / STUDY
     table: pa.Table = _read(read_parquet, path)
     frame = table.to_pandas(ignore_metadata=True)

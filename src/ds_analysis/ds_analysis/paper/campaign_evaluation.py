@@ -57,11 +57,7 @@ def evaluate_campaign(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) 
 
 
 def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]:
-    """Read correlations that this version or an earlier one wrote.
-
-    Raises:
-        StoreError: the file is damaged.
-    """
+    """Read correlations that this version or an earlier one wrote; `StoreError` if the file is damaged."""
     by_name = {map_id.name: map_id for map_id in map_ids(config.siblings, config.twin)}
     keys = {field.name for field in fields(Correlation)}
     try:

@@ -65,11 +65,7 @@ class OpenLoopError(InputError):
 
 
 def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> OpenLoopAnswers:
-    """Evaluate a driver on every image of a recording, or on the first ones.
-
-    Raises:
-        ds_bags.layout.BagError: the recording is damaged, or has no images.
-    """
+    """Evaluate a driver on all images of a recording, or the first ones; `BagError` if it is damaged or has none."""
     rows: list[tuple[int, float, float, float]] = []
     trouble: list[str] = []
     worst: list[tuple[RecordedFrame, float]] = []

@@ -157,10 +157,8 @@ def predict_car(folder: Path, table: OutcomeTable, *, tolerated: float = TOLERAT
 def drives_in_order(table: OutcomeTable, drives: Sequence[RealDrive], proposed: Proposed) -> list[Drive]:
     """Order drives as their tests were drawn; from the first that was not recorded on, none counts as drawn.
 
-    A driver who leaves out the tests that look hard would otherwise certify the easy ones.
-
-    Raises:
-        RecordError: a drive is of no test of the table.
+    A driver who leaves out the tests that look hard would otherwise certify the easy ones. `RecordError` if a drive is
+    of no test of the table.
     """
     rows = table.rows
     left = {drive.test_id: drive for drive in drives}

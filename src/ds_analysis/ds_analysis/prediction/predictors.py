@@ -33,11 +33,7 @@ from ds_sim.registry import SimulatorName
 
 
 def features_alone(table: OutcomeTable) -> Array:
-    """(tests,) probabilities of failure of every test, from the siblings' outcomes on tests of other families.
-
-    Raises:
-        OutcomeTableError: fewer than two families of tests have a verdict on a sibling.
-    """
+    """(tests,) probabilities of failure, from siblings' outcomes on tests of other families, or `OutcomeTableError`."""
     from sklearn import config_context
 
     failures = sum(table.failed(name).astype(np.float64) for name in table.siblings)
@@ -94,7 +90,7 @@ _SEED = 18
 """Seed of the bootstrap; any number does."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PredictorScore:
     """Score of one predictor; intervals are 95% bootstrap intervals over families of tests.
 
@@ -162,28 +158,16 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
     scored = []
     for name, probability in predicted.items():
         squared = _brier(probability, truth, weights)
-        other = None if name == FEATURES else squared - baseline
-        ends = None if other is None else _interval(other)
-        low, high = ends or (0.0, 0.0)
-        scored.append(
-            PredictorScore(
-                predictor=name,
-                brier=float(squared[0]),
-                brier_interval=_interval(squared),
-                difference=None if other is None else float(other[0]),
-                difference_interval=ends,
-                average_precision=auc_prc_or_reason(probability, truth)[0],
-                verdict="baseline"
-                if other is None
-                else "too few"
-                if few
-                else "adds"
-                if high < 0.0
-                else "worse"
-                if low > 0.0
-                else "adds nothing",
-            )
-        )
+        precision = auc_prc_or_reason(probability, truth)[0]
+        difference, ends, verdict = None, None, "baseline"
+        if name != FEATURES:
+            other = squared - baseline
+            difference, ends = float(other[0]), _interval(other)
+            low, high = ends or (0.0, 0.0)
+            adds = "adds" if high < 0.0 else "worse" if low > 0.0 else "adds nothing"
+            verdict = "too few" if few else adds
+        brier = float(squared[0]), _interval(squared)
+        scored.append(PredictorScore(name, *brier, difference, ends, precision, verdict))
     return PredictorComparison(
         twin=table.twin,
         tests=len(rows),

@@ -143,14 +143,9 @@ def propose(
     The order of all tests is drawn once, by a seed and their names; each call continues it, past what was driven
     meanwhile. So every proposed test is a uniform draw from all that were left, as the certificate needs it.
 
-    Args:
-        folder: of the campaign or study of the table.
-        table: outcomes.
-        prediction: of the table's tests.
-        driven: tests that the car drove already, in their order.
-        drives: number of tests to draw.
-        scale: metres of the road per metre of the car's; that of earlier proposals, or `SCALE`, if None.
-        spread: draw from as many groups of equal predicted probability; tells more, and certifies nothing.
+    `driven` are the tests that the car drove already, in their order; `drives` is the number of tests to draw; `scale`
+    is metres of the road per metre of the car's, that of earlier proposals, or `SCALE`, if None. With `spread`, they
+    come from as many groups of equal predicted probability, which tells more, and certifies nothing.
 
     Raises:
         BudgetError: fewer tests are left.

@@ -173,10 +173,9 @@ def _said(drive: RealDrive) -> str:
 
 
 def read_drives(folder: Path) -> list[RealDrive]:
-    """Read the real drives of a folder: the car's rows of a study, then what was recorded; empty if there are none.
+    """Read the real drives of a folder, if any: the car's rows of a study, then what was recorded.
 
-    Raises:
-        RecordError: the file is damaged, or a recorded drive contradicts the study.
+    `RecordError` if the file is damaged, or a recorded drive contradicts the study.
     """
     if not is_study(folder):
         return read_recorded(folder)

@@ -61,11 +61,7 @@ class CampaignReader:
         return self._known.config
 
     def read(self) -> Snapshot:
-        """Read what is new.
-
-        Raises:
-            ds_orchestrator.store.sqlite_file.StoreError: the file is damaged, or was replaced while it was read.
-        """
+        """Read what is new; `StoreError` if the file is damaged, or was replaced while it was read."""
         with self._opened() as store:
             try:
                 self._read_new(store)

@@ -73,11 +73,7 @@ class Watched:
             return self._state
 
     async def drive(self, test_id: str, simulator: SimulatorName) -> dict[str, Any] | None:
-        """A finished drive with its pictures; None if there is none.
-
-        Raises:
-            BusyError: newer questions have taken this one's place.
-        """
+        """A finished drive with its pictures, or None; `BusyError` if newer questions have taken this one's place."""
         loop = asyncio.get_running_loop()
         drive = await loop.run_in_executor(self._reading, self._reader.execution, test_id, simulator)
         if drive is None:

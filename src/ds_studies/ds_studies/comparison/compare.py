@@ -75,11 +75,7 @@ def network_of_campaign(data: CampaignData) -> Network:
 
 
 def tests_of_campaign(folder: Path, data: CampaignData) -> GivenTests:
-    """Tests of a campaign, each scenario once, on every simulator on which its network has a verdict.
-
-    Raises:
-        ComparisonError: there is none.
-    """
+    """Tests of a campaign, each scenario once, where its network has a verdict; `ComparisonError` if there is none."""
     data = data.distinct
     executions = {(one.test_id, one.simulator): one for one in data.verdicts}
     if not executions:

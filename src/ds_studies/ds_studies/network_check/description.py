@@ -59,10 +59,9 @@ Ask = Callable[[str, list[str], str], str]
 
 
 def forms_of(file: Path) -> list[DescribedNetwork]:
-    """Look at a network file: list how it may be described, as far as shapes and names of inputs and outputs say.
+    """List how a network file may be described, as far as shapes and names of inputs and outputs say.
 
-    Raises:
-        DriverError: it cannot be loaded, takes no image or several, or has a description already.
+    `DriverError` if it cannot be loaded, takes no image or several, or has a description already.
     """
     described = file.with_suffix(".yaml")
     if described.exists():

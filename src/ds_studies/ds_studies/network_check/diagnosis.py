@@ -151,17 +151,10 @@ def check_network(
     search: bool = True,
     loaded: DescribedNetworkPilot | None = None,
 ) -> NetworkCheck:
-    """Ask a network about recorded images, and diagnose how it is connected.
+    """Ask a network about recorded images, and diagnose how it is connected; `DriverError` if it gives no valid answer.
 
-    Args:
-        driver: any name that `load_pilot` takes.
-        recordings: of all simulators.
-        seed: of the road on which its throttle is tried, if it has one.
-        search: whether other descriptions and its throttle are tried, which takes many more images.
-        loaded: the same network file, which remembers its answers.
-
-    Raises:
-        ds_driver.networks.pilot.DriverError: it cannot be loaded, or gives no valid answer.
+    With `search`, other descriptions are tried, which takes many more images, and its throttle, on a road of this seed.
+    `loaded` is the same network file, which remembers its answers.
     """
     pilot = load_pilot(driver)
     if loaded is not None and isinstance(pilot, DescribedNetworkPilot):

@@ -79,11 +79,8 @@ def affordable(
 ) -> tuple[list[AutopilotDrives], bool]:
     """Keep as many images as a network can be asked about in so many seconds; say if other descriptions can be tried.
 
-    `pace` is in seconds per image; if others are tried, it is `asked` so many times about each. `whole`: it needs whole
-    drives.
-
-    Raises:
-        TooSlowError: fewer than `FEWEST` images are left, or no whole drive.
+    `pace` is in seconds per image; if others are tried, it is `asked` so many times about each. `TooSlowError` if fewer
+    than `FEWEST` images are left, or no whole drive where it needs them.
     """
 
     def thinned(step: int) -> list[AutopilotDrives]:
@@ -110,10 +107,7 @@ def record(
 ) -> list[AutopilotDrives]:
     """Let the autopilot drive in a lane on every simulator; the same seed gives the same images.
 
-    A network with memory is asked about `whole` pieces of drives, any other about some images of each.
-
-    Raises:
-        SimulatorError: a drive ended in an error.
+    A network with memory is asked about `whole` pieces of drives. `SimulatorError` if a drive ended in an error.
     """
     from ds_studies.sensitivity.measurement import candidate_roads  # its libraries take a worker longer than a drive
 

@@ -64,11 +64,7 @@ class OrchestratorNode(Node):
         super().destroy_node()
 
     def work(self) -> None:
-        """Do what goals ask, one after the other, in the main thread.
-
-        Raises:
-            KeyboardInterrupt: a signal.
-        """
+        """Do what goals ask, one after the other, in the main thread, until a signal's `KeyboardInterrupt`."""
         while True:
             with suppress(Empty):
                 self._do(self._jobs.get(timeout=0.2))

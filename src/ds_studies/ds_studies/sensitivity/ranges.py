@@ -17,11 +17,7 @@ RESULT = "sensitivity.json"
 
 
 def read_ranges(folder: Path) -> dict[str, tuple[float, float]]:
-    """Read the result of `ds sensitivity --out`; see `ranges_of`.
-
-    Raises:
-        ConditionsError: the folder holds no such result.
-    """
+    """Read `ranges_of` the result of `ds sensitivity --out`; `ConditionsError` if the folder holds none."""
     path = folder / RESULT
     try:
         return ranges_of(read_json(path))
