@@ -147,8 +147,7 @@ def write_camera(path: Path, camera: FloorCamera) -> None:
 def read_camera(path: Path) -> FloorCamera:
     """Read a camera's YAML file, as `write_camera` or ROS's `camera_calibration` writes it.
 
-    Files of former versions, with `focal_px`, `centre_x_px`, `centre_y_px` and `distortion`, are read too, those of
-    OpenCV's `FileStorage`, and of Kalibr's camera chains the first camera.
+    Files of OpenCV's `FileStorage` are read too, and of Kalibr's camera chains the first camera.
 
     Raises:
         RecordingError: it cannot be read, or a value is missing or out of range; one line.
@@ -165,8 +164,6 @@ def read_camera(path: Path) -> FloorCamera:
     content = {str(name): value for name, value in content.items()}
     if isinstance(chain := content.get("cam0"), dict):
         content = _of_kalibr(chain)
-    if "focal_px" in content:
-        content = _of_former_version(content)
     values: dict[str, Any] = {}
     for name, (low, high) in LIMITS.items():
         if content.get(name) is None and not name.startswith("image_"):
@@ -203,17 +200,6 @@ def _lens(path: Path, content: Mapping[str, Any]) -> Lens:
             f"{path}: {model} has {len(coefficients)} distortion_coefficients, expected {wanted}: calibrate again"
         )
     return Lens(model, (*coefficients, *[0.0] * wanted)[:wanted])
-
-
-def _of_former_version(content: Mapping[str, Any]) -> dict[str, Any]:
-    focal = content["focal_px"]
-    names = {"image_width": "width_px", "image_height": "height_px"}
-    matrix = [focal, 0.0, content.get("centre_x_px"), 0.0, focal, content.get("centre_y_px"), 0.0, 0.0, 1.0]
-    return {
-        **{name: content.get(names.get(name, name)) for name in LIMITS},
-        "camera_matrix": {"data": matrix},
-        "distortion_coefficients": {"data": content.get("distortion", [])},
-    }
 
 
 def _of_kalibr(camera: Mapping[str, Any]) -> dict[str, Any]:

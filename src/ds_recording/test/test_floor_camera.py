@@ -152,15 +152,6 @@ def test_camera_files_of_opencv_and_kalibr_are_read(tmp_path: Path, text: str, l
         read_camera(tmp_path / "camera.yaml")
 
 
-def test_files_of_former_versions_are_read(tmp_path: Path) -> None:
-    file = tmp_path / "camera.yaml"
-    file.write_text(
-        "width_px: 160\nheight_px: 120\nfocal_px: 80.0\ncentre_x_px: 79.5\ncentre_y_px: 59.5\nheight_m: 0.2\n"
-        "pitch_rad: 0.3\nforward_m: 0.05\ndistortion: [-0.2, 0.03, 0.001, -0.002, 0.0]\n"
-    )
-    assert read_camera(file) == replace(CAMERA, lens=LENS)
-
-
 @pytest.mark.parametrize(
     ("line", "wrong"),
     [

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tubs import write_tub
 
 from ds_recording.errors import RecordingError
+from ds_recording.floor_camera import FloorCamera, write_camera
 from ds_recording.located import COLUMNS
 from ds_recording.sibling.photo_scene import PhotoScene, network_grid
 from ds_recording.sibling.recorded_drive import read_drive
@@ -79,10 +80,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_tub(made / "tub", records)
     for name, head, lines in (("located", ",".join(COLUMNS), located), ("track", "# x_m,y_m", track)):
         (made / f"{name}.csv").write_text("\n".join([head, *(",".join(map(str, line)) for line in lines)]) + "\n")
-    (made / "camera.yaml").write_text(
-        f"width_px: {WIDTH}\nheight_px: {HEIGHT}\nfocal_px: {FOCAL}\ncentre_x_px: {(WIDTH - 1) / 2}\n"
-        f"centre_y_px: {(HEIGHT - 1) / 2}\nheight_m: {HIGH}\npitch_rad: {PITCH}\nforward_m: {FORWARD}\n"
+    camera = FloorCamera(
+        width_px=WIDTH,
+        height_px=HEIGHT,
+        focal_px=(FOCAL, FOCAL),
+        centre_x_px=(WIDTH - 1) / 2,
+        centre_y_px=(HEIGHT - 1) / 2,
+        height_m=HIGH,
+        pitch_rad=PITCH,
+        forward_m=FORWARD,
     )
+    write_camera(made / "camera.yaml", camera)
     (made / "recording.json").write_text(json.dumps({"source": "tub", "lane_width_m": LANE}))
     return made
 
@@ -173,7 +181,7 @@ def test_only_its_own_track_is_driven(folder: Path) -> None:
             ",".join(COLUMNS) + 2 * ("\n" + ",".join(["nan"] * 14)),
             "located.csv needs a row of 14 numbers",
         ),
-        ("camera.yaml", "focal_px: -1\n", "camera.yaml: "),
+        ("camera.yaml", "image_width: -1\n", "camera.yaml: "),
         ("track.csv", "0,0\n", "track.csv: not a track: expected at least two lines"),
         ("simulator.yaml", "car: 3\n", "simulator.yaml: car: "),
         ("simulator.yaml", "crop_top: 500\n", "simulator.yaml: crop_top: 500, expected below 160"),
