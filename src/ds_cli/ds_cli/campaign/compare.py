@@ -12,7 +12,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.campaign.compare_results import check_writable, criteria_of, unmet_by, write_comparison
+from ds_cli.campaign.compare_results import check_writable, criteria_of, write_comparison
 from ds_cli.output import end, stopped_in
 from ds_sim.registry import SimulatorName
 
@@ -198,7 +198,4 @@ def campaign_compare_command(
             else:
                 comparison = compare(sets, *networks, origin=origin, source=source, out=out, callbacks=callbacks)
     following = ds_command("report" if is_campaign(candidate) else "test", candidate)
-    end(
-        write_comparison(comparison, out, unmet_by(criteria, comparison), following, junit=junit, markdown=markdown),
-        as_json,
-    )
+    end(write_comparison(comparison, out, criteria, following, junit=junit, markdown=markdown), as_json)

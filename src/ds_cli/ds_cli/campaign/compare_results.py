@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -32,15 +31,6 @@ def criteria_of(fail_on: str | None, max_failures: str | None, *, has_reference:
     return criteria
 
 
-def unmet_by(criteria: Criteria, comparison: Comparison) -> list[str]:
-    """Criteria that a comparison does not meet."""
-    return criteria.unmet(
-        comparison.tally(),
-        newly_failing=len(comparison.newly_failing),
-        worse=[row.simulator for row in comparison.simulators if row.verdict == "worse"],
-    )
-
-
 def check_writable(*paths: Path | None) -> None:
     """Refuse files that could not be written at the end, before anything is driven."""
     for path in paths:
@@ -57,7 +47,7 @@ MOST_COLUMNS = 14
 def write_comparison(
     comparison: Comparison,
     out: Path,
-    unmet: Sequence[str],
+    criteria: Criteria,
     following: str,
     *,
     junit: Path | None,
@@ -75,11 +65,13 @@ def write_comparison(
     from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
 
+    worse = [row.simulator for row in comparison.simulators if row.verdict == "worse"]
+    unmet = criteria.unmet(comparison.tally(), newly_failing=len(comparison.newly_failing), worse=worse)
     road_files = write_roads(comparison, out / "worse")
     document = {
         "version": 1,
         **tables.document_of(comparison, road_files),
-        "unmet": list(unmet),
+        "unmet": unmet,
         "page": str(out / "comparison.html"),
     }
     write_json(out / "comparison.json", document)
@@ -107,9 +99,9 @@ def write_comparison(
             print(cells.notes[0])
         elif cells.rows:
             cells.show(console)
-        worse = tables.drive_table(comparison, most=tables.MOST_ROWS)
-        if worse.rows:
-            worse.show(console)
+        drives = tables.drive_table(comparison, most=tables.MOST_ROWS)
+        if drives.rows:
+            drives.show(console)
         for command in again[: tables.MOST_ROWS]:
             print(as_typed(command))
         for line in (*sentences_of(comparison), *cautions_of(comparison)):

@@ -13,7 +13,7 @@ from rich.table import Table
 from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.campaign.compare import network_named
-from ds_cli.campaign.compare_results import check_writable, criteria_of, unmet_by, write_comparison
+from ds_cli.campaign.compare_results import check_writable, criteria_of, write_comparison
 from ds_cli.output import Result, answer, end, say, stopped_in
 
 suite_app = typer.Typer()
@@ -143,9 +143,7 @@ def suite_run_command(
         suite_file.write_suite(suite_file.with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {network}")
     following = ds_command("test", network)
-    result = write_comparison(
-        comparison, out, unmet_by(criteria, comparison), following, junit=junit, markdown=markdown
-    )
+    result = write_comparison(comparison, out, criteria, following, junit=junit, markdown=markdown)
     if videos is not None:
         lost = [one for one in comparison.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
