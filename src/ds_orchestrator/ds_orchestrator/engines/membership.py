@@ -52,11 +52,6 @@ class RemoteWorker:
     drives: set[Future[Any]] = field(default_factory=set)  # results that it owes
     refusal: str = ""  # why it may not drive, one line, or ""
 
-    @property
-    def is_free(self) -> bool:
-        """Whether it takes another drive."""
-        return len(self.drives) < self.room
-
 
 class Membership:
     """Connects to a scheduler and watches it, prepares workers that join, and gives up those that are lost.
@@ -161,7 +156,7 @@ class Membership:
             self._client.close(timeout=2.0)
 
     def _free(self) -> list[RemoteWorker]:
-        return [worker for worker in self._workers.values() if worker.is_free]
+        return [worker for worker in self._workers.values() if len(worker.drives) < worker.room]
 
     def _forget(self, *workers: RemoteWorker) -> None:
         """Take no account of workers any more; those that are still there are prepared again."""
