@@ -31,10 +31,7 @@ def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     path = LaunchConfiguration("config").perform(context)
     config = read_config(Path(path))
     namespaces = namespaces_of(config.siblings, config.twin)
-    processes = [
-        *simulator_processes(namespaces, config.command_timeout),
-        driver_process(config.driver, namespaces),
-    ]
+    processes = [*simulator_processes(namespaces, config.command_timeout), driver_process(config.driver, namespaces)]
     graph = []
     for process in processes:
         package, executable = EXECUTABLES[process.module]

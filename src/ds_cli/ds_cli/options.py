@@ -117,8 +117,7 @@ FailOn = Annotated[
 ]
 FailOnFailure = Annotated[Literal["failure"] | None, typer.Option(help="Exit with 3 if the driver fails on any test.")]
 MaxFailures = Annotated[
-    str | None,
-    typer.Option(metavar="N|P%", help="Exit with 3 if more tests fail on some simulator, such as 5% or 3."),
+    str | None, typer.Option(metavar="N|P%", help="Exit with 3 if more tests fail on some simulator, such as 5% or 3.")
 ]
 Junit = Annotated[Path | None, typer.Option(metavar="FILE.xml", help="JUnit XML to write.")]
 Markdown = Annotated[
@@ -131,8 +130,7 @@ Videos = Annotated[
 DriverText = Annotated[
     str,
     typer.Option(
-        help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.",
-        autocompletion=complete_driver,
+        help="Driver: autopilot, dave2, a .safetensors or .yaml file, or module:Class.", autocompletion=complete_driver
     ),
 ]
 Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]

@@ -25,8 +25,7 @@ def serve_donkey_command(
         str, typer.Option(help="Address to listen on. Clients are not authenticated: keep to this machine.")
     ] = "127.0.0.1",
     road: Annotated[
-        Path | None,
-        typer.Option(help="JSON list of roads, driven one after the other; a random one if left out."),
+        Path | None, typer.Option(help="JSON list of roads, driven one after the other; a random one if left out.")
     ] = None,
     seed: options.Seed = 0,
     max_angle: options.MaxAngle = 270,

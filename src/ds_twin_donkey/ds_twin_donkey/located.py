@@ -114,9 +114,7 @@ def rough_start(drives: Sequence[LogSegment], start: DonkeyParameters) -> Donkey
 
 
 def fit_located(
-    drives: Sequence[LogSegment],
-    start: DonkeyParameters | None = None,
-    progress: Progress = SILENT,
+    drives: Sequence[LogSegment], start: DonkeyParameters | None = None, progress: Progress = SILENT
 ) -> tuple[TwinFit, Mounting]:
     """Fit parameters to a located recording; see `ds_twin_donkey.fit.fit`.
 

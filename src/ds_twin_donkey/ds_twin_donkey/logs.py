@@ -198,12 +198,7 @@ def _read_tub(path: Path) -> Log:
     measured = np.full((len(times), len(CHANNELS)), np.nan)
     for name, column in columns.items():
         measured[:, CHANNELS.index(name)] = column
-    return Log(
-        name=path.name,
-        kind="tub",
-        sha256=sha256_of(tub.files),
-        drives=drives_of(times, tub.commands, measured),
-    )
+    return Log(name=path.name, kind="tub", sha256=sha256_of(tub.files), drives=drives_of(times, tub.commands, measured))
 
 
 def _read_table(path: Path) -> Log:

@@ -8,14 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmarks.twin_drives import (
-    coast,
-    hard_bends,
-    hidden_and_start,
-    manoeuvres,
-    random_commands,
-    simulated_recording,
-)
+from benchmarks.twin_drives import coast, hard_bends, hidden_and_start, manoeuvres, random_commands, simulated_recording
 from progress_lines import ProgressLines
 from tubs import write_tub
 

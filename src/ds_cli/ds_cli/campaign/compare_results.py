@@ -45,13 +45,7 @@ MOST_COLUMNS = 14
 
 
 def write_comparison(
-    comparison: Comparison,
-    out: Path,
-    criteria: Criteria,
-    following: str,
-    *,
-    junit: Path | None,
-    markdown: Path | None,
+    comparison: Comparison, out: Path, criteria: Criteria, following: str, *, junit: Path | None, markdown: Path | None
 ) -> Result:
     """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows.
 

@@ -82,8 +82,7 @@ def propose_command(
         typer.Option(min=0.01, max=0.99, help="Say how many drives it takes to certify this failure rate."),
     ] = None,
     spread: Annotated[
-        bool,
-        typer.Option("--spread", help="Spread tests over predicted probabilities: tells more, certifies nothing."),
+        bool, typer.Option("--spread", help="Spread tests over predicted probabilities: tells more, certifies nothing.")
     ] = False,
     as_json: options.JsonFlag = False,
 ) -> None:

@@ -84,11 +84,7 @@ def cell_of_test(
 
 
 def elites_of(
-    tests: Iterable[Test],
-    executions: Iterable[Execution],
-    cells: Mapping[str, Cell],
-    *,
-    ignored: Collection[str] = (),
+    tests: Iterable[Test], executions: Iterable[Execution], cells: Mapping[str, Cell], *, ignored: Collection[str] = ()
 ) -> set[str]:
     """Find the tests that are elites at the end of each search run; searches went on without the `ignored` ones."""
     verdicts = {(e.test_id, e.simulator): e for e in executions if e.outcome.is_verdict}

@@ -347,10 +347,7 @@ class DeepHyperion(Search):
         if space and self._rng.random() < self._settings.mutate_conditions:
             return elite.road, space.mutated(elite.conditions, self._rng)
         road = mutate(
-            elite.road,
-            self._rng,
-            extent=self._settings.extent,
-            maxitwo_compatible=self._settings.maxitwo_compatible,
+            elite.road, self._rng, extent=self._settings.extent, maxitwo_compatible=self._settings.maxitwo_compatible
         )
         return road, elite.conditions
 
