@@ -258,12 +258,10 @@ def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str
 def test_a_cancelled_campaign_resumes_and_another_goal_waits(graph: Graph, tmp_path: Path) -> None:
     from ds_interfaces.action import DriveTests, RunCampaign
 
-    from ds_orchestrator.graph.supervisor import closed_loop_process_name
-
     graph.client(DriveTests, "drive_tests")
     handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="d", engine="attach")
     graph.until(lambda: len(stored(graph.root / "d")) >= 2)
-    twin = graph.supervisor._processes[closed_loop_process_name("/twin")]
+    twin = graph.supervisor._processes["closed_loop_twin"]
     twin.send_signal(signal.SIGSTOP)  # the campaign is not over before it is cancelled, however busy the machine is
     status, result = graph.run(DriveTests, "drive_tests", folder="e", driver="autopilot", simulators=["bullet"])
     assert (status, result.reason.value) == (6, 4) and "under way" in result.message  # BUSY

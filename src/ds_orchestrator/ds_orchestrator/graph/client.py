@@ -25,12 +25,7 @@ from ds_base.progress import logger_of
 from ds_base.running_clock import RunningClock
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.graph.supervisor import (
-    DRIVER_PROCESS,
-    Supervisor,
-    closed_loop_process_name,
-    simulator_process_name,
-)
+from ds_orchestrator.graph.supervisor import Supervisor
 from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.ros.neighbours import FEEDBACK, names_of
@@ -86,10 +81,10 @@ class GraphClient:
         self._timeout = command_timeout
         self._supervisor = supervisor
         self._revival = threading.Lock()
-        self._renewed: dict[str, float] = {}
-        """Monotonic time of the last restart of a process, s."""
-        self._starting: set[str] = set()
-        """Restarted processes whose driver has not answered yet."""
+        self._renewed: dict[SimulatorName, float] = {}
+        """Monotonic time of the last restart of a simulator or its driver, s."""
+        self._starting: set[SimulatorName] = set()
+        """Simulators that were restarted, and whose driver has not answered yet."""
         self._start_time = START_TIME
         self._absent: set[SimulatorName] = set()
         """Simulators that this process did not start, and that were awaited in vain."""
@@ -183,10 +178,9 @@ class GraphClient:
             self._revive()
             began = time.monotonic()
             record.outcome, record.message = self._execute(simulator, record, goal)
-            driver = self._driver_of(simulator)
-            if record.commands and self._renewed.get(driver, -math.inf) < began:
-                self._starting -= self._processes(simulator)
-            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for(driver, began, record)):
+            if record.commands and self._renewed.get(simulator, -math.inf) < began:
+                self._starting.discard(simulator)
+            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for(simulator, began, record)):
                 break
         if self._thread.stopped and record.outcome.is_error:
             record.outcome = Outcome.CANCELLED
@@ -210,57 +204,39 @@ class GraphClient:
         rclpy.try_shutdown(context=self._context)
 
     def _processes(self, simulator: SimulatorName) -> set[str]:
-        """Names of the processes that a run on a simulator needs."""
-        return {self._simulator_of(simulator), self._driver_of(simulator)}
+        """Names of the supervisor's processes with a simulator and its driver: usually one."""
+        return set() if self._supervisor is None else self._supervisor.names_in(self._namespaces[simulator])
 
-    def _simulator_of(self, simulator: SimulatorName) -> str:
-        """Name of the process with a simulator's node; the supervisor need not run it."""
-        namespace = self._namespaces[simulator]
-        together = closed_loop_process_name(namespace)
-        processes = () if self._supervisor is None else self._supervisor.names
-        return together if together in processes else simulator_process_name(namespace)
-
-    def _driver_of(self, simulator: SimulatorName) -> str:
-        """Name of the process with a simulator's driver; the supervisor need not run it."""
-        together = closed_loop_process_name(self._namespaces[simulator])
-        return together if self._simulator_of(simulator) == together else DRIVER_PROCESS
-
-    def _restart(self, process: str, began: float = math.inf) -> None:
-        """Restart a process if the supervisor runs it, unless it was restarted after this time."""
-        if self._supervisor is None or self._thread.stopped or process not in self._supervisor.names:
+    def _restart(self, simulator: SimulatorName, began: float = math.inf) -> None:
+        """Restart a simulator and its driver if the supervisor runs them, unless restarted after this time."""
+        if self._supervisor is None or self._thread.stopped:
             return
         with self._revival:
-            if self._renewed.get(process, -math.inf) < began:
-                self._supervisor.restart(process)
-                self._note_restart(process)
+            if self._renewed.get(simulator, -math.inf) < began:
+                for process in self._processes(simulator):
+                    self._supervisor.restart(process)
+                self._note_restart(simulator)
 
-    def _note_restart(self, process: str) -> None:
-        self._renewed[process] = time.monotonic()
-        self._starting.add(process)
+    def _note_restart(self, simulator: SimulatorName) -> None:
+        self._renewed[simulator] = time.monotonic()
+        self._starting.add(simulator)
 
     def _revive(self) -> None:
         """Restart every process of the supervisor that has ended."""
         if self._supervisor is not None:
             with self._revival:
-                for process in self._supervisor.revive():
-                    self._note_restart(process)
+                revived = set(self._supervisor.revive())
+                for simulator in self._namespaces:
+                    if revived & self._processes(simulator):
+                        self._note_restart(simulator)
 
-    def _waits_for(self, driver: str, began: float, record: RunRecord) -> bool:
+    def _waits_for(self, simulator: SimulatorName, began: float, record: RunRecord) -> bool:
         """Check whether a restarted driver is still starting; discovery may still list the old one's publisher."""
-        renewed = self._renewed.get(driver, -math.inf)
-        patient = driver in self._starting and began - renewed < START_TIME and not self._thread.stopped
+        renewed = self._renewed.get(simulator, -math.inf)
+        patient = simulator in self._starting and began - renewed < START_TIME and not self._thread.stopped
         # A run from before the new driver, or one that the new driver answered in any way, keeps its outcome.
         answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
         return patient and renewed < began and not answered
-
-    def _renew_driver(self, simulator: SimulatorName, began: float, record: RunRecord) -> None:
-        """Restart the supervisor's driver if it hangs; one that sends invalid commands does not hang.
-
-        It may drive other simulators too, whose runs lose the old process as well: they must not restart it again.
-        """
-        driver = self._driver_of(simulator)
-        if record.reason is not Reason.COMMAND_REFUSED and not self._waits_for(driver, began, record):
-            self._restart(driver, began)
 
     def _execute(self, name: SimulatorName, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
         simulator = self._simulators[name]
@@ -271,15 +247,14 @@ class GraphClient:
         except GraphError as error:  # it stopped between two runs
             if self._supervisor is None:
                 self._absent.add(name)
-            ready = simulator.info.service_is_ready()
-            self._restart(self._driver_of(name) if ready else self._simulator_of(name), began)
+            self._restart(name, began)
             return Outcome.SIM_ERROR, str(error)
         except RuntimeError as error:
             return Outcome.SIM_ERROR, str(error)
         # A goal must not be sent twice, but a service may be called until a simulator that has just started answers.
-        limit = START_TIME if self._simulator_of(name) in self._starting else SERVICE_TIME
+        limit = START_TIME if name in self._starting else SERVICE_TIME
         if self._thread.ask(simulator.info, GetSimulatorInfo.Request(), limit) is None:
-            self._restart(self._simulator_of(name))
+            self._restart(name)
             return Outcome.SIM_ERROR, f"get_info was not answered within {limit:.0f} s"
         result = self._drive(name, goal)
         if isinstance(result, str):
@@ -288,9 +263,11 @@ class GraphClient:
             _fill(record, result)
         except ValueError as error:
             return Outcome.SIM_ERROR, f"the result makes no sense: {error}"
-        if Outcome(result.outcome.value) is Outcome.DRIVER_SILENT:
-            self._renew_driver(name, began, record)
-        return Outcome(result.outcome.value), result.message
+        outcome = Outcome(result.outcome.value)
+        hangs = outcome is Outcome.DRIVER_SILENT and record.reason is not Reason.COMMAND_REFUSED
+        if hangs and not self._waits_for(name, began, record):
+            self._restart(name, began)
+        return outcome, result.message
 
     def _drive(self, name: SimulatorName, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         """Send a goal and return its result, or one line on the error.
@@ -317,7 +294,7 @@ class GraphClient:
         simulator.alive, simulator.frame = simulator.clock.now(), 0
         handle = self._thread.call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
         if handle is None:
-            self._restart(self._simulator_of(name))
+            self._restart(name)
             return f"the goal was not answered within {SERVICE_TIME:.0f} s"
         if not handle.accepted:
             return "the goal was rejected: is this simulator of another version?"
@@ -328,7 +305,7 @@ class GraphClient:
             self._thread.call(handle.cancel_goal_async, 1.0)
         if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
             return f"{', '.join(sorted(dead))} ended during the run, {simulator.place}"
-        self._restart(self._simulator_of(name))
+        self._restart(name)
         if self._supervisor is None and not self._thread.stopped:
             seconds = simulator.clock.now() - simulator.alive
             return f"{name} has not answered for {seconds:.0f} s, {simulator.place}: is its node alive?"

@@ -87,10 +87,9 @@ class Supervisor:
         for name in self._specs:
             self._start(name)
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the processes."""
-        return list(self._specs)
+    def names_in(self, namespace: str) -> set[str]:
+        """Names of the processes with nodes in a namespace."""
+        return {name for name, spec in self._specs.items() if spec.namespace == namespace}
 
     def dead(self) -> list[str]:
         """Names of processes that ended."""
@@ -149,26 +148,13 @@ def _yaml(value: object) -> str:
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
-DRIVER_PROCESS = "driver"
-
-
-def simulator_process_name(namespace: str) -> str:
-    """Name the process, and its log, of the simulator in a namespace."""
-    return f"simulator_{namespace.strip('/').replace('/', '_')}"
-
-
-def closed_loop_process_name(namespace: str) -> str:
-    """Name the process, and its log, of the simulator in a namespace together with its driver."""
-    return f"closed_loop_{namespace.strip('/').replace('/', '_')}"
-
-
 def closed_loop_processes(
     driver: DriverName, namespaces: dict[SimulatorName, str], command_timeout: float, *, draw: str = "all"
 ) -> list[ProcessSpec]:
     """Specify one process per simulator, with a driver's node beside the simulator's; see `running_graph`."""
     return [
         ProcessSpec(
-            name=closed_loop_process_name(namespace),
+            name=f"closed_loop_{namespace.strip('/').replace('/', '_')}",
             module="ds_driver.ros.closed_loop_node",
             arguments=("autopilot",) if driver == AUTOPILOT else ("driver",),
             namespace=namespace,
@@ -183,7 +169,7 @@ def simulator_processes(namespaces: dict[SimulatorName, str], command_timeout: f
     """Specify one process per simulator."""
     return [
         ProcessSpec(
-            name=simulator_process_name(namespace),
+            name=f"simulator_{namespace.strip('/').replace('/', '_')}",
             module="ds_sim.ros.simulator_node",
             namespace=namespace,
             parameters={"simulator": name, "command_timeout": command_timeout},
@@ -196,6 +182,6 @@ def driver_process(driver: DriverName, namespaces: dict[SimulatorName, str]) -> 
     """Specify the driver of all simulators; it asks each for its crop, or for the gains of its vehicle."""
     parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
     if driver == AUTOPILOT:
-        return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.autopilot_node", parameters=parameters)
+        return ProcessSpec(name="driver", module="ds_driver.ros.autopilot_node", parameters=parameters)
     parameters["network"] = str(driver)
-    return ProcessSpec(name=DRIVER_PROCESS, module="ds_driver.ros.driver_node", parameters=parameters)
+    return ProcessSpec(name="driver", module="ds_driver.ros.driver_node", parameters=parameters)
