@@ -42,7 +42,7 @@ EXCEPTIONS = {
     "ds_cli/doctor.py *": "runs before anything is installed, on the checkout's own files",
     "ds_cli/main.py *": "standard output and error, and this checkout's version, before anything is installed",
     "ds_driver/closed_loop/*.py json.loads": "messages of an own child",
-    "ds_driver/networks/foreign_file.py zipfile.ZipFile": "names in the memory of a file that was read",
+    "ds_driver/networks/network_file.py zipfile.ZipFile": "names in the memory of a file that was read",
     "ds_driver/networks/images.py cv2.imdecode": "the door of images, which knows their pixels before",
     "ds_driver/networks/weights.py safe_open": "checked as a regular file; numbers without a length of their own",
     "ds_driver/sim2real/generator.py safe_open": "the same",

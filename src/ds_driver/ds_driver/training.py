@@ -221,12 +221,7 @@ def _same(what: str, parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def schedule_of(name: str, network: str) -> TrainingPlan:
-    """Look up the plan of a schedule for a network.
-
-    Raises:
-        TrainingError: the schedule does not exist.
-        ds_driver.networks.architectures.UnknownNetworkError: the network does not exist.
-    """
+    """Look up the plan of a schedule for a network; a TrainingError or an UnknownNetworkError if there is none."""
     if name not in SCHEDULES:
         raise TrainingError(f"unknown schedule {name!r}: expected {' or '.join(SCHEDULES)}")
     if network not in SCHEDULES[name]:
@@ -235,11 +230,7 @@ def schedule_of(name: str, network: str) -> TrainingPlan:
 
 
 def device_of(name: str) -> torch.device:
-    """Choose the device for `auto`, `cpu` or `cuda`.
-
-    Raises:
-        TrainingError: the name is unknown, or a GPU is requested and there is none.
-    """
+    """Choose the device for `auto`, `cpu` or `cuda`; a TrainingError for another name, or if there is no GPU."""
     if name not in ("auto", "cpu", "cuda"):
         raise TrainingError(f"unknown device {name!r}: expected auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
@@ -350,11 +341,7 @@ def _stalled(history: list[Epoch], patience: int) -> bool:
 
 
 def load_checkpoint(folder: Path, identity: object) -> dict[str, Any]:
-    """Load the checkpoint of a training as plain tensors, never as code; empty if there is none.
-
-    Raises:
-        TrainingError: it is damaged, or of a training with another identity.
-    """
+    """Load a checkpoint as tensors, never code; empty if none; a TrainingError if damaged, or of another identity."""
     path = folder / CHECKPOINT
     if not path.exists():
         return {}

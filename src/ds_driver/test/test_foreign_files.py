@@ -12,9 +12,8 @@ from typing import Any
 import pytest
 import torch
 
-from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.network_driver import NetworkDriver
-from ds_driver.networks.network_file import runner_of
+from ds_driver.networks.network_file import refuse_foreign, runner_of
 from ds_driver.networks.pilot import DriverError
 
 

@@ -303,7 +303,7 @@ def test_photographs_of_nothing_like_a_road_are_refused() -> None:
 def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
     def refused(match: str) -> None:
         with pytest.raises(Sim2RealError, match=match) as caught:
-            pictures.read_photographs(tmp_path)
+            pictures.read_photographs(tmp_path, 100)
         assert "\n" not in str(caught.value)
 
     refused("no photographs, expected at least 20")
@@ -312,14 +312,14 @@ def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
     refused("one photograph, expected at least 20")
     for i in range(1, 25):
         (tmp_path / f"a{i:02d}.jpg").write_bytes(image)
-    found = pictures.read_photographs(tmp_path, limit=22)
+    found = pictures.read_photographs(tmp_path, 22)
     assert found.shape == (22, 60, 80, 3) and [len(part) for part in pictures.split(found)] == [18, 4]
     (tmp_path / "a07.jpg").write_bytes(jpeg(np.zeros((60, 90, 3), np.uint8)))
     refused("a07.jpg: photographs of 80 x 60 and 90 x 60 px")
     (tmp_path / "a07.jpg").write_bytes(image[:50])
     refused("a07.jpg: an image is damaged")
     with pytest.raises(Sim2RealError, match="does not exist"):
-        pictures.read_photographs(tmp_path / "nowhere")
+        pictures.read_photographs(tmp_path / "nowhere", 100)
 
 
 def test_windows_and_sizes_that_do_not_fit_are_refused() -> None:

@@ -43,11 +43,7 @@ def request_to_json(request: DriveRequest) -> dict[str, Any]:
 
 
 def request_from_json(value: Mapping[str, Any]) -> DriveRequest:
-    """Convert what `request_to_json` made to an equal request.
-
-    Raises:
-        ValueError: the road or the conditions cannot be.
-    """
+    """Convert what `request_to_json` made to an equal request; a ValueError if the road or the conditions cannot be."""
     scenario = Scenario(road_from_json(value["road"]), from_json(value["conditions"]), seed=value["seed"])
     driver, simulator = DriverName.parse(value["driver"]), SimulatorName(value["simulator"])
     return DriveRequest(scenario, driver, simulator, probed=value["probed"])

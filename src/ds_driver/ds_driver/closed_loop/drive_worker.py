@@ -16,7 +16,7 @@ import struct
 import sys
 from multiprocessing.connection import Connection
 
-from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
+from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json
 from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.networks.driver_name import DriverName
 from ds_sim.conditions.model import NotApplicableError
@@ -56,11 +56,6 @@ class PhaseMemory:
         """Release the memory."""
         self._memory.close()
         os.close(self.descriptor)
-
-
-def encoded_request(key: int, request: DriveRequest) -> bytes:
-    """Encode a request to drive."""
-    return json.dumps({"key": key, **request_to_json(request)}).encode()
 
 
 def serve(connection: Connection, memory: PhaseMemory, driver: DriverName) -> None:

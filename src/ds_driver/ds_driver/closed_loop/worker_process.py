@@ -17,8 +17,8 @@ from pathlib import Path
 from ds_base.errors import RunError
 from ds_base.processes import ChildProcesses, last_line_of, python_environment
 from ds_base.running_clock import RunningClock
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.drive_worker import KEY, LARGEST_ANSWER, PhaseMemory, encoded_request
+from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
+from ds_driver.closed_loop.drive_worker import KEY, LARGEST_ANSWER, PhaseMemory
 from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
 from ds_driver.networks.driver_name import DriverName
 from ds_sim.run_codec import RunCodecError, decode_run
@@ -80,11 +80,7 @@ class WorkerProcess:
             return self._running().largest_batch
 
     def drive(self, request: DriveRequest) -> RunRecord:
-        """Drive a road; errors, `stop` and a process that dies are outcomes too.
-
-        Raises:
-            WorkerError: the process cannot be started.
-        """
+        """Drive a road; errors, `stop` and deaths are outcomes, but not a start that fails, a WorkerError."""
         deaths = 0
         while True:
             with self._lock:
@@ -172,7 +168,7 @@ class _Process:
                 return answer
             self._drives[key] = (asked, answer)
         try:
-            self._connection.send_bytes(encoded_request(key, asked))
+            self._connection.send_bytes(json.dumps({"key": key, **request_to_json(asked)}).encode())
         except OSError:  # it has ended, or takes nothing any more; the reader sees the end
             self.child.kill()
         return answer

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Commands of other driving stacks: conversion, matching to frames by their stamps, and speed control. No ROS.
 
-The table of signs and units is in docs/drivers.md. Messages are accessed by attribute, so that nothing here depends on
-a package that may not be installed.
+The table of signs and units is in docs/drivers.md.
 
 Sources: REP-103 (left positive); the bicycle model (Rajamani, Vehicle Dynamics and Control, 2012, section 2.2); the
 comments in ackermann_msgs/AckermannDrive.msg, autoware_control_msgs/Lateral.msg and deepracer_interfaces_pkg/
@@ -130,22 +129,14 @@ class MessageKind:
 
     @property
     def message_class(self) -> Any:
-        """Import the class of the message.
-
-        Raises:
-            ValueError: its package is not installed.
-        """
+        """Class of the message; a ValueError if its package is not installed."""
         try:
             return getattr(import_module(f"{self.package}.msg"), self.type_name)
         except ImportError:
             raise ValueError(f"{self.package} is not installed: install it, or choose another message") from None
 
     def read(self, message: Any, geometry: Geometry) -> MotionRequest:
-        """Convert a message.
-
-        Raises:
-            MotionError: it requests what no vehicle here can follow.
-        """
+        """Convert a message; a MotionError if it requests what no vehicle here can follow."""
         first, second = (float(part(message, path)) for path in self.fields)
         for path, value in zip(self.fields, (first, second), strict=True):
             if not math.isfinite(value):

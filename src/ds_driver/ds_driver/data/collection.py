@@ -6,6 +6,7 @@ The roads are random, or given, as the failed tests of a campaign, with the cond
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -15,11 +16,13 @@ from zlib import crc32
 
 import numpy as np
 
+from ds_base.atomic_files import write_whole
+from ds_base.bounded_file import read_words
 from ds_base.installation import ds_command
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.control.autopilot import Autopilot
-from ds_driver.data.dataset import DatasetError, drive_path, keep_plan, write_drive
+from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_road import Road, RoadError, generate, mutate, read_raw_roads, road_from_json
 from ds_sim.camera.encodings import jpeg
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -147,7 +150,11 @@ def collect(
         ds_driver.data.dataset.DatasetError: the folder holds drives of another plan.
     """
     names = {} if roads is None else {"given": [one.name for one in roads]}
-    keep_plan(folder, {**asdict(plan), **names})
+    file, text = folder / "plan.json", json.dumps({**asdict(plan), **names}, indent=1) + "\n"
+    if not file.exists():
+        write_whole(file, text)
+    elif read_words(file) != text:
+        raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
     if roads is None:
         roads = [GivenRoad(r, r.road_id) for r in roads_both_ways(plan.roads, plan.seed, max_angle=plan.max_angle)]
     jobs = [

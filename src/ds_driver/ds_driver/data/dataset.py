@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED
 from ds_base.atomic_files import whole_file, write_json, write_whole
-from ds_base.bounded_file import FileError, read_regular, read_words
+from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_json import read_json
 from ds_base.bounded_tables import read_parquet
 from ds_base.errors import InputError
@@ -47,6 +46,13 @@ SCHEMA = pa.schema(
 )
 """image: JPEG of (160, 320, 3) RGB; steering: label of the autopilot in [-1, 1], or recorded; speed: m/s;
 lateral_position: m; recordings have neither throttle nor lateral position."""
+_LIKE: dict[pa.DataType, tuple[Callable[[pa.DataType], bool], ...]] = {
+    pa.binary(): (pa.types.is_binary, pa.types.is_large_binary),
+    pa.string(): (pa.types.is_string, pa.types.is_large_string),
+    pa.float32(): (pa.types.is_floating,),
+    pa.int32(): (pa.types.is_integer,),
+}
+"""Type of a column -> what accepts it in any width, as others write wider types."""
 LARGEST_DATASET = 8 * 2**30
 """Largest size of all images, which training holds in memory, bytes; chosen: five times the paper's data."""
 LONGEST_NAME = 4096
@@ -83,11 +89,7 @@ class Sample:
 
 
 def decode(jpeg: bytes) -> NDArray[np.uint8]:
-    """Decode a JPEG to RGB.
-
-    Raises:
-        DatasetError: the bytes are damaged.
-    """
+    """Decode a JPEG to (160, 320, 3) uint8 RGB; a DatasetError if it is damaged."""
     try:
         return rgb_of_file(jpeg)
     except ImageError:
@@ -102,19 +104,6 @@ def drive_path(folder: Path, simulator: str, road_id: str, direction: str) -> Pa
 def road_ids(folder: Path) -> set[str]:
     """Return the ids of all roads of a data set, from the names of its files."""
     return {path.name.rpartition("-")[0].partition("+")[0] for path in folder.glob("*/*.parquet")}
-
-
-def keep_plan(folder: Path, plan: dict[str, object]) -> None:
-    """Store the plan of a data set, or compare it with the stored one.
-
-    Raises:
-        DatasetError: the folder holds drives of another plan.
-    """
-    path, text = folder / "plan.json", json.dumps(plan, indent=1) + "\n"
-    if not path.exists():
-        write_whole(path, text)
-    elif read_words(path) != text:
-        raise DatasetError(f"{folder} holds drives of another plan (see plan.json): choose another --out")
 
 
 def keep_import(folder: Path, name: str, about: dict[str, object]) -> None:
@@ -158,11 +147,7 @@ def read_samples(folder: Path) -> list[Sample]:
 
 
 def read_drive(file: Path) -> pa.Table:
-    """Read and check the file of one drive; return its columns `_READ`, with 0 for steps and speeds that it lacks.
-
-    Raises:
-        DatasetError: see `read_samples`.
-    """
+    """Check a drive's file as `read_samples` does; return its columns `_READ`, with 0 for missing steps and speeds."""
     try:
         table = read_parquet(file)
     except (FileError, OSError) as error:
@@ -191,19 +176,6 @@ def read_drive(file: Path) -> pa.Table:
     return table.select(_READ)
 
 
-def _is_like(actual: pa.DataType, expected: pa.DataType) -> bool:
-    """Check the type of a column, of any width, as others write wider types."""
-    kinds = (
-        (pa.types.is_binary, pa.types.is_large_binary),
-        (pa.types.is_string, pa.types.is_large_string),
-        (pa.types.is_floating,),
-        (pa.types.is_integer,),
-    )
-    return any(
-        any(is_kind(actual) for is_kind in kind) and any(is_kind(expected) for is_kind in kind) for kind in kinds
-    )
-
-
 def _check_schema(file: Path, schema: pa.Schema) -> None:
     for name in ("image", "steering", "simulator", "road_id"):
         if schema.names.count(name) != 1:
@@ -212,17 +184,13 @@ def _check_schema(file: Path, schema: pa.Schema) -> None:
         if schema.names.count(field.name) != 1 or field.name not in SCHEMA.names:
             raise DatasetError(f"{file} has an unknown column {field.name!r:.60}: collect it again")
         expected = SCHEMA.field(field.name).type
-        if not _is_like(field.type, expected):
+        if not any(is_like(field.type) for is_like in _LIKE[expected]):
             kind = f"{field.type}"[:60]
             raise DatasetError(f"{file} has {kind} in the column {field.name}, expected {expected}: collect it again")
 
 
 def check_equal(samples: list[Sample]) -> None:
-    """Refuse a data set in which a simulator has too few images to balance it.
-
-    Raises:
-        DatasetError: one has less than half the images of another.
-    """
+    """Refuse, by a DatasetError, a data set in which a simulator has less than half the images of another."""
     counts = Counter(sample.simulator for sample in samples)
     (most, many), *_, (least, few) = [*counts.most_common(), *counts.most_common()[-1:]]
     if many > MOST_UNEQUAL * few:
@@ -275,11 +243,7 @@ def translated_by(data: Path, names: Collection[str]) -> dict[str, str]:
 
 
 def copy_generators(data: Path, digests: Mapping[str, str], folder: Path) -> None:
-    """Copy the generators of a data set to a folder, created if missing, as `SIMULATOR.safetensors`.
-
-    Raises:
-        DatasetError: the data set does not hold one.
-    """
+    """Copy a data set's generators to a folder, as `SIMULATOR.safetensors`; a DatasetError if it does not hold one."""
     for name in digests:
         source = data / name / GENERATOR
         if not source.is_file():

@@ -78,15 +78,15 @@ class RecordedFrame:
     """One recorded image.
 
     Attributes:
-        index: index of the image in its recording.
-        seconds: time since the first image.
+        index: of the image in its recording.
+        seconds: since the first image.
         image: (160, 320, 3) uint8 RGB, or of any size if read whole; None if it cannot be read.
-        steering: reference steering, -1 full left to +1 full right, or None.
-        throttle: recorded throttle, at most 1, or None.
+        steering: reference, -1 full left to +1 full right, or None.
+        throttle: as recorded, at most 1, or None.
         start: time of the first image on the recording's clock, s.
-        speed: speed of the vehicle, m/s; 0 if not recorded.
+        speed: of the vehicle, m/s; 0 if not recorded.
         trouble: reason why there is no image.
-        simulator: name of the simulator whose camera took the image, or `ds_driver.networks.pilot.NOT_SIMULATED`.
+        simulator: whose camera took the image, or `ds_driver.networks.pilot.NOT_SIMULATED`.
     """
 
     index: int
@@ -118,11 +118,8 @@ class Recording:
     """Bag or tub whose images can be read any number of times.
 
     Attributes:
-        path: folder of the recording.
         group: name under which recordings are pooled: the simulator for a bag of this project, else the folder's name.
         kind: `_PROJECT_BAG`, `bag` or `tub`.
-        crop: image rows hidden from networks.
-        reading: settings for reading.
         simulator: see `RecordedFrame`.
     """
 
@@ -135,11 +132,7 @@ class Recording:
 
     @cached_property
     def headers(self) -> bool:
-        """Whether times are those of the messages' headers, and not of logging; see `ds_bags.clock`.
-
-        Raises:
-            ds_bags.layout.BagError: images and steering share no clock.
-        """
+        """Whether times are those of headers, not of logging; a BagError if images and steering share no clock."""
         if self.kind != "bag":
             return True
         with BagReader(self.path) as bag:
@@ -152,11 +145,7 @@ class Recording:
         return shared
 
     def frames(self) -> Iterator[RecordedFrame]:
-        """Iterate over the images in order.
-
-        Raises:
-            ds_bags.layout.BagError: the recording is damaged, or has no such topic.
-        """
+        """Iterate over the images in order; a BagError if the recording is damaged, or has no such topic."""
         return counted(_tub_frames(self) if self.kind == "tub" else _bag_frames(self), str(self.path))
 
 

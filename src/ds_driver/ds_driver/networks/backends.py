@@ -93,7 +93,7 @@ def check_onnx(content: bytes, where: str) -> None:
         BackendError: not an ONNX graph, or one with external data.
     """
     import onnx
-    from google.protobuf.message import DecodeError
+    from google.protobuf.message import DecodeError, Message
 
     model = onnx.ModelProto()
     try:
@@ -102,20 +102,16 @@ def check_onnx(content: bytes, where: str) -> None:
         raise BackendError(
             f"{where} cannot be loaded ({last_line(error)}): is it a whole ONNX file, with its weights inside?"
         ) from None
-    graphs = [model.graph, *(info.algorithm for info in model.training_info)]
-    nodes = [node for function in model.functions for node in function.node]
-    while graphs or nodes:
-        tensors: list[Any] = []
-        for graph in graphs:
-            nodes += graph.node
-            tensors += [*graph.initializer, *(t for s in graph.sparse_initializer for t in (s.values, s.indices))]
-        graphs, attributes, nodes = [], [a for node in nodes for a in node.attribute], []
-        for attribute in attributes:
-            graphs += [attribute.g, *attribute.graphs] if attribute.HasField("g") or attribute.graphs else []
-            sparse = [attribute.sparse_tensor, *attribute.sparse_tensors]
-            tensors += [attribute.t, *attribute.tensors, *(t for s in sparse for t in (s.values, s.indices))]
-        if any(t.external_data or t.data_location == onnx.TensorProto.EXTERNAL for t in tensors):
-            raise BackendError(f"{where} keeps its weights in other files: save it with all of them inside")
+    messages: list[Any] = [model]
+    while messages:
+        message = messages.pop()
+        if isinstance(message, onnx.TensorProto):
+            if message.external_data or message.data_location == onnx.TensorProto.EXTERNAL:
+                raise BackendError(f"{where} keeps its weights in other files: save it with all of them inside")
+            continue
+        for field, value in message.ListFields():
+            if field.message_type is not None:
+                messages += [value] if isinstance(value, Message) else value
 
 
 def onnx_runner(content: bytes, where: str) -> Runner:

@@ -16,9 +16,8 @@ from ds_base.bounded_file import FileError
 from ds_base.bounded_yaml import read_yaml
 from ds_base.config_errors import Keys
 from ds_driver.control.bicycle import Geometry, pursuit_curvature
-from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop
-from ds_driver.networks.network_file import KINDS
+from ds_driver.networks.network_file import KINDS, refuse_foreign
 from ds_driver.networks.pilot import DriverError
 from ds_sim.camera.spec import IMAGE_HEIGHT
 
@@ -138,11 +137,7 @@ class OutputSpec(Keys, allow_inf_nan=False):
         return value * self.scale + self.offset
 
     def steering(self, value: float, vehicle: Geometry | None) -> float:
-        """Return the share of full steering, -1 left to +1 right, that a value in its unit is on a vehicle.
-
-        Raises:
-            DriverError: the unit needs the vehicle, which is unknown.
-        """
+        """Return the share of full steering, -1 left to +1 right; a DriverError if it needs an unknown vehicle."""
         if self.unit == "share":
             return value
         geometry = _known(vehicle, f"steering in {self.unit}")
@@ -186,11 +181,7 @@ class PathSpec(Keys, allow_inf_nan=False):
         return self.index + 2 * self.points
 
     def steering(self, numbers: NDArray[np.float32], vehicle: Geometry | None) -> float:
-        """Return the share of full steering of a vehicle that follows the path in a flattened output.
-
-        Raises:
-            DriverError: the vehicle is unknown.
-        """
+        """Return the share of full steering that follows the path; a DriverError if the vehicle is unknown."""
         geometry = _known(vehicle, "a path")
         waypoints = numbers[self.index : self.numbers].astype(np.float64).reshape(-1, 2) * self.scale
         forward = self.axes.index("forward")
@@ -311,11 +302,7 @@ class DescribedNetwork(Keys, allow_inf_nan=False):
 
 
 def read_description(path: Path) -> DescribedNetwork:
-    """Read and check a description.
-
-    Raises:
-        DriverError: a key is invalid; one line names it and the allowed values.
-    """
+    """Read and check a description; a DriverError names the invalid keys and the allowed values."""
     try:
         raw = read_yaml(path)
     except OSError as error:
@@ -346,11 +333,7 @@ def read_description(path: Path) -> DescribedNetwork:
 
 
 def file_of(path: Path, description: DescribedNetwork) -> Path:
-    """Return the path of the network file that a description, from `path`, names.
-
-    Raises:
-        DriverError: the file is missing, or of an unknown format.
-    """
+    """Return the network file that a description, from `path`, names; a DriverError if it is missing or unknown."""
     file = path.parent / description.file
     is_path = "\0" not in description.file and len(description.file) <= 4096
     if not is_path or file.suffix.lower() not in KINDS:

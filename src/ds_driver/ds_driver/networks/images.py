@@ -84,10 +84,8 @@ def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
         ImageError: the image has another size or type.
 
     Examples:
-        >>> import numpy as np
-        >>> from ds_driver import Crop, prepare
-        >>> image = np.zeros((160, 320, 3), np.uint8)
-        >>> prepare(image, Crop(top=60, bottom=20)).shape
+        >>> from ds_driver import Crop, Frame, prepare
+        >>> prepare(Frame.black().image, Crop(top=60, bottom=20)).shape
         (160, 320, 3)
     """
     checked(image)
@@ -98,11 +96,7 @@ def prepare(image: NDArray[np.uint8], crop: Crop) -> NDArray[np.uint8]:
 
 
 def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Check the size and type of a camera image, and return it.
-
-    Raises:
-        ImageError: the image has another size or type.
-    """
+    """Return a camera image; an ImageError if its size or type is another than (160, 320, 3) uint8."""
     if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3) or image.dtype != np.uint8:
         raise ImageError(
             f"image of shape {image.shape} and type {image.dtype}, "
@@ -140,11 +134,7 @@ def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int, b
 
 
 def rgb_of_message(message: Any) -> Pixels:
-    """Convert a `sensor_msgs/Image` or `CompressedImage`, of rclpy or of rosbags, to (height, width, 3) uint8 RGB.
-
-    Raises:
-        ImageError: see `rgb_of` and `rgb_of_file`.
-    """
+    """Convert a `sensor_msgs/Image` or `CompressedImage`, of rclpy or rosbags, with `rgb_of` or `rgb_of_file`."""
     data = np.frombuffer(message.data, np.uint8)
     if hasattr(message, "format"):
         return rgb_of_file(data.tobytes())
@@ -177,11 +167,7 @@ def rgb_of_file(data: bytes) -> Pixels:
 
 
 def read_rgb(path: Path) -> Pixels:
-    """Read a JPEG or PNG file as (height, width, 3) uint8 RGB.
-
-    Raises:
-        ImageError: the file is missing, or larger than `MAX_IMAGE_FILE`; or see `rgb_of_file`.
-    """
+    """Read a file as `rgb_of_file` decodes it; an ImageError if it is missing or larger than `MAX_IMAGE_FILE`, too."""
     try:
         return rgb_of_file(read_regular(path, MAX_IMAGE_FILE))
     except (OSError, FileError) as error:

@@ -22,9 +22,8 @@ from ds_driver.networks.backends import default_backend, graph_runner
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.driver_name import AUTOPILOT, NO_GENERATORS, DriverName
-from ds_driver.networks.foreign_file import refuse_foreign
 from ds_driver.networks.images import Crop, prepare
-from ds_driver.networks.network_file import KINDS
+from ds_driver.networks.network_file import KINDS, refuse_foreign
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction, attempt
 from ds_driver.networks.user_class import UserClassPilot, source_of
@@ -44,11 +43,7 @@ BACKEND_BEFORE = "onnx"
 
 
 class BuiltInPilot(Pilot):
-    """Drives with one of the paper's networks.
-
-    Raises:
-        ds_driver.networks.backends.BackendError: the backend or the device is not available.
-    """
+    """Drives with one of the paper's networks; a BackendError if the backend or the device is not available."""
 
     sees_crop_only = True
 
@@ -111,9 +106,7 @@ class NetworkDriver:
     def commands(self, frames: Sequence[Frame]) -> list[Command | DriverError]:
         """Compute a command for each frame: the bits of `command`, or the error of that frame.
 
-        Args:
-            frames: any number, of one run, or of several if `largest_batch` is more than one; at most so many go
-                through the network at once.
+        The frames are of one run, or of several if `largest_batch` is more than one.
 
         Raises:
             ds_driver.networks.images.ImageError: an image has another size or type.
@@ -170,11 +163,7 @@ Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 
 
 def translation_of(driver: DriverName, simulator: str) -> Translation | None:
-    """Return how a driver sees a simulator's images, for recordings and pictures; None if it sees them as they are.
-
-    Raises:
-        DriverError: the generators of the driver are missing.
-    """
+    """Return how a driver sees a simulator's images, None if as they are; a DriverError without its generators."""
     translation = _kept_image_translation(driver)
     if translation is None:
         return None
@@ -191,8 +180,7 @@ def generators_of(driver: DriverName) -> GeneratorSet | None:
     """Find the generators with which a driver translates images; None if it sees them as they are.
 
     Raises:
-        DriverError: there are no such generators.
-        ds_driver.networks.weights.WeightsError: the network's file is missing.
+        ValueError: a DriverError if there are no such generators; or see `path_of_weights`.
     """
     if driver.generators:
         return None if driver.generators == NO_GENERATORS else open_set(driver.generators)
@@ -276,11 +264,7 @@ def driver_sha256(driver: DriverName) -> str:
 
 
 def _command(prediction: Prediction, speed: float) -> Command:
-    steering = _within(prediction.steering, -1.0)
+    steering = min(max(prediction.steering, -1.0), 1.0)
     if prediction.throttle is None:
         return Command(steering, throttle(steering, speed))
-    return Command(steering, _within(prediction.throttle, 0.0))
-
-
-def _within(value: float, low: float) -> float:
-    return min(max(value, low), 1.0)
+    return Command(steering, min(max(prediction.throttle, 0.0), 1.0))

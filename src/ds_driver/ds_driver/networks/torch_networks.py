@@ -132,11 +132,7 @@ def _module(layer: Layer) -> nn.Module:
 
 
 def torch_device(name: str) -> torch.device:
-    """Return the PyTorch device of a name.
-
-    Raises:
-        BackendError: a GPU is requested and there is none.
-    """
+    """Return the PyTorch device of a name; a BackendError if a GPU is requested and there is none."""
     if name == "cuda" and not torch.cuda.is_available():
         raise BackendError("PyTorch finds no usable GPU: leave out --device cuda, or install PyTorch for CUDA")
     return torch.device(name)
@@ -196,11 +192,7 @@ def network_runner(weights: Weights, device: str) -> Runner:
 
 
 def torchscript_runner(content: bytes, device: torch.device, where: str) -> Runner:
-    """Run a TorchScript file with PyTorch.
-
-    Raises:
-        BackendError: the file is not TorchScript.
-    """
+    """Run a TorchScript file with PyTorch; a BackendError if it is none."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # PyTorch still reads TorchScript, which it deprecates
         try:

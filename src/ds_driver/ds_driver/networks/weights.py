@@ -96,11 +96,7 @@ def architecture_in(path: Path) -> str:
 
 
 def generators_in(name_or_path: str) -> dict[str, str]:
-    """Read which generators, simulator -> SHA-256, translated the images of a network's training; empty if none.
-
-    Raises:
-        ValueError: see `path_of_weights`.
-    """
+    """Read which generators, simulator -> SHA-256, a network was trained with; errors of `path_of_weights`."""
     return _about(path_of_weights(name_or_path))[1]
 
 

@@ -64,11 +64,7 @@ class TranslatedImages:
             self._info.ask(index)
 
     def translate(self, index: int, frame: Frame, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Translate the image of a frame, and publish the result if somebody subscribes.
-
-        Raises:
-            DriverError: there is no generator for the simulator.
-        """
+        """Translate a frame's image, and publish it if somebody subscribes; a DriverError without a generator."""
         name = self._names[index]
         if name is None:
             raise DriverError("the simulator has not stated its name yet")

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import safe_open
-from safetensors.numpy import save
+from safetensors.numpy import load, save
 
 from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_regular
@@ -158,27 +158,26 @@ def load_generator(path: Path) -> StoredGenerator:
     try:
         with safe_open(path, framework="numpy") as file:
             metadata = file.metadata() or {}
-            if KIND not in metadata:
-                raise Sim2RealError(f"{path} is no generator: expected a file of `ds sim2real train`")
-            about: dict[str, Any] = load_json(metadata[KIND])
-            shape = GeneratorShape(**{name: _whole(value) for name, value in about["shape"].items()})
-            window, real_window = (
-                Window(**{name: _whole(value) for name, value in about[key].items()})
-                for key in ("window", "real_window")
-            )
-            if not (
-                1 <= shape.filters <= MOST_FILTERS
-                and 0 <= shape.blocks <= MOST_BLOCKS
-                and min(shape.size) >= 16
-                and shape.rows * shape.columns <= MOST_PIXELS
-                and shape.rows % 4 == shape.columns % 4 == 0
-            ):
-                raise ValueError(f"size {shape}")
-            names = list(file.keys())
-            if {name: tuple(file.get_slice(name).get_shape()) for name in names} != tensor_shapes(shape):
-                raise ValueError("its tensors do not fit its size")
-            tensors = {name: np.asarray(file.get_tensor(name), np.float32) for name in names}
-            simulator = str(about["simulator"])
+        if KIND not in metadata:
+            raise Sim2RealError(f"{path} is no generator: expected a file of `ds sim2real train`")
+        about: dict[str, Any] = load_json(metadata[KIND])
+        shape = GeneratorShape(**{name: _whole(value) for name, value in about["shape"].items()})
+        window, real_window = (
+            Window(**{name: _whole(value) for name, value in about[key].items()}) for key in ("window", "real_window")
+        )
+        if not (
+            1 <= shape.filters <= MOST_FILTERS
+            and 0 <= shape.blocks <= MOST_BLOCKS
+            and min(shape.size) >= 16
+            and shape.rows * shape.columns <= MOST_PIXELS
+            and shape.rows % 4 == shape.columns % 4 == 0
+        ):
+            raise ValueError(f"size {shape}")
+        content = read_regular(path, LARGEST_FILE)
+        tensors = {name: np.asarray(value, np.float32) for name, value in load(content).items()}
+        if {name: value.shape for name, value in tensors.items()} != tensor_shapes(shape):
+            raise ValueError("its tensors do not fit its size")
+        simulator = str(about["simulator"])
     except Sim2RealError:
         raise
     except Exception as error:  # damaged files make the reader raise arbitrary errors
@@ -186,7 +185,6 @@ def load_generator(path: Path) -> StoredGenerator:
         raise Sim2RealError(f"{path} cannot be read ({text}): the file is damaged, copy it again") from None
     if not all(bool(np.isfinite(value).all()) for value in tensors.values()):
         raise Sim2RealError(f"{path} holds NaN or infinity: train the generator again")
-    content = read_regular(path, LARGEST_FILE)
     return StoredGenerator(
         simulator=simulator, shape=shape, window=window, real_window=real_window, tensors=tensors, content=content
     )

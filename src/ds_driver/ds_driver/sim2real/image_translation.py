@@ -35,11 +35,7 @@ class GeneratorSet:
         return label_of(simulator) in self.files
 
     def generator(self, simulator: str) -> StoredGenerator:
-        """Return the generator for a simulator's images.
-
-        Raises:
-            DriverError: it is missing, damaged, or translates images of another simulator.
-        """
+        """Return the generator for a simulator's images; a DriverError if it is missing, damaged, or another's."""
         label = label_of(simulator)
         if label not in self._loaded:
             if label not in self.files:
@@ -96,11 +92,7 @@ def open_set(name: str) -> GeneratorSet:
 
 
 def set_of_network(name: str, digests: Mapping[str, str]) -> GeneratorSet:
-    """Find the generators, simulator -> SHA-256, that a network was trained with: beside its weights, or shipped.
-
-    Raises:
-        DriverError: one is missing.
-    """
+    """Find the generators, simulator -> SHA-256, beside a network or shipped; a DriverError if one is missing."""
     beside = path_of_weights(name).parent / GENERATORS
     places = [beside, *sorted(path for path in beside.glob("*") if path.is_dir()), *shipped_sets().values()]
     files: dict[str, Path] = {}

@@ -98,11 +98,7 @@ def _lane_shape(borders: NDArray[np.float64], columns: int) -> NDArray[np.float6
 
 
 def pair_lanes(simulated: NDArray[np.uint8], photographs: NDArray[np.uint8]) -> LanePairs:
-    """Find photographs that show the lane where simulated images do; both as `lane_shapes` takes them.
-
-    Raises:
-        Sim2RealError: too few images show both lines.
-    """
+    """Pair images as `lane_shapes` takes them by their lanes; a Sim2RealError if too few show both lines."""
     shapes = [lane_shapes(images) for images in (simulated, photographs)]
     visible = [np.flatnonzero(np.isfinite(part).all(axis=1)) for part in shapes]
     for name, with_lines, part in zip(("simulated images", "photographs"), visible, shapes, strict=True):

@@ -25,7 +25,7 @@ GAP = 4
 """White pixels between pictures."""
 
 
-def read_photographs(source: Path, *, limit: int | None = None) -> NDArray[np.uint8]:
+def read_photographs(source: Path, limit: int) -> NDArray[np.uint8]:
     """Read photographs in their order, files in that of their names, evenly chosen if there are more than `limit`.
 
     Returns:
@@ -55,7 +55,7 @@ def split(photographs: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np
     return photographs[:first], photographs[first:]
 
 
-def _read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray[np.uint8]]]:
+def _read_images(source: Path, limit: int) -> Iterator[tuple[str, NDArray[np.uint8]]]:
     """Read images with the name of each; see `read_photographs`."""
     if not source.exists():
         raise Sim2RealError(f"{source} does not exist: expected a tub, a bag, or a folder of photographs")
@@ -63,9 +63,9 @@ def _read_images(source: Path, limit: int | None) -> Iterator[tuple[str, NDArray
         files = [file for _, file in read_tub(source).pictures]
     elif (source / "metadata.yaml").exists() or source.suffix in (".bag", ".mcap", ".db3"):
         recording = open_recording(source, Reading())
-        wanted = None if limit is None else set(evenly(sum(1 for _ in recording.frames()), limit))
+        wanted = set(evenly(sum(1 for _ in recording.frames()), limit))
         for number, frame in enumerate(recording.frames()):  # twice, as all images at once fill the memory
-            if wanted is not None and number not in wanted:
+            if number not in wanted:
                 continue
             if frame.image is None:
                 raise Sim2RealError(f"{frame.trouble}: remove that image, or record it again")
@@ -85,9 +85,9 @@ def _decoded(file: Path) -> tuple[str, NDArray[np.uint8]]:
         raise Sim2RealError(f"{file}: {error}: remove that file, or copy it again") from None
 
 
-def evenly(count: int, limit: int | None) -> NDArray[np.int64]:
-    """Choose at most `limit` of `count` items, evenly, all if None; return their indices."""
-    return np.unique(np.linspace(0, count - 1, min(count, limit or count)).round().astype(np.int64))
+def evenly(count: int, limit: int) -> NDArray[np.int64]:
+    """Choose at most `limit` of `count` items, evenly; return their indices."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64))
 
 
 def sheet(rows: Sequence[Sequence[NDArray[np.uint8]]]) -> NDArray[np.uint8]:

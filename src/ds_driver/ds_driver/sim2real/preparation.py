@@ -59,7 +59,7 @@ def read_sources(
     """
     spec = spec_of(simulator)
     check_roads_are_new(settings, data_sets)
-    photographs = read_photographs(source, limit=settings.photographs)
+    photographs = read_photographs(source, settings.photographs)
     # Before the drives, which take minutes.
     real = measure_lane(photographs, "photographs")
     enter_folder(out)

@@ -29,12 +29,7 @@ from ds_sim.simulator import Outcome
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedFrames:
-    """Images of drives.
-
-    Attributes:
-        images: (n, 160, 320, 3) uint8 RGB.
-        held_out: (n,) which of them are on the last fifth of the roads, which training never sees.
-    """
+    """Images of drives, (n, 160, 320, 3) uint8 RGB, and which of them are of roads held out from training, (n,)."""
 
     images: NDArray[np.uint8]
     held_out: NDArray[np.bool_]
@@ -47,11 +42,7 @@ def sim2real_roads(settings: Sim2RealSettings) -> tuple[Road, ...]:
 
 
 def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -> None:
-    """Refuse roads that a data set has, too.
-
-    Raises:
-        Sim2RealError: a road is in a data set.
-    """
+    """Refuse, by a Sim2RealError, roads that are in a data set, too."""
     ids = {road.road_id for road in sim2real_roads(settings)}
     for folder in data_sets:
         if used := ids & road_ids(folder):
@@ -63,11 +54,7 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
 def simulated_frames(
     simulator: SimulatorName, settings: Sim2RealSettings, file: Path, progress: Progress
 ) -> SimulatedFrames:
-    """Drive the roads, or read the `.npz` file of an earlier call with the same settings.
-
-    Raises:
-        Sim2RealError: the file is damaged or has other settings.
-    """
+    """Drive the roads, or read the `.npz` of an earlier call; a Sim2RealError if damaged or of other settings."""
     relevant = {name: getattr(settings, name) for name in ("roads", "seed", "road_seed", "every", "longest")}
     identity = json.dumps({"simulator": simulator, **relevant})
     roads = sim2real_roads(settings)

@@ -177,7 +177,12 @@ def train(domains: Domains, settings: Sim2RealSettings, out: Path, progress: Pro
                 window=domains.window,
                 real_window=domains.real_window,
             )
-        save_checkpoint(out, _state(gan) | {"identity": identity, "history": history})
+        state = {
+            "networks": [network.state_dict() for network in gan.networks],
+            "optimizers": [optimizer.state_dict() for optimizer in gan.optimizers],
+            "pools": [pool.state() for pool in gan.pools],
+        }
+        save_checkpoint(out, state | {"identity": identity, "history": history})
     return history
 
 
@@ -230,14 +235,6 @@ def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
     plan = asdict(replace(settings, threads=1, device="auto"))
     windows = [str(domains.window), str(domains.real_window)]
     return json.dumps([domains.simulator, plan, windows, digest.hexdigest()], sort_keys=True)
-
-
-def _state(gan: CycleGan) -> dict[str, Any]:
-    return {
-        "networks": [network.state_dict() for network in gan.networks],
-        "optimizers": [optimizer.state_dict() for optimizer in gan.optimizers],
-        "pools": [pool.state() for pool in gan.pools],
-    }
 
 
 def _resume(folder: Path, gan: CycleGan, identity: str, device: torch.device) -> list[dict[str, float]]:
