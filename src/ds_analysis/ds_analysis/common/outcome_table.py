@@ -138,14 +138,20 @@ class OutcomeTable:
         return self.features[:, self.feature_names.index(name)]
 
     @property
+    def sibling_verdicts(self) -> tuple[Bools, Bools]:
+        """(tests, siblings) whether a test has a verdict there, and whether it failed."""
+        states = self.states[:, : len(self.siblings)]
+        return np.isin(states, (State.COMPLETED, State.FAILED)), np.asarray(states == State.FAILED)
+
+    @property
     def on_siblings(self) -> Bools:
         """(tests,) whether a test has a verdict on every sibling."""
-        return np.all([self.known(name) for name in self.siblings], axis=0)
+        return np.asarray(self.sibling_verdicts[0].all(axis=1))
 
     @property
     def on_a_sibling(self) -> Bools:
         """(tests,) whether a test has a verdict on some sibling."""
-        return np.any([self.known(name) for name in self.siblings], axis=0)
+        return np.asarray(self.sibling_verdicts[0].any(axis=1))
 
     def select(self, rows: Bools | Indices) -> Self:
         """Keep some tests, with the features and families that they have among all."""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal, NamedTuple
 
 from ds_analysis.common.statistics import Array, caution_of
@@ -243,5 +244,4 @@ def _without_paper(table: Table, columns: int) -> Table:
     """Drop the paper's columns if all are empty, because the paper does not test this network."""
     if any(value is not None for row in table.rows for value in row[-columns:]):
         return table
-    rows = [row[:-columns] for row in table.rows]
-    return Table(name=table.name, title=table.title, columns=table.columns[:-columns], rows=rows, notes=table.notes)
+    return replace(table, columns=table.columns[:-columns], rows=[row[:-columns] for row in table.rows])

@@ -101,8 +101,8 @@ class CarPrediction:
     @property
     def _uniform(self) -> str:
         """What all simulators did, where they did the same in every test; "" otherwise."""
-        driven = np.stack([self.table.known(name) for name in self.table.siblings])
-        failed = np.stack([self.table.failed(name) for name in self.table.siblings])[driven]
+        driven, failed = self.table.sibling_verdicts
+        failed = failed[driven]
         if not len(failed) or failed.any() != failed.all():
             return ""
         return f"{'Every' if failed.all() else 'None of the'} {len(failed)} simulated drives failed. "

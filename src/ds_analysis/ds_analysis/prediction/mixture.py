@@ -131,23 +131,22 @@ def predict(table: OutcomeTable) -> Prediction:
     Raises:
         OutcomeTableError: too few tests, or a sibling without a verdict.
     """
-    columns = [table.column(name) for name in table.siblings]
-    driven = np.column_stack([table.known(name) for name in table.siblings])
-    failed = np.column_stack([table.failed(name) for name in table.siblings])
+    driven, failed = table.sibling_verdicts
     if reason := too_few(table):
         raise OutcomeTableError(reason)
-    for name in table.siblings:
-        if not table.known(name).any():
+    for name, known in zip(table.siblings, driven.T, strict=True):
+        if not known.any():
             raise OutcomeTableError(f"no test has a verdict on {name}: drive tests there, or leave it out")
     features = table.features[table.on_a_sibling]
     scale = features.std(axis=0)
     used = scale > 1e-12
-    limits = table.limits[:, columns]
+    count = len(table.siblings)
+    lateral, limits = table.lateral[:, :count], table.limits[:, :count]
     outcomes = SiblingOutcomes(
         features=(table.features[:, used] - features[:, used].mean(axis=0)) / scale[used],
         failed=failed,
         known=driven,
-        margins=np.log(np.maximum(table.lateral[:, columns], 1e-3 * limits) / limits),
+        margins=np.log(np.maximum(lateral, 1e-3 * limits) / limits),
     )
     return Prediction(tests=len(table), experts=tuple(experts_of(outcomes)), prior=_prior_of(outcomes))
 

@@ -36,9 +36,8 @@ def features_alone(table: OutcomeTable) -> Array:
     """(tests,) probabilities of failure, from siblings' outcomes on tests of other families, or `OutcomeTableError`."""
     from sklearn import config_context
 
-    failures = sum(table.failed(name).astype(np.float64) for name in table.siblings)
-    verdicts = sum(table.known(name).astype(np.float64) for name in table.siblings)
-    counts = np.column_stack((failures, verdicts - failures))
+    known, failed = table.sibling_verdicts
+    counts = np.column_stack((failed.sum(axis=1), (known & ~failed).sum(axis=1))).astype(np.float64)
     driven = np.flatnonzero(counts.sum(axis=1) > 0)
     if len(np.unique(table.families[driven])) < 2:
         raise OutcomeTableError("all tests descend from one road: expected two families of tests, or more")

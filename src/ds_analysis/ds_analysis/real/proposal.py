@@ -89,9 +89,8 @@ def read_proposed(folder: Path) -> Proposed:
 
 def candidates_of(table: OutcomeTable) -> Indices:
     """Rows of the tests that a car can be asked to drive: judged by a sibling, excluded on none."""
-    states = table.states[:, [table.column(name) for name in table.siblings]]
-    judged = np.isin(states, (State.COMPLETED, State.FAILED)).any(axis=1)
-    return np.flatnonzero(judged & ~(states == State.EXCLUDED).any(axis=1))
+    excluded = (table.states[:, : len(table.siblings)] == State.EXCLUDED).any(axis=1)
+    return np.flatnonzero(table.on_a_sibling & ~excluded)
 
 
 @dataclass(frozen=True, kw_only=True)
