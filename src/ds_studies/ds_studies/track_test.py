@@ -103,7 +103,7 @@ class TrackTest:
 
 
 def locate_recording(of: LocationInputs, folder: Path, progress: Progress = SILENT) -> tuple[Located, Path]:
-    """Locate a recording, or raise `RecordingError`, and write a folder; its page, with this path, is written last."""
+    """Locate a recording, or raise `RecordingError`, and write a folder; returns its page, too, which comes last."""
     camera = read_camera(of.camera)
     views = read_views(of.source, of.reading, of.odometry, of.centre)
     located, fit = located_of(views, camera, of.lane_width, progress)

@@ -57,7 +57,7 @@ class MaxFailures:
 
 @dataclass(frozen=True, kw_only=True)
 class Criteria:
-    """Pass criteria; without `fail_on`, any outcome is within them.
+    """Pass criteria.
 
     Attributes:
         fail_on: `failure`, any test fails; `regression`, any newly fails; `worse`, significantly on some simulator.

@@ -45,7 +45,7 @@ class SiblingHelp:
     """Whether the siblings have helped to predict the car's drives."""
 
     drives: int = 0
-    with_siblings: float = 0.0  # mean squared error of predictions with the siblings, and `without`
+    with_siblings: float = 0.0  # mean squared error of predictions with the siblings; `without`: without them
     without: float = 0.0
     helped: float = 1.0  # largest capital, so far, of the bet that the siblings help, now `capital`
     misled: float = 1.0  # the same of the bet that predictions without them are better

@@ -37,7 +37,7 @@ EVERY = 8
 WHOLE = slice(80, 200)
 """Frames of a drive that a network with memory is shown; chosen: six seconds around the first bend, 300 MB in all."""
 FEWEST = 24
-"""Images from which there is a verdict; chosen: 0.93 seems a correlation below 0.8 once in 200 times (Fisher's z)."""
+"""Images from which there is a verdict; chosen: a correlation of 0.93 falls below 0.8 once in 200 (Fisher's z)."""
 MOST_THINNED = 3
 """One image of so many is kept at least where other descriptions are tried; chosen: a dozen for a simulator's trial."""
 

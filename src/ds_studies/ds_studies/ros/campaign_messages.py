@@ -62,7 +62,7 @@ def test_response(data: CampaignData, folder: str, test_id: str, response: GetTe
 
 @dataclass(frozen=True)
 class Grids:
-    """Name of a map -> failure probabilities in percent, and tests of each cell in that order; what the cells are."""
+    """Maps of a campaign by name: failure probabilities in percent, tests of each cell; what all cells stand for."""
 
     grids: Mapping[str, OccupancyGrid]
     tests: Mapping[str, Sequence[int]]

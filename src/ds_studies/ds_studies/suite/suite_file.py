@@ -50,7 +50,7 @@ class SuiteError(ConfigError):
 
 
 class SuiteOutcome(Keys, strict=True):
-    """Outcome of a test on one simulator, with the network of the suite; its smallest lateral distance, m."""
+    """Outcome of a test on a simulator, with the suite's network; fitness is the smallest lateral distance, m."""
 
     outcome: Literal["COMPLETED", "OUT_OF_BOUNDS", "STUCK", "TIMEOUT"]
     fitness: Annotated[float, Field(allow_inf_nan=False)]
@@ -76,7 +76,7 @@ class SuiteTest(Keys, strict=True):
 
 
 class Suite(Keys, strict=True):
-    """Regression suite of a campaign's folder, with digests of its driver's files, or "", and the simulators' code."""
+    """Regression suite: a campaign's name and tests, digests of its driver's files, or "", and the simulators' code."""
 
     format: Literal["digital-siblings-suite"] = "digital-siblings-suite"
     version: Literal[1] = 1
