@@ -252,10 +252,9 @@ def drive_pictures(
         drives = {e.test_id: e for e in executions if e.simulator == name and (e.test_id, name) in frames}
         if not drives:
             return {}
-        try:
-            simulator = make_simulator(received_simulator(name, confirmed=trusted))
-        except Exception as error:  # a missing or broken simulator must not prevent the report
-            return dict.fromkeys(drives, _no_pictures(error))
+        simulator = trusted_simulator(name, trusted)
+        if isinstance(simulator, str):
+            return dict.fromkeys(drives, PicturedDrive(note=f"no pictures: {simulator}"))
         with closing(simulator):
             return {
                 one.test_id: render_drive(simulator, one, drives[one.test_id], frames[one.test_id, name], driver)
@@ -270,6 +269,14 @@ def drive_pictures(
     return {test_id: [column.get(test_id) for column in columns] for test_id in shown}
 
 
+def trusted_simulator(name: SimulatorName, trusted: Collection[str]) -> Simulator | str:
+    """Make a simulator, or say why there is none: it must not prevent a page."""
+    try:
+        return make_simulator(received_simulator(name, confirmed=trusted))
+    except Exception as error:  # whatever code of others raises
+        return " ".join(str(error).split())
+
+
 def render_drive(
     simulator: Simulator, test: Test, execution: Execution, steps: Sequence[int], driver: DriverName
 ) -> PicturedDrive:
@@ -282,17 +289,13 @@ def render_drive(
         scene.load(test.road, np.random.default_rng(test.seed), test.conditions.for_scene(scene.conditions))
         frames = [_frame(simulator.scene, test, execution, k, see) for k in steps]
     except Exception as error:  # as above
-        return _no_pictures(error)
+        return PicturedDrive(note=f"no pictures: {' '.join(str(error).split())}")
     strip = set(moments(execution))
     return PicturedDrive(
         frames=tuple(frames),
         times=tuple(round(step / FRAME_RATE, 2) for step in steps),
         strip=tuple(index for index, step in enumerate(steps) if step in strip),
     )
-
-
-def _no_pictures(error: Exception) -> PicturedDrive:
-    return PicturedDrive(note=f"no pictures: {' '.join(str(error).split())}")
 
 
 def _frame(scene: Scene, test: Test, execution: Execution, step: int, see: Translation) -> tuple[str, str]:

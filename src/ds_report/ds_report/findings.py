@@ -27,7 +27,7 @@ from scipy.stats import t
 
 from ds_analysis.common.selection import ALPHA, SEED, ChosenSplit, Share, choose_split
 from ds_analysis.common.statistics import Indices, families_of
-from ds_analysis.paper.correlation import Correlation, PairedDifference
+from ds_analysis.paper.correlation import QUESTIONS, Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
 from ds_base.words import count, listed
 from ds_driver.networks.driver_name import DriverName
@@ -168,15 +168,12 @@ def summarise(
     details = [_coverage(data.distinct), _failures(data.distinct), _agreement(config, maps)]
     if config.twin and maps[MapId.merged()].cells:
         details.append(_predicted(config, maps))
-    values: tuple[Value, ...] = ("probability", "quality_loss")
     reasons = cautions(correlations)
     if len(reasons) == 1 and all(c.caution for c in correlations):
         details.append(f"No conclusion about how well the siblings predict the twin: {reasons[0]}.")
-        values = ()
-    for value in values:
-        compared = [c for c in correlations if c.value == value]
-        if compared:
-            details.append(_comparison(config, compared, paired_differences, value))
+    else:
+        compared = {value: [c for c in correlations if c.value == value] for value in QUESTIONS}
+        details += [_comparison(config, of, paired_differences, value) for value, of in compared.items() if of]
     if not config.twin:
         details.append("This campaign has no twin, so there is nothing to compare the maps with.")
     headline = where_it_fails(config.driver, outcomes)

@@ -8,9 +8,8 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from ds_analysis.paper import paper_tables as paper_numbers
 from ds_analysis.paper.correlation import Correlation
-from ds_analysis.paper.paper_tables import Network, role_of
+from ds_analysis.paper.paper_tables import Network, paper_row, role_of
 from ds_base.palette import BETWEEN, FAIL, PASS, SERIES
 from ds_base.table import Table
 from ds_sim.registry import SimulatorName
@@ -128,8 +127,8 @@ def correlation_chart(
             showlegend=axis == "x",
             hovertemplate="%{y}: %{x:.3f}<extra>this campaign</extra>",
         )
-        of_paper = [(label, _of_paper(c, siblings, network)) for label, c in zip(labels, correlations, strict=True)]
-        shown = [(label, getattr(row, value)) for label, row in of_paper if row is not None]
+        of_paper = [paper_row(c.value, network, role_of(c.map.simulator, siblings)) for c in correlations]
+        shown = [(label, getattr(row, value)) for label, row in zip(labels, of_paper, strict=True) if row]
         if shown:
             figure.add_scatter(
                 x=[number for _, number in shown],
@@ -149,11 +148,6 @@ def _label(correlation: Correlation, siblings: Sequence[SimulatorName]) -> str:
     simulator = correlation.map.simulator
     question = "RQ2" if correlation.value == "probability" else "RQ3"
     return f"{question} {role_of(simulator, siblings)} {simulator or 'merged'}"
-
-
-def _of_paper(correlation: Correlation, siblings: Sequence[SimulatorName], network: Network | None) -> Any:
-    table = paper_numbers.RQ2 if correlation.value == "probability" else paper_numbers.RQ3
-    return table.get(network or ("", "sim"), {}).get(role_of(correlation.map.simulator, siblings))
 
 
 def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlation]) -> go.Layout:

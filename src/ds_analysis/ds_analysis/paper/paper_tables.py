@@ -85,6 +85,11 @@ NETWORKS = ("dave2", "chauffeur", "epoch")
 """Architectures that the paper tests."""
 
 
+def paper_row(value: str, network: Network | None, role: str) -> PaperRow | None:
+    """The paper's numbers of a role's map, for `probability` RQ2 and else RQ3; None for a network it does not test."""
+    return None if network is None else (RQ2 if value == "probability" else RQ3).get(network, {}).get(role)
+
+
 def role_of(simulator: str, siblings: Sequence[str]) -> str:
     """Name a simulator's role in the paper's tables: `DS1`, `DS2`, ... for siblings, `DSS` for their merge."""
     return f"DS{siblings.index(simulator) + 1}" if simulator in siblings else "DSS"
@@ -105,13 +110,12 @@ def correlation_tables(
     """Tabulate RQ2 and RQ3 (paper 4.4.2, 4.4.3), beside the paper's numbers of a network."""
     tables = []
     for value, (name, title) in _TITLES.items():
-        of_paper = (RQ2 if value == "probability" else RQ3).get(network or ("", "sim"), {})
         rows: list[list[Value]] = []
         compared = [c for c in correlations if c.value == value]
         notes = [*_caution_notes(cautions(compared)), _BOOTSTRAP]
         for c in compared:
             role, named = role_of(c.map.simulator, siblings), c.map.simulator or "merged"
-            paper = of_paper.get(role)
+            paper = paper_row(value, network, role)
             rows.append([role, named, c.cells, c.r, c.r_interval, c.p, c.auc, c.auc_interval])
             rows[-1] += [paper.r, paper.p, paper.auc] if paper else [None] * 3
             notes += [f"{role}: no r, {c.reason}."] * bool(c.reason)

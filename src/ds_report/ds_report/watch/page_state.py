@@ -15,11 +15,10 @@ from ds_orchestrator.campaign.live_file import LiveDrive
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
-from ds_report.camera_pictures import SPACINGS, PicturedDrive, render_drive, replay_frames
+from ds_report.camera_pictures import SPACINGS, PicturedDrive, render_drive, replay_frames, trusted_simulator
 from ds_report.page_data import kept, simulator_rows
 from ds_report.watch.campaign_reader import Snapshot
 from ds_road.geometry import arc_lengths
-from ds_sim.registry import make_simulator, received_simulator
 from ds_sim.simulator import Outcome, Simulator
 
 
@@ -35,11 +34,7 @@ class DrivePictures:
         """Render a picture every half second, as `ds_report.camera_pictures.PicturedDrive` in JSON values."""
         name = execution.simulator
         if name not in self._simulators:
-            try:
-                checked = received_simulator(name, confirmed=self._trusted)
-                self._simulators[name] = make_simulator(checked)
-            except Exception as error:  # a missing or broken simulator must not prevent the page
-                self._simulators[name] = " ".join(str(error).split())
+            self._simulators[name] = trusted_simulator(name, self._trusted)
         simulator = self._simulators[name] if len(execution.trajectory) else "no frame"
         if isinstance(simulator, str):
             return asdict(PicturedDrive(note=f"no pictures: {simulator}"))
