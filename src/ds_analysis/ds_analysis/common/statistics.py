@@ -51,12 +51,6 @@ def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
     return np.array([np.nan if v is None else v for v in values], np.float64)
 
 
-def paired_values(m: FeatureMap, truth: FeatureMap, value: str = "probability") -> tuple[Array, Array]:
-    """Collect a value of one map and the failure probability of another over the cells that both fill."""
-    predicted, against = values_over_shared_cells([m], truth, value)
-    return predicted, against
-
-
 def values_over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
     """Collect a value of several maps, then the failure probability of another, over the cells that all fill."""
     cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))

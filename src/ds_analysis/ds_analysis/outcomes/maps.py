@@ -47,8 +47,7 @@ def maps_of_study(study: Study, features: list[str] | None = None) -> dict[MapId
             )
         return FeatureMap(id=map_id, cells=cells, features=table.axes)
 
-    siblings = [name for name in study.simulators if name != study.twin]
-    maps = {map_id: on(map_id) for map_id in map(MapId.union, siblings)}
+    maps = {map_id: on(map_id) for map_id in map(MapId.union, table.siblings)}
     unions = list(maps.values())
     maps |= {
         map_id: merge(map_id, unions, probability=map_id.operator or "product")

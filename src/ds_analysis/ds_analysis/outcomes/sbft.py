@@ -19,6 +19,7 @@ import pandas as pd
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_base.bounded_json import read_json
 from ds_base.left_out import LeftOut
+from ds_road.geometry import arc_lengths
 
 LARGEST_FILE, MOST_FILES = 2**26, 100_000
 STEP = 2.0
@@ -72,7 +73,7 @@ def _row(path: Path) -> dict[str, Any] | None:
 
 
 def _features(points: np.ndarray, bad: str) -> dict[str, float]:
-    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    along = arc_lengths(points)
     if not 2.0 * STEP < along[-1] < 1e5:
         raise OutcomeTableError(f"{bad}: its road is {along[-1]:.3g} m long, expected {2.0 * STEP:g} m to 100 km")
     even = np.linspace(0.0, along[-1], max(4, int(along[-1] / STEP) + 1))

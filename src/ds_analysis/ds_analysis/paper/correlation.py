@@ -25,7 +25,6 @@ from ds_analysis.common.statistics import (
     bootstrap_interval,
     caution_of,
     has_both_outcomes,
-    paired_values,
     pearson_or_reason,
     r_or_nan,
     values_over_shared_cells,
@@ -100,7 +99,7 @@ class PairedDifference:
 
 def correlate(feature_map: FeatureMap, twin: FeatureMap, value: str, *, resamples: int = 0) -> Correlation:
     """Correlate one map with the twin's; see `Correlation`. Without resamples, there are no intervals."""
-    predicted, truth = paired_values(feature_map, twin, value)
+    predicted, truth = values_over_shared_cells([feature_map], twin, value)
     failing = int((truth > 0).sum())
     r, p, reason = pearson_or_reason(predicted, truth, value)
     auc, auc_reason = auc_prc_or_reason(predicted, truth)
@@ -195,11 +194,11 @@ def check_robustness(
         m: FeatureMap,
         against: FeatureMap,
         value: str,
-        values: tuple[Array, Array] | None = None,
+        values: tuple[Array, ...] | None = None,
         curve: Callable[[Array, Array], float] | None = None,
     ) -> None:
         """Compare by values of both maps, those of the cells that both fill if None."""
-        predicted, of_against = values or paired_values(m, against, value)
+        predicted, of_against = values or values_over_shared_cells([m], against, value)
         r, p, _ = pearson_or_reason(predicted, of_against, value)
         auc = curve(predicted, of_against) if curve is not None and has_both_outcomes(of_against) else None
         cells = len(predicted)
@@ -210,7 +209,7 @@ def check_robustness(
     for value, m in product(QUESTIONS, compared):
         add("all cells of the bounds, empty ones as -2 (maxitwo)", m, truth, value, _filled(m, truth, value))
     for value, m in product(QUESTIONS, compared):
-        predicted, failures = paired_values(m, truth, value)
+        predicted, failures = values_over_shared_cells([m], truth, value)
         both = (predicted > 0) & (failures > 0)
         add("only cells above 0 in both (maxitwo)", m, truth, value, (predicted[both], failures[both]))
     for value, m in product(QUESTIONS, compared):
@@ -218,7 +217,7 @@ def check_robustness(
     for value, m in product(QUESTIONS, compared):
         add("AUC-PRC by trapezoids", m, truth, value, curve=auc_prc_by_trapezoids)
     for m in compared:
-        pooled = paired_values(m, truth, "pooled_quality_loss")
+        pooled = values_over_shared_cells([m], truth, "pooled_quality_loss")
         add("quality as mean over a union's tests (maxitwo)", m, truth, "quality_loss", pooled, auc_prc)
     for value, sibling in product(QUESTIONS, siblings):
         own = maps[MapId.search(sibling)], maps[MapId.migration(sibling, twin)]

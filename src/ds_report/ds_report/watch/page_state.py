@@ -165,7 +165,6 @@ def drive_lines(test: Test, execution: Execution, names: Sequence[str]) -> dict[
     x, y, lateral = ([round(float(v), 2) for v in path[steps, k]] for k in (0, 1, 4))
     steering = execution.steering
     commands = steering[np.minimum(steps, len(steering) - 1)] if len(steering) else steering
-    moved = np.hypot(*np.diff(path[steps][:, :2], axis=0).T) if len(steps) > 1 else np.empty(0)
     run = {
         "outcome": execution.outcome.words,
         "failed": execution.outcome.is_failure,
@@ -176,7 +175,7 @@ def drive_lines(test: Test, execution: Execution, names: Sequence[str]) -> dict[
         "lateral": lateral,
         "steering": [round(float(v), 3) for v in commands],
         "time": [round(int(step) / 20, 2) for step in steps],
-        "distance": [round(float(v), 1) for v in np.concatenate(([0.0], np.cumsum(moved)))[: len(steps)]],
+        "distance": [round(float(v), 1) for v in arc_lengths(path[steps, :2])[: len(steps)]],
     }
     return {
         "id": test.test_id,
