@@ -98,7 +98,7 @@ class InterleavedDrives:
         ValueError: the driver cannot be loaded.
     """
 
-    def __init__(self, driver: DriverName, note: NotePhase = lambda _phase, _key: None) -> None:
+    def __init__(self, driver: DriverName, note: NotePhase) -> None:
         self._note = note
         self._driver = driver
         self._network = None if driver == AUTOPILOT else _network(driver)

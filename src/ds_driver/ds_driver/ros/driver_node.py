@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -36,58 +35,12 @@ SIMULATORS = -1
 """Value of a crop parameter that stands for the simulator's own."""
 
 
-class TranslatedImages:
-    """Asks each simulator for its name before a run, which selects the generator; then its frames are answered."""
-
-    def __init__(
-        self,
-        node: Node,
-        namespaces: Sequence[str],
-        translation: ImageTranslation,
-        answer: Callable[[int, Frame], Command],
-    ) -> None:
-        self._node = node
-        self._namespaces = namespaces
-        self._translation = translation
-        self._answer = answer
-        self._info = SimulatorInfo(node, namespaces, "which selects the sim2real generator", self._on_info)
-        self._names: list[str | None] = [None] * len(namespaces)
-        answers = AnswerDiagnostics(node)
-        self._clients = [
-            SimulatorClient(node, name, Frame, answers, partial(self._info.ask, index))
-            for index, name in enumerate(namespaces)
-        ]
-        self._publishers = [
-            node.create_publisher(Image, f"{name}/{TOPIC}" if name else TOPIC, FRAME_DEPTH) for name in namespaces
-        ]
-        for index in range(len(namespaces)):
-            self._info.ask(index)
-
-    def translate(self, index: int, frame: Frame, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Translate a frame's image, and publish it if somebody subscribes; a DriverError without a generator."""
-        name = self._names[index]
-        if name is None:
-            raise DriverError("the simulator has not stated its name yet")
-        translated = self._translation.translate(image, name)
-        publisher = self._publishers[index]
-        if publisher.get_subscription_count():
-            publisher.publish(MESSAGES.image(translated, frame.header))
-        return translated
-
-    def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
-        if info.name != self._names[index]:
-            namespace = self._namespaces[index] or self._node.get_namespace()
-            try:
-                digest = self._translation.generators.generator(info.name).sha256[:12]
-                self._node.get_logger().info(f"{namespace}: generator {digest} translates images of {info.name}")
-            except DriverError as error:  # every frame will state it, too
-                self._node.get_logger().error(str(error))
-        self._names[index] = info.name
-        self._clients[index].drive_with(partial(self._answer, index))
-
-
 class DriverNode(Node):
-    """Drives one or more simulators with a network, and crops the images of each as its frames say."""
+    """Drives one or more simulators with a network, and crops the images of each as its frames say.
+
+    For a network that sees translated images, it asks each simulator for its name before a run, which selects the
+    generator; then its frames are answered.
+    """
 
     def __init__(self) -> None:
         super().__init__("driver")
@@ -106,33 +59,64 @@ class DriverNode(Node):
         )
         self._given = list(zip(tops, bottoms, strict=True))
         self._crops: list[Crop | None] = [None] * count
+        self._names: list[str | None] = [None] * count
         self._driver = NetworkDriver(DriverName.parse(network).on(backend, device).seeing(sim2real))
+        self._translation = self._driver.translation
         self._milliseconds: list[float] = []
-        translation = self._driver.translation
-        self._translated = None
-        if translation is None:
-            answers = AnswerDiagnostics(self)
-            for index, namespace in enumerate(self._namespaces):
-                SimulatorClient(self, namespace, Frame, answers).drive_with(partial(self._answer, index))
-        else:
-            self._translated = TranslatedImages(self, self._namespaces, translation, self._answer)
+        info = None
+        if self._translation is not None:
+            info = SimulatorInfo(self, self._namespaces, "which selects the sim2real generator", self._on_info)
+            topics = [f"{name}/{TOPIC}" if name else TOPIC for name in self._namespaces]
+            self._image_publishers = [self.create_publisher(Image, topic, FRAME_DEPTH) for topic in topics]
+        answers, self._simulators = AnswerDiagnostics(self), list[SimulatorClient]()
+        for index, namespace in enumerate(self._namespaces):
+            on_start = None if info is None else partial(info.ask, index)
+            self._simulators.append(SimulatorClient(self, namespace, Frame, answers, on_start))
+            if on_start is None:
+                self._simulators[index].drive_with(partial(self._answer, index))
+            else:
+                on_start()
         self.get_logger().info(f"{network} drives {', '.join(filter(None, self._namespaces)) or self.get_namespace()}")
+
+    def _on_info(self, index: int, info: GetSimulatorInfo.Response) -> None:
+        assert self._translation is not None
+        if info.name != self._names[index]:
+            namespace = self._namespaces[index] or self.get_namespace()
+            try:
+                digest = self._translation.generators.generator(info.name).sha256[:12]
+                self.get_logger().info(f"{namespace}: generator {digest} translates images of {info.name}")
+            except DriverError as error:  # every frame will state it, too
+                self.get_logger().error(str(error))
+        self._names[index] = info.name
+        self._simulators[index].drive_with(partial(self._answer, index))
 
     def _answer(self, index: int, frame: Frame) -> Command:
         started = time.perf_counter()
         image = pixels_of(frame.image)
         has_geometry = frame.wheelbase > 0.0 and frame.max_steering_angle > 0.0
         vehicle = Geometry(frame.wheelbase, frame.max_steering_angle) if has_geometry else None
-        if self._translated is None:
+        if self._translation is None:
             crop, simulator = self._crop_for(index, frame), None
         else:
-            # What the driver would do by itself, with the bits that are published.
-            image, crop, simulator = self._translated.translate(index, frame, image), Crop(), NOT_SIMULATED
+            image = self._translated(self._translation, index, frame, image)
+            crop, simulator = Crop(), NOT_SIMULATED
         command = self._driver.command(
             Seen(image=image, speed=frame.speed, crop=crop, step=frame.step, simulator=simulator, vehicle=vehicle)
         )
         self._milliseconds.append(1e3 * (time.perf_counter() - started))
         return command
+
+    def _translated(
+        self, translation: ImageTranslation, index: int, frame: Frame, image: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Translate as the driver would do by itself, and publish the same bits if somebody subscribes."""
+        name = self._names[index]
+        if name is None:
+            raise DriverError("the simulator has not stated its name yet")
+        translated = translation.translate(image, name)
+        if self._image_publishers[index].get_subscription_count():
+            self._image_publishers[index].publish(MESSAGES.image(translated, frame.header))
+        return translated
 
     def _crop_for(self, index: int, frame: Frame) -> Crop:
         """Choose the crop at the first frame of each run, and log it when it changes."""
