@@ -19,8 +19,7 @@ from tests.campaign.damaged_stores import change_store, write_as_version_4
 from tests.campaign.test_hostile_folders import super_journal
 from tests.campaign.test_unusable_folders import content, ds
 
-from ds_driver.networks.driver_name import AUTOPILOT, DriverName
-from ds_driver.networks.received_driver import received_driver
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName, received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.rows import trajectory_sha256

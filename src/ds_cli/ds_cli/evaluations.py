@@ -119,7 +119,7 @@ def evaluate_command(
     from ds_analysis.paper.open_loop import OpenLoopError
     from ds_base.folder_files import locked, make_folder
     from ds_base.table import keep_tables
-    from ds_driver.networks.received_driver import received_driver
+    from ds_driver.networks.driver_name import received_driver
     from ds_orchestrator.campaign.folder import read_folder
     from ds_report.build import RQ1
     from ds_report.sections import sibling_section

@@ -22,11 +22,10 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.description import DescribedNetwork, Outputs
-from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.driver_name import DriverName, received_driver
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import DriverError, Frame
-from ds_driver.networks.received_driver import received_driver
 from ds_road import generate
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import Outcome

@@ -19,11 +19,10 @@ from ds_driver.data.dataset import DatasetError, drive_path, write_drive
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks import weights
 from ds_driver.networks.architectures import NETWORKS
-from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.driver_name import DriverName, received_driver
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256, generators_of, load_pilot, translation_of
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
-from ds_driver.networks.received_driver import received_driver
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import GENERATORS, architecture_in, generators_in, load_weights
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator

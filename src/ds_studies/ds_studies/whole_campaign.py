@@ -139,7 +139,7 @@ def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
         ds_sim.registry.UntrustedSimulatorError: a simulator is neither shipped nor trusted.
         ds_driver.networks.pilot.DriverError: the driver is code that is not trusted.
     """
-    from ds_driver.networks.received_driver import received_driver
+    from ds_driver.networks.driver_name import received_driver
     from ds_sim.registry import received_simulator
 
     for name in config.simulators:

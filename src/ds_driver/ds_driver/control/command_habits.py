@@ -13,8 +13,7 @@ SATURATED_SHARE = 0.5
 CONSTANT_SPREAD = 1e-3
 """Largest difference between commands of a driver that counts as constant; chosen: a tenth of a servo's step."""
 CRAWLING = 1.5
-"""Mean speed below which a driver counts as crawling, m/s; chosen: a fifth of the paper's 30 km/h, at which a road of
-150 m takes longer than the limit of a run."""
+"""Mean speed below which a driver counts as crawling, m/s; chosen: at it, 150 m take longer than the limit of a run."""
 FEWEST = 20
 """Frames of a drive below which nothing is said: one second."""
 _FULL_LOCK = 1.0 - 1e-9

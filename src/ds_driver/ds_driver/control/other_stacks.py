@@ -25,8 +25,7 @@ CommandT = TypeVar("CommandT")
 MAX_FRAMES = 20
 """Number of frames kept; chosen: one second, as a later answer is too late in any case."""
 MAX_AHEAD = 1_000_000_000
-"""Largest lead of a command's stamp over the newest frame, ns; chosen: frames are 50 ms apart, and a command overtakes
-its own frame by one at most."""
+"""Largest lead of a command's stamp over the newest frame, ns; chosen: it is one frame, 50 ms, ahead at most."""
 PROPORTIONAL = 0.3
 """Proportional gain, throttle per m/s of error; chosen by trial on the three vehicles."""
 INTEGRAL = 0.005

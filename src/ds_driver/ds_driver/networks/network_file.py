@@ -24,8 +24,7 @@ from ds_driver.networks.backends import (
 from ds_driver.networks.pilot import DriverError
 
 NETWORK_MEMORY = 4 * 2**30
-"""Bytes that a network may map beyond what the process has; chosen: 40 times the largest shipped one. A graph of three
-nodes can ask for terabytes, and the runtimes set no limit."""
+"""Bytes that a network may map, as a graph of three nodes can ask for terabytes; chosen: 40 times the largest one."""
 KINDS = {
     ".onnx": "onnx",
     ".pt": "torchscript",

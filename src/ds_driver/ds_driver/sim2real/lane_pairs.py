@@ -21,8 +21,7 @@ from ds_driver.sim2real.lane_view import BOUND, find_lines, lane_borders
 from ds_driver.sim2real.pictures import FEWEST
 
 HEIGHTS = (0.25, 0.35, 0.45, 0.62, 0.8, 0.99)
-"""Rows at which lines are compared, as shares of the picture's height; chosen: evenly spread from near the car to where
-a lane is still several pixels wide."""
+"""Rows at which lines are compared, as shares of the height; chosen: from the car to where a lane is a few pixels."""
 FIRST_ROW = 0.18
 """First row in which lines are looked for, as a share of the height; chosen: above it both lines are a few pixels."""
 LEAST_ROWS, LEAST_SPAN = 0.05, 0.1

@@ -19,15 +19,13 @@ from ds_driver.sim2real.pictures import evenly
 WIDEST = 0.14
 """Widest line, in widths of the image; chosen: tape on the photographed tracks is up to 0.12 wide at the bottom."""
 MIN_YELLOW = 20.0
-"""Least surplus of yellowness (a + b of CIE Lab) of a line over its surroundings; chosen on photographs: reflections
-and wood reach 15, worn tape 25."""
+"""Least surplus of yellowness (a + b of CIE Lab) of a line; chosen on photographs: wood reaches 15, worn tape 25."""
 YELLOW = (1.0, 1.0)
 """Weights of a and b of CIE Lab in yellowness; red and orange have as much of it."""
 YELLOW_ITSELF = 18.0
 """Least yellowness of the line itself; chosen on photographs: beige on blue has a surplus, but hardly any itself."""
 MIN_WHITE = 20.0
-"""Least surplus of whiteness (L minus chroma of CIE Lab) of a line over its surroundings; chosen on photographs:
-reflections of lamps on the floor reach 15 to 25, lines 25 to 50."""
+"""Least surplus of whiteness (L minus chroma of CIE Lab) of a line; chosen: reflections reach 25, lines 25 to 50."""
 HALO = 0.03
 """Width of the rim of a yellow line that is not taken for white, in image widths; chosen: blur of photographs."""
 SMALLEST = 6
@@ -38,13 +36,11 @@ Mask = NDArray[np.bool_]
 SAMPLE = 300
 """Images in which lines are looked for; chosen: medians are then known within a pixel, in seconds."""
 LOOKED_AT = 0.4
-"""Share of the rows, from the top, that is not looked at; chosen: horizons of cars' cameras are above, with people,
-lamps and buildings."""
+"""Share of the rows, from the top, that is not looked at; chosen: horizons of cars' cameras are above."""
 LEAST_ROWS = 6
 """Rows with both lines that make an image one of a road; chosen: fewer are accidents of texture."""
 LEAST_SHARE = 0.5
-"""Share of images that must show a yellow line and a white one to its right; chosen: nine of ten do on the photographed
-tracks, none in pictures of anything else."""
+"""Share of images that must show a yellow line and a white one to its right; chosen: nine of ten do on real tracks."""
 HEIGHTS = np.linspace(0.4, 0.95, 12)
 """Heights, as shares of a crop, at which the lines of both domains are compared; chosen: curves are farther up."""
 BOUND = 0.05

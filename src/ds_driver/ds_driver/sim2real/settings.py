@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from ds_driver.sim2real.generator import GeneratorShape
 
 ROAD_SEED = 20_150_715
-"""Seed of the simulated roads; chosen: no other verb has it as its default, and `train --unlike` compares the
-roads with those of data sets by their ids."""
+"""Seed of the simulated roads; chosen: no other verb has it as its default."""
 HELD_OUT = 0.2
 """Share of roads and photographs, the last ones, that training never sees."""
 
