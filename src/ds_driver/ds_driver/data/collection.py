@@ -72,13 +72,7 @@ def roads_both_ways(count: int, seed: int, *, max_angle: int = 270) -> list[Road
 
 
 class GivenRoad(NamedTuple):
-    """Road to collect on.
-
-    Attributes:
-        road: to drive.
-        family: id of the road of which it is a mutant, or its own; training and validation share no family.
-        conditions: of its drives.
-    """
+    """Road to drive under conditions; `family`, which a split keeps together, is the id of what it is a mutant of."""
 
     road: Road
     family: str

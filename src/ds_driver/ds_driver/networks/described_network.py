@@ -42,10 +42,7 @@ _Given = dict[int, tuple[GivenInput, tuple[int, ...]]]
 
 
 class DescribedNetworkPilot(Pilot):
-    """Drives with a network file, from the path of its description, or as `described` in its place.
-
-    Attributes:
-        backend: what computes it.
+    """Drives with a network file on a backend, from the path of its description, or as `described` in its place.
 
     Raises:
         DriverError: the description or the file cannot be used.

@@ -46,14 +46,8 @@ def refusal(header: Header, error: Exception) -> DriveCommand:
 class SimulatorClient:
     """Subscribes to each `Frame` of one simulator, or `VehicleState` for a driver without eyes, and publishes answers.
 
-    Its topics appear in the ROS graph with the first call of `drive_with`, when it can answer.
-
-    Args:
-        node: owns the subscription.
-        namespace: of the simulator; "" for the node's own.
-        kind: what to subscribe to.
-        answers: records the answers.
-        on_start: called at the first frame of each run, which then waits for `drive_with`.
+    Its topics appear in the ROS graph with the first call of `drive_with`, when it can answer. The namespace "" is the
+    node's own. `on_start` is called at the first frame of each run, which then waits for `drive_with`.
     """
 
     def __init__(

@@ -33,13 +33,7 @@ MOST_FILTERS, MOST_BLOCKS, MOST_PIXELS = 256, 32, 2**22
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GeneratorShape:
-    """Size of a generator.
-
-    Attributes:
-        filters: channels of the first layer (paper: 64).
-        blocks: residual blocks (paper: 9).
-        rows: of the image, a multiple of 4, as `columns`.
-    """
+    """Size: channels of the first layer (paper: 64), residual blocks (paper: 9), and the image's, in multiples of 4."""
 
     filters: int
     blocks: int

@@ -7,6 +7,7 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -128,8 +129,7 @@ class ImageTranslation:
 
     def __init__(self, generators: GeneratorSet, backend: str = "onnx", device: str = "cpu") -> None:
         self.generators = generators
-        self._backend, self._device = backend, device
-        self._translators: dict[str, Translator] = {}
+        self._translator = cache(lambda simulator: Translator(generators.generator(simulator), backend, device))
 
     def translate(self, image: NDArray[np.uint8], simulator: str) -> NDArray[np.uint8]:
         """Translate one camera image, (160, 320, 3) uint8 RGB; the result is not to be cropped.
@@ -158,12 +158,6 @@ class ImageTranslation:
             for index, image in zip(indices, images, strict=True):
                 translated[index] = replace(frames[index], image=image, crop=Crop(), simulator=NOT_SIMULATED)
         return translated
-
-    def _translator(self, simulator: str) -> Translator:
-        if simulator not in self._translators:
-            generator = self.generators.generator(simulator)
-            self._translators[simulator] = Translator(generator, self._backend, self._device)
-        return self._translators[simulator]
 
 
 class TranslatingPilot(Pilot):

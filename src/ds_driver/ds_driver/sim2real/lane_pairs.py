@@ -47,8 +47,7 @@ class LanePairs:
         photographs: (n, `NEIGHBOURS` or fewer) indices of the photographs whose lane is nearest.
         simulated_lanes: (n, 2 * heights) from `lane_shapes`.
         photographed_lanes: (m, 2 * heights) of all photographs; NaN of those that do not show both lines.
-        apart: median over the images of the root mean square distance of the lines to those of the photographs, in
-            widths of the picture.
+        apart: median of the images' root mean square distance of lines to the photographs', in widths of the picture.
     """
 
     simulated: NDArray[np.int64]
