@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 import pytest
+from tests.graph.separate_processes import simulator_processes
 
 from ds_orchestrator.campaign.config import parse_config
 from ds_sim.registry import SimulatorName
@@ -28,7 +29,7 @@ def test_a_campaign_outlives_its_driver(tmp_path: Path, monkeypatch: pytest.Monk
     """The driver crashes once, during a run; the test is repeated, and the error enters no map."""
     from ds_cli.campaign.inspection import status
     from ds_orchestrator.graph import session as running
-    from ds_orchestrator.graph.supervisor import ProcessSpec, simulator_processes
+    from ds_orchestrator.graph.supervisor import ProcessSpec
     from ds_studies.whole_campaign import run_campaign
 
     faulty = ProcessSpec(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.graph.separate_processes import simulator_processes
 
 from ds_road import Road
 from ds_sim import DONKEY
@@ -32,7 +33,7 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         from ds_orchestrator.graph.client import GraphClient
         from ds_orchestrator.graph.session import RosDomain
-        from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor, simulator_processes
+        from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
         self._orders = folder / "orders"
         self.order("none")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.graph.separate_processes import simulator_processes
 
 from ds_base.processes import ChildProcesses
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -51,7 +52,7 @@ def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
     """A donkey without a driver; yields (executor, ROS domain)."""
     from ds_orchestrator.graph.client import GraphClient
     from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import Supervisor, simulator_processes
+    from ds_orchestrator.graph.supervisor import Supervisor
 
     domain = RosDomain()
     supervisor = Supervisor(simulator_processes(SPACE, 10.0), domain=domain.number, logs=logs)
@@ -245,10 +246,11 @@ def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Ca
     from sensor_msgs.msg import Image
 
     from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import Supervisor, driver_process
+    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 
     domain = RosDomain()
-    driver = driver_process(DriverName("dave2"), SPACE)
+    parameters: dict[str, object] = {"namespaces": list(SPACE.values()), "network": "dave2"}
+    driver = ProcessSpec(name="driver", module="ds_driver.ros.driver_node", parameters=parameters)
     supervisor = Supervisor([driver], domain=domain.number, logs=logs)
     rclpy.init(domain_id=domain.number)
     node = Node("camera")

@@ -14,16 +14,9 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.campaign.engine import namespaces_of
-from ds_orchestrator.graph.supervisor import driver_process, simulator_processes
-
-EXECUTABLES = {
-    "ds_sim.ros.simulator_node": ("ds_sim", "simulator"),
-    "ds_driver.ros.driver_node": ("ds_driver", "driver"),
-    "ds_driver.ros.autopilot_node": ("ds_driver", "autopilot"),
-}
-"""Module of a process -> package and executable that run it."""
 
 
 def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
@@ -31,20 +24,27 @@ def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     path = LaunchConfiguration("config").perform(context)
     config = read_config(Path(path))
     namespaces = namespaces_of(config.siblings, config.twin)
-    processes = [*simulator_processes(namespaces, config.command_timeout), driver_process(config.driver, namespaces)]
-    graph = []
-    for process in processes:
-        package, executable = EXECUTABLES[process.module]
-        graph.append(
-            Node(
-                package=package,
-                executable=executable,
-                namespace=process.namespace,
-                parameters=[process.parameters],
-                respawn=True,
-                output="log",
-            )
+    graph = [
+        Node(
+            package="ds_sim",
+            executable="simulator",
+            namespace=namespace,
+            parameters=[{"simulator": str(name), "command_timeout": config.command_timeout}],
+            respawn=True,
+            output="log",
         )
+        for name, namespace in namespaces.items()
+    ]
+    has_network = config.driver != AUTOPILOT
+    network = {"network": str(config.driver)} if has_network else {}
+    driver = Node(
+        package="ds_driver",
+        executable="driver" if has_network else "autopilot",
+        namespace="/",
+        parameters=[{"namespaces": list(namespaces.values()), **network}],
+        respawn=True,
+        output="log",
+    )
     campaign = Node(
         package="ds_orchestrator",
         executable="campaign",
@@ -53,7 +53,7 @@ def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
         sigterm_timeout="30",
     )
     end = RegisterEventHandler(OnProcessExit(target_action=campaign, on_exit=[EmitEvent(event=Shutdown())]))
-    return [*graph, campaign, end]
+    return [*graph, driver, campaign, end]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -163,25 +163,3 @@ def closed_loop_processes(
         )
         for name, namespace in namespaces.items()
     ]
-
-
-def simulator_processes(namespaces: dict[SimulatorName, str], command_timeout: float) -> list[ProcessSpec]:
-    """Specify one process per simulator."""
-    return [
-        ProcessSpec(
-            name=f"simulator_{namespace.strip('/').replace('/', '_')}",
-            module="ds_sim.ros.simulator_node",
-            namespace=namespace,
-            parameters={"simulator": name, "command_timeout": command_timeout},
-        )
-        for name, namespace in namespaces.items()
-    ]
-
-
-def driver_process(driver: DriverName, namespaces: dict[SimulatorName, str]) -> ProcessSpec:
-    """Specify the driver of all simulators; it asks each for its crop, or for the gains of its vehicle."""
-    parameters: dict[str, object] = {"namespaces": list(namespaces.values())}
-    if driver == AUTOPILOT:
-        return ProcessSpec(name="driver", module="ds_driver.ros.autopilot_node", parameters=parameters)
-    parameters["network"] = str(driver)
-    return ProcessSpec(name="driver", module="ds_driver.ros.driver_node", parameters=parameters)
