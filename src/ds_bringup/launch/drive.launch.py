@@ -7,6 +7,8 @@ ros2 launch ds_bringup drive.launch.py [sim:=bullet|softbody|panda|donkey] [name
 For your own simulator: sim:=module:Class parameters:=FILE, with FILE like those in config/simulators.
 """
 
+from typing import Any
+
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, Shutdown
 from launch.conditions import IfCondition, UnlessCondition
@@ -18,11 +20,24 @@ from launch_ros.substitutions import FindPackageShare
 
 def generate_launch_description() -> LaunchDescription:
     """Describe two nodes in one namespace."""
-    sim = LaunchConfiguration("sim")
-    driver = LaunchConfiguration("driver")
-    namespace = LaunchConfiguration("namespace")
-    parameters = LaunchConfiguration("parameters")
+    sim, driver = LaunchConfiguration("sim"), LaunchConfiguration("driver")
     wants_autopilot = EqualsSubstitution(driver, "autopilot")
+    file = PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "simulators", sim])
+
+    def text(value: LaunchConfiguration) -> ParameterValue:
+        return ParameterValue(value, value_type=str)
+
+    def node(package: str, executable: str, *own: dict[str, ParameterValue], **more: Any) -> Node:
+        return Node(
+            package=package,
+            executable=executable,
+            name=executable,
+            namespace=LaunchConfiguration("namespace"),
+            parameters=[LaunchConfiguration("parameters"), *own],
+            output="screen",
+            **more,
+        )
+
     return LaunchDescription(
         [
             DeclareLaunchArgument("sim", default_value="bullet", description="known simulator, or module:Class"),
@@ -30,45 +45,15 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("namespace", default_value="ds1", description="namespace of both nodes"),
             DeclareLaunchArgument("sync", default_value="lockstep", description="lockstep, first or realtime"),
             DeclareLaunchArgument(
-                "parameters",
-                default_value=[
-                    PathJoinSubstitution([FindPackageShare("ds_bringup"), "config", "simulators", sim]),
-                    ".yaml",
-                ],
-                description="file with the parameters of the nodes",
+                "parameters", default_value=[file, ".yaml"], description="file with the parameters of the nodes"
             ),
-            Node(
-                package="ds_sim",
-                executable="simulator",
-                name="simulator",
-                namespace=namespace,
-                parameters=[
-                    parameters,
-                    {
-                        "simulator": ParameterValue(sim, value_type=str),
-                        "sync": ParameterValue(LaunchConfiguration("sync"), value_type=str),
-                    },
-                ],
+            node(
+                "ds_sim",
+                "simulator",
+                {"simulator": text(sim), "sync": text(LaunchConfiguration("sync"))},
                 on_exit=Shutdown(reason="the simulator ended"),
-                output="screen",
             ),
-            Node(
-                package="ds_driver",
-                executable="driver",
-                name="driver",
-                namespace=namespace,
-                parameters=[parameters, {"network": ParameterValue(driver, value_type=str)}],
-                condition=UnlessCondition(wants_autopilot),
-                output="screen",
-            ),
-            Node(
-                package="ds_driver",
-                executable="autopilot",
-                name="autopilot",
-                namespace=namespace,
-                parameters=[parameters],
-                condition=IfCondition(wants_autopilot),
-                output="screen",
-            ),
+            node("ds_driver", "driver", {"network": text(driver)}, condition=UnlessCondition(wants_autopilot)),
+            node("ds_driver", "autopilot", condition=IfCondition(wants_autopilot)),
         ]
     )
