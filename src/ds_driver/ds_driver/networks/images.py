@@ -197,11 +197,19 @@ def _declared_size(data: bytes) -> tuple[int, int] | None:
     return None
 
 
+def part_for_network(width: int, height: int) -> tuple[slice, slice]:
+    """Rows and columns that a network sees: the lower part of an image taller than 1:2, the middle of a wider one."""
+    rows, columns = max(1, width * IMAGE_HEIGHT // IMAGE_WIDTH), max(1, height * IMAGE_WIDTH // IMAGE_HEIGHT)
+    rows, columns = min(rows, height), min(columns, width)
+    left = (width - columns) // 2
+    return slice(height - rows, height), slice(left, left + columns)
+
+
 def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:
     """Crop and resize an image, (rows, columns, 3) uint8 RGB, to (160, 320, 3).
 
-    `rows` are the first one to keep and the one after the last, from the top. Without them the aspect ratio is kept: of
-    images taller than 1:2 the lower part is used, which shows the road, of wider ones the middle.
+    `rows` are the first one to keep and the one after the last, from the top. Without them the aspect ratio is kept:
+    see `part_for_network`.
 
     Raises:
         ImageError: the image does not have these rows.
@@ -211,11 +219,8 @@ def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels
         if not 0 <= rows[0] < rows[1] <= height:
             raise ImageError(f"rows {rows[0]} to {rows[1]} of an image of {height}: expected 0 to {height} at most")
         image = image[rows[0] : rows[1]]
-    elif height * IMAGE_WIDTH > width * IMAGE_HEIGHT:
-        image = image[height - max(1, width * IMAGE_HEIGHT // IMAGE_WIDTH) :]
-    elif height * IMAGE_WIDTH < width * IMAGE_HEIGHT:
-        kept = max(1, height * IMAGE_WIDTH // IMAGE_HEIGHT)
-        image = image[:, (width - kept) // 2 : (width - kept) // 2 + kept]
+    else:
+        image = image[part_for_network(width, height)]
     if image.shape[:2] == (IMAGE_HEIGHT, IMAGE_WIDTH):
         return image
     method = cv2.INTER_AREA if image.shape[0] > IMAGE_HEIGHT else cv2.INTER_LINEAR

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_driver.networks.images import part_for_network
 from ds_recording.sibling.recorded_drive import RecordedDrive
 from ds_road import Road
 from ds_sim.camera.lens import Vector, optical_axes
@@ -58,16 +59,9 @@ def camera_spec(drive: RecordedDrive) -> CameraSpec:
 
 def network_grid(width: int, height: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Columns and rows of a photograph at the pixels of a network's image, as `fit_to_network` crops and resizes it."""
-    left = top = 0.0
-    columns, rows = width, height
-    if height * IMAGE_WIDTH > width * IMAGE_HEIGHT:
-        rows = max(1, width * IMAGE_HEIGHT // IMAGE_WIDTH)
-        top = height - rows
-    elif height * IMAGE_WIDTH < width * IMAGE_HEIGHT:
-        columns = max(1, height * IMAGE_WIDTH // IMAGE_HEIGHT)
-        left = (width - columns) // 2
-    across = left + (np.arange(IMAGE_WIDTH) + 0.5) * columns / IMAGE_WIDTH - 0.5
-    down = top + (np.arange(IMAGE_HEIGHT) + 0.5) * rows / IMAGE_HEIGHT - 0.5
+    rows, columns = part_for_network(width, height)
+    across = columns.start + (np.arange(IMAGE_WIDTH) + 0.5) * (columns.stop - columns.start) / IMAGE_WIDTH - 0.5
+    down = rows.start + (np.arange(IMAGE_HEIGHT) + 0.5) * (rows.stop - rows.start) / IMAGE_HEIGHT - 0.5
     return across, down
 
 
