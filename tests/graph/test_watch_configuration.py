@@ -20,7 +20,8 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
-from ds_orchestrator.campaign.engine import namespaces_of
+from ds_driver.networks.driver_name import AUTOPILOT
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.graph.session import RosDomain
 from ds_sim.frames import ROAD_FRAME, frame_of
 from ds_sim.registry import BULLET, DONKEY, SOFTBODY, spec_of
@@ -29,7 +30,7 @@ from ds_sim.ros.frame_publisher import FramePublisher
 CONFIG = Path(__file__).resolve().parents[2] / "src/ds_bringup/config"
 LAYOUT: dict[str, Any] = json.loads((CONFIG / "foxglove_layout.json").read_text())
 RVIZ: dict[str, Any] = yaml.safe_load((CONFIG / "watch.rviz").read_text())["Visualization Manager"]
-NAMESPACES = tuple(namespaces_of([BULLET, SOFTBODY], DONKEY).values())
+NAMESPACES = tuple(DriveSettings(siblings=(BULLET, SOFTBODY), twin=DONKEY, driver=AUTOPILOT).namespaces.values())
 DISPLAYS = {
     "rviz_default_plugins/Image": "sensor_msgs/msg/Image",
     "rviz_default_plugins/MarkerArray": "visualization_msgs/msg/MarkerArray",

@@ -16,14 +16,13 @@ from launch_ros.substitutions import FindPackageShare
 
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import read_config
-from ds_orchestrator.campaign.engine import namespaces_of
 
 
 def nodes_of(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     """List the processes of the campaign file; all but the campaign's own are restarted when they end."""
     path = LaunchConfiguration("config").perform(context)
     config = read_config(Path(path))
-    namespaces = namespaces_of(config.siblings, config.twin)
+    namespaces = config.drive_settings().namespaces
     graph = [
         Node(
             package="ds_sim",

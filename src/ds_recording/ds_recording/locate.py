@@ -101,8 +101,8 @@ def with_odometry(
     return replace(evidence, motions=motions, hints=[replace(hint, step=hint.step * longer) for hint in hints]), checked
 
 
-def check_motion(evidence: Evidence) -> None:
-    """Refuse images between which nothing moves together, or at all."""
+def check_evidence(evidence: Evidence) -> None:
+    """Refuse what cannot carry a location: images between which nothing moves together, or at all, or without lines."""
     motions = [motion for motion in evidence.motions[1:] if motion is not None]
     has_motion = [
         m is not None or h.std[0] < np.inf for m, h in zip(evidence.motions[1:], evidence.hints[1:], strict=True)
@@ -116,11 +116,6 @@ def check_motion(evidence: Evidence) -> None:
     still = float(np.mean([np.hypot(*motion.step[:2]) < STANDING for motion in motions]))
     if still > 0.9:
         raise RecordingError(f"nothing moves in {still:.0%} of the images: record the car while it drives")
-
-
-def check_evidence(evidence: Evidence) -> None:
-    """Refuse what cannot carry a location."""
-    check_motion(evidence)
     lined = float(np.mean([len(points) >= ENOUGH_POINTS for points in evidence.lines]))
     if lined < LEAST_LINES:
         raise RecordingError(

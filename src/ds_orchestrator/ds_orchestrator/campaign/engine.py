@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import Literal, Protocol
@@ -60,8 +60,9 @@ class DriveSettings:
 
     @property
     def namespaces(self) -> dict[SimulatorName, str]:
-        """Simulator -> ROS namespace; see `namespaces_of`."""
-        return namespaces_of(self.siblings, self.twin)
+        """Simulator -> ROS namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
+        spaces = {name: f"/ds{index}" for index, name in enumerate(self.siblings, start=1)}
+        return {**spaces, self.twin: "/twin"} if self.twin else spaces
 
     def identity(self) -> str:
         """JSON text of what the results of given tests depend on."""
@@ -79,12 +80,6 @@ def engine_here(engine: EngineName, *, attach: bool = False) -> EngineName:
     if engine != "auto":
         return engine
     return "graph" if attach or not missing_of_ros() else "local"
-
-
-def namespaces_of(siblings: Sequence[SimulatorName], twin: SimulatorName | None) -> dict[SimulatorName, str]:
-    """Map simulator name -> ROS namespace: /ds1, /ds2, ... for siblings in order, /twin for the twin."""
-    spaces = {name: f"/ds{index}" for index, name in enumerate(siblings, start=1)}
-    return {**spaces, twin: "/twin"} if twin else spaces
 
 
 Watch = Callable[[int, float, float], None]

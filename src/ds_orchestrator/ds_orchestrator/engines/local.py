@@ -42,21 +42,17 @@ class LocalEngine:
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
         """Drive a road as soon as a process has room, and the simulator if it has one vehicle; gives no feedback."""
-        external = request.simulator.is_external
-        with self._vehicles[request.simulator] if external else nullcontext():
-            return self._drive(request)
-
-    def _drive(self, request: DriveRequest) -> RunRecord:
-        with self._changed:
-            self._changed.wait_for(lambda: min(self._busy.values()) < self._drives_each)
-            worker = min(self._busy, key=lambda one: self._busy[one])
-            self._busy[worker] += 1
-        try:
-            return worker.drive(request)
-        finally:
+        with self._vehicles[request.simulator] if request.simulator.is_external else nullcontext():
             with self._changed:
-                self._busy[worker] -= 1
-                self._changed.notify()
+                self._changed.wait_for(lambda: min(self._busy.values()) < self._drives_each)
+                worker = min(self._busy, key=lambda one: self._busy[one])
+                self._busy[worker] += 1
+            try:
+                return worker.drive(request)
+            finally:
+                with self._changed:
+                    self._busy[worker] -= 1
+                    self._changed.notify()
 
     def stop(self) -> None:
         """End every drive now, as CANCELLED."""
