@@ -54,8 +54,7 @@ def campaign(
     listener = ScreenListener()
 
     def first(outcome: CampaignOutcome) -> None:
-        every = config.executions_at_most // len(config.simulators)
-        say(f"first answer after {duration(time.monotonic() - started)}, from {outcome.tests} of {every} tests:")
+        say(f"first answer after {duration(time.monotonic() - started)}, from {outcome.tests} of {config.tests} tests:")
         for line in filter(None, (outcome.answer.where, outcome.answer.believe, str(outcome.report))):
             say(f"  {line}")
         say("the test goes on, and replaces this answer")

@@ -301,9 +301,14 @@ class CampaignConfig(Keys, strict=True):
         return [axes for axes in (*usual, DEFAULT_FEATURES) if axes != tuple(self.features)]
 
     @property
+    def tests(self) -> int:
+        """Number of tests that all searches generate."""
+        return self.search.runs * self.settings.budget * len(self.siblings)
+
+    @property
     def executions_at_most(self) -> int:
         """Upper bound of the number of executions; fewer are needed where only elites migrate."""
-        return self.search.runs * self.settings.budget * len(self.siblings) * len(self.simulators)
+        return self.tests * len(self.simulators)
 
     def map_plan(self, ignored: frozenset[str] = frozenset()) -> MapPlan:
         """How maps are built; `ignored` lists tests that the search skipped because they had no outcome."""

@@ -90,11 +90,10 @@ def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_secon
     for name, run, _ in runs:
         if not run.outcome.is_verdict:
             raise RuntimeError(f"{name}: {run.outcome.name.lower()}: {run.message}: fix it before the campaign starts")
-    tests = config.executions_at_most // len(config.simulators)
     place = folder.absolute()
     return Forecast(
         drives=config.executions_at_most,
-        search_drives=tests,
+        search_drives=config.tests,
         searches=config.search.runs * len(config.siblings),
         gate_drives=config.executions_at_most if config.has_gates else 0,
         start_seconds=start_seconds,

@@ -67,8 +67,7 @@ class Campaign:
         config = self._config
         own = config.search.runs * config.settings.budget
         search = dict.fromkeys(config.siblings, own)
-        everything = own * len(config.siblings)
-        self._listener.expect([search, {name: everything - search.get(name, 0) for name in config.simulators}])
+        self._listener.expect([search, {name: config.tests - search.get(name, 0) for name in config.simulators}])
         searches = {
             name: [partial(self._advance, one, tests) for one in self._searches.get(name, ())]
             for name in config.simulators

@@ -55,7 +55,7 @@ def stages_of(data: CampaignData) -> list[Stage]:
     groups: dict[Group, list[bool]] = {}
     for (test_id, simulator), failed in data.failed.items():
         groups.setdefault((of_test[test_id].sibling, of_test[test_id].run, simulator), []).append(failed)
-    searched, migrated = len(of_test) == _tests_of(config), set(of_test)
+    searched, migrated = len(of_test) == config.tests, set(of_test)
     if config.elites_only:
         migrated = elites_of(data.tests, data.verdicts, data.cells, ignored=data.given_up)
         decided = {e.test_id for e in data.verdicts if of_test[e.test_id].sibling == e.simulator}
@@ -80,7 +80,7 @@ def stages_of_store(store: Store, config: CampaignConfig) -> list[Stage]:
         config,
         drives=store.failures_of_groups(),
         excluded=store.count_excluded(),
-        migrating=tests if sum(tests.values()) == _tests_of(config) else None,
+        migrating=tests if sum(tests.values()) == config.tests else None,
         results=store.results(),
         result_count=store.count_results(),
     )
@@ -117,11 +117,6 @@ def _stages(
                 stages.append(stage(f"{role}: {origin} to {target}", groups, expected))
     up_to_date = ((name, results.get(name) == result_count) for name in STAGES)
     return [*stages, *(Stage(name=name, done=int(done), expected=1) for name, done in up_to_date)]
-
-
-def _tests_of(config: CampaignConfig) -> int:
-    """Number of tests that the searches generate."""
-    return config.settings.budget * config.search.runs * len(config.siblings)
 
 
 DRIVES_SAMPLED = 24

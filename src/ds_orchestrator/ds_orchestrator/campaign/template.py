@@ -69,7 +69,7 @@ def template(
     )
     config = parse_config(load_yaml(text), "the template")
     drives, simulators = config.executions_at_most, len(config.simulators)
-    return f"# {drives // simulators} tests, each on {simulators} simulators: {drives} drives.\n{text}"
+    return f"# {config.tests} tests, each on {simulators} simulators: {drives} drives.\n{text}"
 
 
 def _conditions(ranges: Mapping[str, tuple[float, float]]) -> str:

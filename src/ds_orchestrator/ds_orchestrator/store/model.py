@@ -230,9 +230,7 @@ class StoredDrive:
         return DriveArrays(trajectory, steering)
 
 
-@lru_cache(maxsize=512)  # 10 MB of drives of the usual length
-def _arrays_of(drive: StoredDrive) -> DriveArrays:
-    return drive.read()
+_arrays_of = lru_cache(maxsize=512)(StoredDrive.read)  # 10 MB of drives of the usual length
 
 
 def _unreadable(test_id: str, simulator: SimulatorName, error: object) -> rows.RowError:

@@ -78,7 +78,7 @@ def read_drive(folder: Path) -> RecordedDrive:
     frames = located.column("frame").astype(int).tolist()
     if missing := [frame for frame in frames if frame not in files]:
         raise RecordingError(f"{folder / LOCATED}: the recording has no image {missing[0]}: locate it again")
-    lane = driven_lane(located)
+    lane = located.track.beside(driven_side(located))
     points = lane.points * SCALE
     shift = BOX / 2 - (points.min(axis=0) + points.max(axis=0)) / 2
     xy = np.stack((located.column("x_m"), located.column("y_m")), axis=1) * SCALE + shift
@@ -128,8 +128,3 @@ def driven_side(located: Located) -> float:
     """Distance, m to the right, from the track's line to the middle of the lane that was driven; 0 if straddled."""
     lateral = float(np.median(located.column("lateral_m")))
     return 0.0 if abs(lateral) < located.lane_width / 4 else math.copysign(located.lane_width / 2, lateral)
-
-
-def driven_lane(located: Located) -> Track:
-    """Centre line of the lane that was driven, m on the floor."""
-    return located.track.beside(driven_side(located))
