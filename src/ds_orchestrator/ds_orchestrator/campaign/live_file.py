@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import BaseModel, Field, ValidationError
 
@@ -33,35 +34,32 @@ MOST_DRIVES = 256
 """Drives under way in the file, the oldest; chosen: `MOST_WORKERS` workers of four simulators."""
 _LARGEST = 2**18
 """Bytes; chosen: the file with `MOST_DRIVES` drives fits twice."""
-_LONGEST = 200
-_LARGEST_NUMBER = 2**63 - 1
+_Name = Field(max_length=200)
+_Count = Annotated[int, Field(ge=0, le=2**63 - 1)]
+_Real = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class LiveDrive(BaseModel):
     """A drive under way."""
 
-    simulator: SimulatorName = Field(max_length=_LONGEST)
-    road_id: str = Field(max_length=_LONGEST)
-    seed: int = Field(ge=0, le=_LARGEST_NUMBER)
-    began: float = Field(allow_inf_nan=False)  # time at which the engine took it, s since 1970
-    # Frames so far; this and what follows are None from engines that give no feedback.
-    step: int | None = Field(default=None, ge=0, le=_LARGEST_NUMBER)
-    progress: float | None = Field(default=None, ge=0.0, le=1.0)  # driven part of the road, in [0, 1]
-    # Metres from the lane's centre, positive to the right.
-    lateral_position: float | None = Field(default=None, allow_inf_nan=False)
+    simulator: Annotated[SimulatorName, _Name]
+    road_id: Annotated[str, _Name]
+    seed: _Count
+    began: _Real  # time at which the engine took it, s since 1970
+    step: _Count | None = None  # frames so far; this and what follows are None from engines that give no feedback
+    progress: Annotated[float, Field(ge=0.0, le=1.0)] | None = None  # driven part of the road, in [0, 1]
+    lateral_position: _Real | None = None  # metres from the lane's centre, positive to the right
 
 
 class Live(BaseModel):
     """What a campaign does."""
 
-    updated: float = Field(allow_inf_nan=False)  # time of writing, s since 1970
-    stage: str = Field(default="", max_length=_LONGEST)  # name of the stage, or ""
-    # Executions that are finished, those of earlier sessions included.
-    done: int = Field(default=0, ge=0, le=_LARGEST_NUMBER)
-    # Executions that are expected at the end, or 0 if that is not known yet.
-    total: int = Field(default=0, ge=0, le=_LARGEST_NUMBER)
+    updated: _Real  # time of writing, s since 1970
+    stage: Annotated[str, _Name] = ""  # name of the stage, or ""
+    done: _Count = 0  # executions that are finished, those of earlier sessions included
+    total: _Count = 0  # executions that are expected at the end, or 0 if that is not known yet
     # Estimate of the time that driving still takes, or None.
-    seconds_left: float | None = Field(default=None, ge=0.0, allow_inf_nan=False)
+    seconds_left: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
     drives: list[LiveDrive] = Field(default=[], max_length=MOST_DRIVES)  # drives under way, the oldest first
 
 

@@ -103,16 +103,7 @@ class PhotoScene(RenderedScene):
         place = (position[0] - spec.forward * math.cos(yaw), position[1] - spec.forward * math.sin(yaw))
         first, others = self._chosen(*place, yaw - spec.yaw)
         # The rays turn with the camera; its pitch is relative to the photographs'.
-        tilt = VehicleState(
-            x=place[0],
-            y=place[1],
-            yaw=yaw,
-            speed=0.0,
-            yaw_rate=0.0,
-            steering_angle=0.0,
-            pitch=spec.pitch - self._spec.pitch,
-        )
-        right, down, forward = optical_axes(self._mount, tilt)[0]
+        right, down, forward = optical_axes(self._mount, _pose(*place, yaw, pitch=spec.pitch - self._spec.pitch))[0]
         top, bottom = rows
         x, y, z = self._rays[:, top:bottom].reshape(3, -1)
         directions = np.stack([right[k] * x + down[k] * y + forward[k] * z for k in range(3)])
@@ -165,9 +156,7 @@ class PhotoScene(RenderedScene):
         self, index: int, directions: Array, nearness: Array, position: Vector
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Columns and rows of rays, (3, n), in a photograph, and which of them it shows."""
-        x, y, yaw = self._drive.poses[index].tolist()
-        state = VehicleState(x=x, y=y, yaw=yaw, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
-        axes, place = optical_axes(self._mount, state)
+        axes, place = optical_axes(self._mount, _pose(*self._drive.poses[index].tolist()))
         way = [directions[k] + nearness * (position[k] - place[k]) for k in range(3)]
         across, down, depth = (axis[0] * way[0] + axis[1] * way[1] + axis[2] * way[2] for axis in axes)
         front = depth > _NEAR
@@ -177,6 +166,10 @@ class PhotoScene(RenderedScene):
         within = (columns >= -0.5) & (columns <= camera.width_px - 0.5)
         within &= (rows >= -0.5) & (rows <= camera.height_px - 0.5)
         return columns, rows, front & inside & within
+
+
+def _pose(x: float, y: float, yaw: float, *, pitch: float = 0.0) -> VehicleState:
+    return VehicleState(x=x, y=y, yaw=yaw, speed=0.0, yaw_rate=0.0, steering_angle=0.0, pitch=pitch)
 
 
 def _sampled(photograph: NDArray[np.uint8], columns: Array, rows: Array) -> NDArray[np.uint8]:
