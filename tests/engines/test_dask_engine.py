@@ -112,11 +112,11 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
         late = cluster.worker()
         cluster.worker("--preload", str(other))
         wait_until(lambda: "numpy 1.0.0 there" in lines)
-        wait_until(lambda: len(engine.workers) == 2)
+        wait_until(lambda: len(engine._membership.ready) == 2)
         first.kill()
         wait_until(lambda: "is gone: others take over" in lines)
         assert drives.encoded() == reference
-        assert len(engine.workers) == 1 and late.poll() is None
+        assert len(engine._membership.ready) == 1 and late.poll() is None
     assert len([line for line in lines if "refused" in line]) == 1
     assert cluster.drive_workers()  # of the late worker
     cluster.close()

@@ -45,11 +45,6 @@ class DaskEngine:
         """Drives at a time; more than most clusters take, as workers may join."""
         return MOST_THREADS
 
-    @property
-    def workers(self) -> list[str]:
-        """Addresses of the workers that drive."""
-        return self._membership.ready
-
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
         """Drive a road on some worker; waits for one that is free, and gives no feedback.
 
