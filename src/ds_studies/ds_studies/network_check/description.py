@@ -22,7 +22,6 @@ from ds_studies.network_check.agreement import FOUND, GAIN, Agreement, agreement
 from ds_studies.network_check.diagnosis import (
     LIKELY,
     SHARE_TRIED,
-    ask_open_loop,
     best_reading,
     changed,
     findings_of,
@@ -31,6 +30,7 @@ from ds_studies.network_check.diagnosis import (
     only_offset,
     ranked,
     scale_kind,
+    steering_of,
 )
 from ds_studies.network_check.recording import AutopilotDrives
 
@@ -205,7 +205,7 @@ def describe_network(
             comments[part] = "as you answered"
     if search and not remembers:
         chosen = best_reading(pilot.described_as(chosen), tried)[0]
-    answers = np.concatenate(list(ask_open_loop(pilot.described_as(chosen), recordings)[0].values()))
+    answers = steering_of(pilot.described_as(chosen), recordings)
     findings, fixed = findings_of(chosen, chosen, answers, recordings)
     fit = agreement(answers, recordings)
     described = chosen if fixed is None or only_offset(findings) else fixed
@@ -247,10 +247,9 @@ def describe_network(
 
 def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[AutopilotDrives]) -> Agreement:
     try:
-        answers = ask_open_loop(pilot, drives)[0]
+        return agreement(steering_of(pilot, drives), drives)
     except DriverError:
         return NOTHING
-    return agreement(np.concatenate(list(answers.values())), drives)
 
 
 def load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:

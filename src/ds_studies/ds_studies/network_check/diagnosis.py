@@ -92,7 +92,7 @@ class Finding:
         return f"{self.text}: write `{self.line}`" if self.line else self.text
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class AnswerStatistics:
     """Answers of the network on one simulator, as described."""
 
@@ -156,25 +156,24 @@ def check_network(
     With `search`, other descriptions are tried, which takes many more images, and its throttle, on a road of this seed.
     `loaded` is the same network file, which remembers its answers.
     """
-    pilot = load_pilot(driver)
+    pilot = best_pilot = load_pilot(driver)
     if loaded is not None and isinstance(pilot, DescribedNetworkPilot):
-        pilot = loaded.described_as(pilot.description)
+        pilot = best_pilot = loaded.described_as(pilot.description)
     steering, throttle, milliseconds = ask_open_loop(pilot, recordings)
-    described = pilot.description if isinstance(pilot, DescribedNetworkPilot) else None
-    best, answers = described, np.concatenate(list(steering.values()))
+    answers = best_answers = np.concatenate(list(steering.values()))
+    described = best = pilot.description if isinstance(pilot, DescribedNetworkPilot) else None
     # Single images say nothing about a network with memory.
     if search and isinstance(pilot, DescribedNetworkPilot) and not pilot.has_memory:
         best = best_description(pilot, recordings)
         if best != described:
-            answers = np.concatenate(list(ask_open_loop(pilot.described_as(best), recordings)[0].values()))
-    whole = agreement(np.concatenate(list(steering.values())), recordings)
-    findings, fixed = findings_of(described, best, answers, recordings, abs(whole.correlation))
-    kinds, offset = [one.kind for one in findings], agreement(answers, recordings).offset
+            best_pilot = pilot.described_as(best)
+            best_answers = steering_of(best_pilot, recordings)
+    whole = agreement(answers, recordings)
+    findings, fixed = findings_of(described, best, best_answers, recordings, abs(whole.correlation))
+    kinds, offset = [one.kind for one in findings], agreement(best_answers, recordings).offset
     if search and offset < 0.0 and only_offset(findings):
         other = record([one.simulator for one in recordings], seed, SILENT, whole=pilot.has_memory, lane="left")
-        asked = pilot.described_as(best) if isinstance(pilot, DescribedNetworkPilot) and best is not None else pilot
-        there = np.concatenate(list(ask_open_loop(asked, other)[0].values()))
-        if lane := lane_finding(offset, there, other, driver):
+        if lane := lane_finding(offset, steering_of(best_pilot, other), other, driver):
             findings[kinds.index("offset")], fixed = lane, None
     if search and throttle is not None and (crawling := _crawling(pilot, throttle, recordings, seed, described)):
         findings.append(crawling[0])
@@ -184,17 +183,9 @@ def check_network(
     rows = []
     for one in recordings:
         here, part = steering[one.simulator], agreement(steering[one.simulator], [one])
-        rows.append(
-            AnswerStatistics(
-                simulator=one.simulator,
-                correlation=part.correlation,
-                slope=part.slope,
-                lowest=float(here.min()),
-                highest=float(here.max()),
-                at_full_lock=float(np.mean(np.abs(here) >= 1.0)),
-                milliseconds=milliseconds[one.simulator],
-            )
-        )
+        ends = float(here.min()), float(here.max()), float(np.mean(np.abs(here) >= 1.0))
+        fit = part.correlation, part.slope
+        rows.append(AnswerStatistics(one.simulator, *fit, *ends, milliseconds[one.simulator]))
     return NetworkCheck(
         driver=driver,
         images=len(answers),
@@ -232,6 +223,11 @@ def ask_open_loop(
         steering[one.simulator] = np.array([each.steering for each in answers])
         throttle += [each.throttle for each in answers if each.throttle is not None]
     return steering, np.array(throttle) if throttle else None, milliseconds
+
+
+def steering_of(pilot: Pilot, recordings: Sequence[AutopilotDrives]) -> NDArray[np.float64]:
+    """(images,) unclipped steering for all images in their order."""
+    return np.concatenate(list(ask_open_loop(pilot, recordings)[0].values()))
 
 
 Fitted = tuple[DescribedNetwork, Agreement]
