@@ -239,11 +239,7 @@ class _Process:
     def _receive(self, message: bytes) -> None:
         (key,) = KEY.unpack_from(message)
         run = decode_run(message[KEY.size :], self._drives[key][0].scenario)
-        self._take(key)[1].set_result(run)
-
-    def _take(self, key: int) -> tuple[DriveRequest, Future[RunRecord]]:
-        with self._lock:
-            return self._drives.pop(key)
+        self._drives.pop(key)[1].set_result(run)
 
     def _blame(self, phase: Phase, key: int) -> None:
         """End the drives at whose frame the process hangs as errors; the others are driven again."""
@@ -254,5 +250,5 @@ class _Process:
             what = "load the road" if phase is Phase.LOADING else "advance by one frame"
             outcome, message = Outcome.SIM_ERROR, f"the simulator took more than {limit:g} s to {what}"
         for guilty in list(self._drives) if key == ALL_DRIVES else [key]:
-            asked, answer = self._take(guilty)
+            asked, answer = self._drives.pop(guilty)
             answer.set_result(asked.ended(outcome, message))

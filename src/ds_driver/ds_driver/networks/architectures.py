@@ -111,6 +111,10 @@ class Architecture:
         return sum(map(prod, self.shapes().values()))
 
 
+def _with_elu(*layers: Layer) -> tuple[Layer, ...]:
+    return tuple(one for layer in layers for one in (layer, ELU))
+
+
 def _chauffeur_block(inputs: int, filters: int, kernel: int) -> tuple[Layer, ...]:
     return Conv(inputs, filters, kernel, same=True), RELU, Dropout(0.05, rescale=False), MaxPool(2)
 
@@ -122,19 +126,11 @@ def _epoch_block(inputs: int, filters: int) -> tuple[Layer, ...]:
 DAVE2 = Architecture(
     "Dave2",
     features=(
-        Conv(3, 24, 5, stride=2),
-        ELU,
-        Conv(24, 36, 5, stride=2),
-        ELU,
-        Conv(36, 48, 5, stride=2),
-        ELU,
-        Conv(48, 64, 3),
-        ELU,
-        Conv(64, 64, 3),
-        ELU,
+        *_with_elu(Conv(3, 24, 5, stride=2), Conv(24, 36, 5, stride=2), Conv(36, 48, 5, stride=2)),
+        *_with_elu(Conv(48, 64, 3), Conv(64, 64, 3)),
         Dropout(0.5),
     ),
-    steering=(FLATTEN, Dense(27456, 100), ELU, Dense(100, 50), ELU, Dense(50, 10), ELU, Dense(10, 1)),
+    steering=(FLATTEN, *_with_elu(Dense(27456, 100), Dense(100, 50), Dense(50, 10)), Dense(10, 1)),
 )
 """Nvidia's Dave-2 as used in the paper: five convolutions and four dense layers, 2,882,619 parameters."""
 
