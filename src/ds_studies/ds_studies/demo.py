@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ds_analysis.sensitivity.factors import factors_named
-from ds_analysis.sensitivity.result import Sensitivity
+from ds_analysis.sensitivity.result import Sensitivity, ranges_of
 from ds_base.atomic_files import write_json
 from ds_base.bounded_json import read_json
 from ds_base.folder_files import make_folder
@@ -33,7 +33,6 @@ from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
 from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity
-from ds_studies.sensitivity.ranges import ranges_of
 
 DRIVER = DriverName("dave2")
 TWIN = SimulatorName("donkey")

@@ -173,13 +173,13 @@ def search_command(
 
     Example: ds test my_net.yaml --out out
     """
+    from ds_analysis.sensitivity.result import read_ranges
     from ds_base.atomic_files import write_whole
     from ds_base.bounded_file import read_words
     from ds_base.folder_files import make_folder
     from ds_orchestrator.campaign.config import ConfigError, read_config, rebase_paths
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.preflight import check_driver
-    from ds_studies.sensitivity.ranges import read_ranges
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
