@@ -212,12 +212,10 @@ def check_extras(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]
     for name, pinned in pins.items():
         version, problem = modules[name]
         file, purpose = EXTRAS[name]
+        fits = bool(problem) or version.split("-")[0] == pinned
         detail = f"not installed; optional, for {purpose}" if problem else version
-        wrong = f"{version} is installed, {pinned} is pinned"
         fix = f".venv/bin/python -m pip install --no-deps -r requirements/{file}.txt"
-        checks.append(
-            _check(f"{name} (optional)", bool(problem) or version.split("-")[0] == pinned, detail, wrong, fix)
-        )
+        checks.append(_check(f"{name} (optional)", fits, detail, f"{version} is installed, {pinned} is pinned", fix))
     return checks
 
 

@@ -38,18 +38,19 @@ def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result
     from ds_base.intervals import jeffreys_interval
 
     counts = {name: (int(table.failed(name).sum()), int(table.known(name).sum())) for name in table.simulators}
-    rows = {
-        name: {"tests": tests, "failures": failures, "interval": list(jeffreys_interval(failures, tests))}
-        for name, (failures, tests) in counts.items()
-        if tests
-    }
+    intervals = {name: jeffreys_interval(*count) if count[1] else (0.0, 1.0) for name, count in counts.items()}
 
     def show() -> None:
         print(f"no prediction: {reason}")
         for name, (failures, tests) in counts.items():
-            low, high = jeffreys_interval(failures, tests) if tests else (0.0, 1.0)
+            low, high = intervals[name]
             print(f"{name} fails {failures} of {tests} tests (95% of its failure rate: {low:.0%} to {high:.0%})")
 
+    rows = {
+        name: {"tests": tests, "failures": failures, "interval": list(intervals[name])}
+        for name, (failures, tests) in counts.items()
+        if tests
+    }
     document = {"verdicts": None, "reason": reason, "simulators": rows}
     return Result(document=document, show=show, next=ds_command("maps", folder))
 
