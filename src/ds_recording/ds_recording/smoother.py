@@ -328,15 +328,7 @@ class Smoother:
     def _apply(self, change: Array) -> None:
         count = self._count
         self._poses += change[: 3 * count].reshape(-1, 3)
-        beside = change[3 * count :]
-        track = self._track
-        along = np.roll(track.points, -1, axis=0) - np.roll(track.points, 1, axis=0)
-        if not track.closed:
-            along[0], along[-1] = track.points[1] - track.points[0], track.points[-1] - track.points[-2]
-        along /= np.hypot(*along.T)[:, None]
-        self._track = Track(
-            track.points + beside[:, None] * np.stack((-along[:, 1], along[:, 0]), axis=1), track.closed
-        )
+        self._track = self._track.beside(-change[3 * count :])
         # Even steps again: what was beside a bend has been stretched or squeezed.
         if not self._sound:
             return

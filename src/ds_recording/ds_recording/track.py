@@ -94,15 +94,14 @@ class Track:
         heading = own + turn * np.abs(share - 0.5)
         return self.stations[index] + along, to[:, 0] * tangent[:, 1] - to[:, 1] * tangent[:, 0], heading
 
-    def beside(self, right: float) -> Track:
-        """The line at a distance to the right, with a point for each of its own."""
+    def beside(self, right: float | Array) -> Track:
+        """The line moved to the right by a distance, one for all of its points or one for each, (n,)."""
         points = self.points
-        first, last = (
-            (points[-1], points[0]) if self.closed else (2 * points[0] - points[1], 2 * points[-1] - points[-2])
-        )
-        ahead = np.vstack((points[1:], last)) - np.vstack((first, points[:-1]))
-        ahead = ahead / np.hypot(ahead[:, 0], ahead[:, 1])[:, None]
-        return Track(points + right * np.column_stack((ahead[:, 1], -ahead[:, 0])), self.closed)
+        ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
+        if not self.closed:
+            ahead[0], ahead[-1] = points[1] - points[0], points[-1] - points[-2]
+        ahead /= np.hypot(*ahead.T)[:, None]
+        return Track(points + np.reshape(right, (-1, 1)) * np.column_stack((ahead[:, 1], -ahead[:, 0])), self.closed)
 
     def resampled(self, spacing: float) -> Track:
         """The same line with even steps of about this length, through a cubic spline."""
