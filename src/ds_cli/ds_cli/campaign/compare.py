@@ -13,6 +13,7 @@ import typer
 from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.campaign.compare_results import check_writable, criteria_of, write_comparison
+from ds_cli.campaign.run import SIMULATORS
 from ds_cli.output import end, stopped_in
 from ds_sim.registry import SimulatorName
 
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 
 ROADS, SEED = 40, 40
 """Random roads of two networks, and their seed; chosen: those of `ds siblings compare`."""
-SIMULATORS = "bullet,softbody,donkey"
-"""Simulators of two networks: those of a campaign by default."""
-
 TWIN = SimulatorName("donkey")
 """Simulator that acts as the twin of two networks' random roads, if it is among others."""
 

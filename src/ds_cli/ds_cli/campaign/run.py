@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ds_studies.whole_campaign import CampaignOutcome
 
 SIMULATORS = "bullet,softbody,donkey"
-"""Those of `ds test` if it is not told otherwise."""
+"""Those of `ds test`, and of `ds compare` for two networks, if it is not told otherwise."""
 
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Only say how many drives, how long here and how much disk, from one drive.")
