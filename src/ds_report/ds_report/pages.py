@@ -47,7 +47,7 @@ def environment() -> Environment:
 
 def _code(sentence: str) -> Markup:
     """Escape a sentence that a terminal shows, too, and set what stands between its backticks as code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(sentence)))
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(sentence))))
 
 
 def data_address(picture: NDArray[np.uint8]) -> str:

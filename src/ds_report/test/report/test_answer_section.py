@@ -12,6 +12,7 @@ import pytest
 from report_campaigns import make_campaign, results
 
 from ds_analysis.real.records import RealDrive, write_drives
+from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.search.features import feature_of
@@ -83,7 +84,8 @@ def test_a_campaign_without_a_twin_has_an_answer(tmp_path: Path) -> None:
     section = answer_section(tmp_path, data)
     assert section.picture and "predicted from a:One and b:Two without" in section.sentence
     html = write_report(tmp_path, data, *results(data), answer=section).read_text()
-    assert re.search("<code>[^<`]*ds real propose [^<`]*</code>", html) and "`" in section.reading
+    command = ds_command("real", "propose", tmp_path)
+    assert f"`{command}`" in section.reading and f"<code>{command}</code>" in html
     assert "`" not in html[html.index('id="answer"') : html.index('id="comparison"')]
 
 
