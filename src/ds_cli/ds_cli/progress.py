@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
 
@@ -71,7 +70,7 @@ class ScreenListener(TimedListener):
             if not self._console.is_terminal and fresh:
                 outcome = _outcome(execution)
                 line = f"{self.done}/{self.total} {test.test_id} on {simulator.in_words}: {outcome}"
-                print(line + (f", {left}" if left else ""), file=sys.stderr, flush=True)
+                say(line + (f", {left}" if left else ""))
 
 
 class StageLines(Listener):

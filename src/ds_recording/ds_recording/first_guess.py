@@ -97,8 +97,7 @@ def _joined(lines: list[LinePoints], poses: Array, at: int) -> tuple[Array, NDAr
 def candidate_shapes(points: Array, white: NDArray[np.bool_]) -> Array:
     """Likely shapes of the road about the car, from points of lines ahead and left of it, (n, 2), some white, (n,).
 
-    Returns:
-        Offset to the right, heading of the road, curvature, votes, (`BEST` or fewer, 4).
+    Each is offset to the right, heading of the road, curvature and votes, (`BEST` or fewer, 4).
     """
     if len(points) < LEAST_VOTES:
         return np.zeros((0, 4))

@@ -42,12 +42,10 @@ class LinePoints:
 def line_pixels(
     image: NDArray[np.uint8], first_row: int, centre: str = "yellow"
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Find the middles of lines, where they are crossed squarely along a row or a column of the image.
+    """Find where lines are crossed squarely along a row or a column of an image, (rows, columns, 3) uint8 RGB.
 
-    The image is (rows, columns, 3) uint8 RGB; `first_row` is the first that can show the floor.
-
-    Returns:
-        Middles (n, 2) px, ends of the crossing (n, 2, 2) px, whether white (n,).
+    Returns their middles (n, 2) px, ends of the crossing (n, 2, 2) px, whether white (n,); `first_row` is the first
+    that can show the floor.
     """
     lines = find_lines(image, CENTRES[centre])
     # Between a white and a coloured line the road itself looks like a ridge, but it is no brighter than elsewhere.

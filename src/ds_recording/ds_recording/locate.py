@@ -77,8 +77,7 @@ def with_odometry(
 ) -> tuple[Evidence, list[Checked]]:
     """Check other sources of motion against the images, and follow the floor anew with those that agree.
 
-    Returns:
-        Evidence of both, ways in the metres of both, and what became of each source.
+    Returns evidence of both, ways in the metres of both, and what became of each source.
     """
     pairs = list(zip(evidence.motions, evidence.hints, strict=True))[1:]
     unknown = np.full(3, np.nan)

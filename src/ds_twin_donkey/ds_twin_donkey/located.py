@@ -116,11 +116,7 @@ def rough_start(drives: Sequence[LogSegment], start: DonkeyParameters) -> Donkey
 def fit_located(
     drives: Sequence[LogSegment], start: DonkeyParameters | None = None, progress: Progress = SILENT
 ) -> tuple[TwinFit, Mounting]:
-    """Fit parameters to a located recording; see `ds_twin_donkey.fit.fit`.
-
-    Returns:
-        The fit, of the car's centre, and where the recording's poses are on the car.
-    """
+    """Fit parameters of the car to a located recording, see `fit`, and find where its poses are on the car."""
     start = start or DonkeyParameters()
     mounting = find_mounting(drives, start)
     drives = mounting.centred(drives)

@@ -126,8 +126,7 @@ BACKEND = "back end of the network"
 def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> DriveSettings:
     """Record versions and digests; a campaign does not continue with another network or another car.
 
-    Returns:
-        The settings with the back end on which the campaign began, so that it goes on with the same bits.
+    Returns the settings with the back end on which the campaign began, so that it goes on with the same bits.
 
     Raises:
         ConfigError: the driver or a simulator has changed since the campaign began.

@@ -204,10 +204,7 @@ def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float
 
 
 def unpack_trajectory(packed: object, digest: str, *, steps: int) -> NDArray[np.float64]:
-    """Decompress a trajectory and check its digest.
-
-    Returns:
-        (steps + 1, 5), or (0, 5) for a run without observations.
+    """Decompress a trajectory, (steps + 1, 5), or (0, 5) for a run without observations, and check its digest.
 
     Raises:
         RowError: the trajectory is damaged, of another length, not finite, or has another digest.
@@ -221,9 +218,5 @@ def unpack_trajectory(packed: object, digest: str, *, steps: int) -> NDArray[np.
 
 
 def trajectory_sha256(trajectory: NDArray[np.float64]) -> str:
-    """Compute SHA-256 over the little-endian float64 bytes of x, y, yaw and speed, the initial state included.
-
-    Args:
-        trajectory: (n, 4 or more); further columns are ignored.
-    """
+    """SHA-256 over the little-endian float64 bytes of x, y, yaw and speed, the first columns of (n, 4 or more)."""
     return hashlib.sha256(np.ascontiguousarray(trajectory[:, :4], dtype="<f8").tobytes()).hexdigest()
