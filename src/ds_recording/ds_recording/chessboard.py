@@ -86,11 +86,7 @@ class _Fit(NamedTuple):
     lens: Array
 
     def errors(self, grid: Array, places: Array) -> Array:
-        """Errors of a board's corners at its best pose, (n, 2) px.
-
-        Raises:
-            cv2.error: the lens maps the corners to no direction.
-        """
+        """Errors of a board's corners at its best pose, (n, 2) px; cv2.error if the lens maps them to no direction."""
         if self.model == "equidistant":
             slopes = cv2.fisheye.undistortPoints(places, self.matrix, self.lens)
             _, turn, shift = cv2.solvePnP(grid, slopes, np.eye(3), np.zeros(4))
@@ -186,11 +182,7 @@ def _find_boards(paths: Sequence[Path], corners: tuple[int, int]) -> tuple[list[
 
 
 def _fit(model: str, flags: int, grid: Array, boards: Sequence[Array], size: tuple[int, int]) -> _Fit:
-    """Fit a lens to boards.
-
-    Raises:
-        cv2.error: it cannot be fitted.
-    """
+    """Fit a lens to boards; cv2.error if it cannot be fitted."""
     start = np.array([[size[0], 0, (size[0] - 1) / 2], [0, size[0], (size[1] - 1) / 2], [0, 0, 1.0]])
     if model == "equidistant":
         points = [grid[None].astype(np.float64)] * len(boards)

@@ -232,11 +232,7 @@ def in_metres(
 def located_of(
     views: Views, camera: FloorCamera, lane_width: float, progress: Progress = SILENT
 ) -> tuple[Located, SolvedStretch]:
-    """Locate a stretch.
-
-    Raises:
-        RecordingError: it cannot carry a location; with the reason, and the share of images that failed.
-    """
+    """Locate a stretch; if it cannot be, a RecordingError has the reason, and the share of images that failed."""
     if (camera.width_px, camera.height_px) != views.size:
         raise RecordingError(
             f"the camera is for {camera.width_px} x {camera.height_px} px, the images have {views.size[0]} x "

@@ -63,11 +63,7 @@ def write_located(folder: Path, located: Located) -> None:
 
 
 def read_located(folder: Path) -> Located:
-    """Read a folder that `write_located` wrote.
-
-    Raises:
-        RecordingError: a file is missing, damaged or of another form.
-    """
+    """Read a folder that `write_located` wrote; RecordingError if a file is missing, damaged or of another form."""
     try:
         about = read_json(folder / ABOUT, MAX_FILE)
         header, *rows = read_regular(folder / LOCATED, MAX_FILE).decode().splitlines()

@@ -133,11 +133,7 @@ def write_track(path: Path, track: Track, half_width: float) -> None:
 
 
 def read_track(path: Path) -> Track:
-    """Read a RoboRacer track file; the line is closed if its ends are at most two steps apart.
-
-    Raises:
-        RecordingError: it cannot be read, or is no such file.
-    """
+    """Read a RoboRacer track file, closed if its ends are at most two steps apart; RecordingError if it is none."""
     try:
         points = tracks.read_track(read_regular(path, MAX_TRACK_FILE)).points
     except (OSError, FileError, RoadError) as error:

@@ -130,11 +130,7 @@ class GraphClient:
                 return
 
     def check_simulators(self) -> None:
-        """Check that every namespace holds the simulator that is expected there.
-
-        Raises:
-            GraphError: a namespace holds another simulator, or does not answer.
-        """
+        """Check that every namespace holds the simulator that is expected there, and answers; else GraphError."""
         for name, namespace in self._namespaces.items():
             actual, expected = self.info(name).name, spec_of(name).name
             if actual != expected:

@@ -27,11 +27,7 @@ LOCKS = Path("/tmp")
 
 
 class RosDomain:
-    """Reserves a free domain, `number`, until it is closed or its process ends, by whatever signal.
-
-    Raises:
-        RunError: all domains are in use.
-    """
+    """Reserves a free domain, `number`, until it is closed or its process ends; RunError if all are in use."""
 
     def __init__(self) -> None:
         for number in range(1, 102):  # 0 is ROS's default; up to 101 are safe on every system

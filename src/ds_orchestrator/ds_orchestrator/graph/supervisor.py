@@ -96,11 +96,7 @@ class Supervisor:
         return [name for name, process in self._processes.items() if process.poll() is not None]
 
     def check(self, names: Collection[str]) -> None:
-        """Check that none of these processes has ended.
-
-        Raises:
-            ProcessError: one has ended; the message has the last line of its log.
-        """
+        """Check that none of these processes has ended; else, a ProcessError has the last line of its log."""
         for name in set(self.dead()) & set(names):
             status = self._processes[name].returncode
             if status == -signal.SIGKILL:

@@ -124,11 +124,7 @@ class PhotoScene(RenderedScene):
         return image
 
     def _chosen(self, x: float, y: float, yaw: float) -> tuple[int, list[int]]:
-        """Nearest photograph, and those that fill what it does not show.
-
-        Raises:
-            OutOfSightError: none is near enough.
-        """
+        """Nearest photograph, and those that fill what it does not show; OutOfSightError if none is near enough."""
         poses = self._drive.poses
         cos, sin = math.cos(yaw), math.sin(yaw)
         dx, dy = poses[:, 0] - x, poses[:, 1] - y

@@ -58,11 +58,7 @@ def sections(drive: RecordedDrive, length: float, every: float | None = None) ->
 
 
 def check_is_section(road: Road, drive: RecordedDrive) -> None:
-    """Check that a road lies on the recorded track, in the direction and lane of the recording.
-
-    Raises:
-        RoadError: it does not.
-    """
+    """Check that a road lies on the recorded track, in its direction and lane; RoadError if it does not."""
     lane, points = road.lane_centre, drive.lane.points
     nearest = np.array([int(np.argmin((points[:, 0] - x) ** 2 + (points[:, 1] - y) ** 2)) for x, y in lane.tolist()])
     pieces = drive.lane.nearest(lane, nearest)
