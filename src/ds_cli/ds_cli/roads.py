@@ -213,11 +213,12 @@ def road_cut_command(
     Example: ds road cut track.csv --length 200 --every 100 > sections.json
     """
     from ds_base.left_out import LeftOut
-    from ds_road.importing import cut_roads
+    from ds_road.importing import import_roads
 
     left_out = LeftOut("roads", strict)
     roads = (
-        (one, cut_roads(one, length, every, left_out, lane_width=lane_width, lane=lane, scale=scale)) for one in files
+        (file, import_roads(file, left_out, lane_width=lane_width, lane=lane, scale=scale, sections=(length, every)))
+        for file in files
     )
     words = ("cut", *files, "--length", length, "--every", every, *_chosen(lane_width, lane, scale))
     _print_roads(left_out, roads, words)

@@ -105,5 +105,4 @@ def in_box(road: Road) -> tuple[Road, tuple[float, float]]:
     if inside or not road.sampled or (high - low).max() > BOX:
         return road, (0.0, 0.0)
     shift = np.round(BOX / 2 - (low + high) / 2, 3)
-    moved = Road.from_road_points(road.points + shift, lane_width=road.lane_width, lane=road.lane)
-    return moved, (float(shift[0]), float(shift[1]))
+    return replace(road, control_points=road.points + shift), (float(shift[0]), float(shift[1]))

@@ -39,11 +39,10 @@ def road_from_json(raw: Any) -> Road:
     maxitwo_compatible = raw.get("maxitwo_compatible", False)
     if not isinstance(maxitwo_compatible, bool):
         raise RoadError(f"maxitwo_compatible is {abbreviated(maxitwo_compatible)}, expected true or false")
-    if kinds == ["control_points"]:
-        return Road(raw["control_points"], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible, lane=lane)
-    if maxitwo_compatible:
+    sampled = kinds == ["road_points"]
+    if sampled and maxitwo_compatible:
         raise RoadError("maxitwo_compatible is true for a road given by road_points, expected control_points")
-    return Road.from_road_points(raw["road_points"], lane_width=lane_width, lane=lane)
+    return Road(raw[kinds[0]], lane_width=lane_width, maxitwo_compatible=maxitwo_compatible, sampled=sampled, lane=lane)
 
 
 def road_from_fields(
@@ -68,14 +67,13 @@ def road_from_fields(
     Raises:
         RoadError: the fields make no road.
     """
-    width = lane_width or LANE_WIDTH
-    lane: Side = "left" if left_lane else "right"
-    if sampled and maxitwo_compatible:
-        raise RoadError("the road is both sampled and maxitwo_compatible: expected at most one of them")
-    if sampled:
-        road = Road.from_road_points(points, lane_width=width, lane=lane)
-    else:
-        road = Road(points, lane_width=width, maxitwo_compatible=maxitwo_compatible, lane=lane)
+    road = Road(
+        points,
+        lane_width=lane_width or LANE_WIDTH,
+        maxitwo_compatible=maxitwo_compatible,
+        sampled=sampled,
+        lane="left" if left_lane else "right",
+    )
     if road_id in ("", road.road_id):
         return road
     others = (road.in_lane(other) for other in get_args(Side))

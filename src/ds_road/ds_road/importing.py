@@ -8,10 +8,11 @@ its middle, without turning it.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
 
 LOG = logger_of(__name__)
+_Used = TypeVar("_Used")
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ def import_roads(
     lane_width: float | None = None,
     lane: Side | None = None,
     scale: float = 1.0,
+    sections: tuple[float, float] | None = None,
 ) -> list[ImportedRoad]:
     """Read the roads of a file; its content tells the format.
 
@@ -70,6 +73,8 @@ def import_roads(
         lane_width: of tracks, m; if None, half of the track's width, all of it in a single lane, or 4 m.
         lane: to drive in; that of the file, or the right one, if None.
         scale: metres of the road per metre of a track, such as 10 for a car of 1:10.
+        sections: length of the sections into which to cut them, as a track that is too large for the box, and distance
+            between the starts of two, m; None for whole roads.
 
     Raises:
         RoadError: not one of the formats, or no road that can be used; one line names the file.
@@ -87,52 +92,27 @@ def import_roads(
         True
     """
     left_out = left_out or LeftOut("roads", strict=True)
-    return _roads(path, _lines(path, left_out, lane_width, lane, scale), left_out)
-
-
-def cut_roads(
-    path: Path,
-    length: float,
-    every: float,
-    left_out: LeftOut | None = None,
-    *,
-    lane_width: float | None = None,
-    lane: Side | None = None,
-    scale: float = 1.0,
-) -> list[ImportedRoad]:
-    """Read the roads of a file and cut them into sections, as for a track that is too large for the box.
-
-    A section of `length` m begins every so many metres; other arguments and errors are those of `import_roads`.
-    """
-    left_out = left_out or LeftOut("roads", strict=True)
-    sections: list[CentreLine] = []
-    for line in _lines(path, left_out, lane_width, lane, scale):
-        try:
-            sections += line.sections(length, every)
-        except RoadError as error:
-            left_out.add(line.name, RoadError(f"{path}: {error}") if left_out.strict else error)
-    return _roads(path, sections, left_out)
-
-
-def _roads(path: Path, lines: Sequence[CentreLine], left_out: LeftOut) -> list[ImportedRoad]:
-    roads = []
-    for line in lines:
-        try:
-            roads.append(ImportedRoad(line.name, *in_box(line.road())))
-        except RoadError as error:
-            left_out.add(line.name, RoadError(f"{path}: {error}") if left_out.strict else error)
+    try:
+        lines = [line.in_lane(lane) for line in _read(path, left_out, lane_width, lane, scale)]
+    except RoadError as error:
+        raise RoadError(f"{path}: {error}") from None
+    if sections is not None:
+        lines = list(chain.from_iterable(_usable(path, left_out, lines, lambda line: line.sections(*sections))))
+    roads = list(_usable(path, left_out, lines, lambda line: ImportedRoad(line.name, *in_box(line.road()))))
     if not roads:
         raise RoadError(f"{path}: no road can be used: {left_out.line()}")
     return roads
 
 
-def _lines(
-    path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None, scale: float
-) -> list[CentreLine]:
-    try:
-        return [line.in_lane(lane) for line in _read(path, left_out, lane_width, lane, scale)]
-    except RoadError as error:
-        raise RoadError(f"{path}: {error}") from None
+def _usable(
+    path: Path, left_out: LeftOut, lines: Iterable[CentreLine], use: Callable[[CentreLine], _Used]
+) -> Iterator[_Used]:
+    """What becomes of lines, without those that cannot be used."""
+    for line in lines:
+        try:
+            yield use(line)
+        except RoadError as error:
+            left_out.add(line.name, RoadError(f"{path}: {error}") if left_out.strict else error)
 
 
 def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | None, scale: float) -> list[CentreLine]:
@@ -208,7 +188,7 @@ def _sbft_road(test: dict[str, Any]) -> Road:
         ordered = sorted(points, key=lambda point: point.get("sequence_number", 0))
         test = {**test, "road_points": [[point.get("x"), point.get("y")] for point in ordered]}
     if "interpolated_points" not in test:
-        road = road_from_json({key: value for key, value in test.items() if key != "interpolated_points"})
+        road = road_from_json(test)
         if not road.sampled:
             return road
         gaps = np.hypot(*np.diff(road.points, axis=0).T)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, get_args
@@ -47,6 +47,7 @@ class Road:
         maxitwo_compatible: build the centre line as maxitwo does for mutants: the spline ignores the first control
             point, so that the road starts at the third (n >= 5). This does not affect how turns are counted:
             `turns_count_maxitwo` exists for every road.
+        sampled: the points are the centre line itself; see `from_road_points`.
         lane: lane that is driven, from the first to the last control point in each; see `Side`.
 
     Raises:
@@ -65,7 +66,6 @@ class Road:
     lane_width: float
     maxitwo_compatible: bool
     sampled: bool
-    """True if the control points are the centre line itself; see `from_road_points`."""
     lane: Side
 
     def __init__(
@@ -74,15 +74,22 @@ class Road:
         *,
         lane_width: float = LANE_WIDTH,
         maxitwo_compatible: bool = False,
+        sampled: bool = False,
         lane: Side = "right",
     ) -> None:
-        self._set(
-            _parse_points(control_points, "control point", minimum=5 if maxitwo_compatible else 4),
-            lane_width,
-            maxitwo_compatible,
-            False,
-            lane,
-        )
+        if sampled and maxitwo_compatible:
+            raise RoadError("the road is both sampled and maxitwo_compatible: expected at most one of them")
+        if sampled:
+            points = _parse_points(control_points, "road point", minimum=2)
+        else:
+            points = _parse_points(control_points, "control point", minimum=5 if maxitwo_compatible else 4)
+        if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
+            raise RoadError(f"lane width is {abbreviated(lane_width)}, expected 1 to 20 metres")
+        if not isinstance(lane, str) or lane not in get_args(Side):
+            raise RoadError(f"lane is {abbreviated(lane)}, expected one of {', '.join(get_args(Side))}")
+        values = (points, float(lane_width), bool(maxitwo_compatible), sampled, lane)
+        for field, value in zip(fields(self), values, strict=True):
+            object.__setattr__(self, field.name, value)
 
     @classmethod
     def from_road_points(
@@ -110,26 +117,7 @@ class Road:
             >>> road.sampled, round(road.length, 2)
             (True, 40.62)
         """
-        road = cls.__new__(cls)
-        road._set(_parse_points(points, "road point", minimum=2), lane_width, False, True, lane)
-        return road
-
-    def _set(
-        self,
-        control_points: tuple[tuple[float, float], ...],
-        lane_width: float,
-        maxitwo_compatible: bool,
-        sampled: bool,
-        lane: Side,
-    ) -> None:
-        """Set the fields of the frozen dataclass."""
-        if isinstance(lane_width, str | bool) or not isinstance(lane_width, int | float) or not 1 <= lane_width <= 20:
-            raise RoadError(f"lane width is {abbreviated(lane_width)}, expected 1 to 20 metres")
-        if not isinstance(lane, str) or lane not in get_args(Side):
-            raise RoadError(f"lane is {abbreviated(lane)}, expected one of {', '.join(get_args(Side))}")
-        values = (control_points, float(lane_width), bool(maxitwo_compatible), sampled, lane)
-        for field, value in zip(fields(self), values, strict=True):
-            object.__setattr__(self, field.name, value)
+        return cls(points, lane_width=lane_width, sampled=True, lane=lane)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle only the fields that define the road, not the cached properties."""
@@ -259,10 +247,8 @@ class Road:
 
         On a maxitwo-compatible road the first control point, which its spline ignores, is dropped.
         """
-        if self.sampled:
-            return Road.from_road_points(self.control_points[::-1], lane_width=self.lane_width, lane=self.lane)
         used = self.control_points[1:] if self.maxitwo_compatible else self.control_points
-        return Road(used[::-1], lane_width=self.lane_width, lane=self.lane)
+        return replace(self, control_points=used[::-1], maxitwo_compatible=False)
 
     def in_lane(self, lane: Side) -> Road:
         """Return the same centre line and lane width, driven in another lane.
@@ -270,7 +256,7 @@ class Road:
         Raises:
             RoadError: there is no such lane.
         """
-        return self._with_points(self.control_points, lane)
+        return replace(self, lane=lane)
 
     def mirrored(self) -> Road:
         """Return the mirror image about the middle of the box, x = 125 m, driven in the mirrored lane.
@@ -278,14 +264,8 @@ class Road:
         A run on it is the mirror image of a run on this road: left and right change places, the start does not move
         on roads of `generate`.
         """
-        lane = _MIRRORED.get(self.lane, self.lane)
-        return self._with_points(tuple((BOX - x, y) for x, y in self.control_points), lane)
-
-    def _with_points(self, points: tuple[tuple[float, float], ...], lane: Side) -> Road:
-        """Return a road of other points and lane, with everything else as it is."""
-        if self.sampled:
-            return Road.from_road_points(points, lane_width=self.lane_width, lane=lane)
-        return Road(points, lane_width=self.lane_width, maxitwo_compatible=self.maxitwo_compatible, lane=lane)
+        mirrored = tuple((BOX - x, y) for x, y in self.control_points)
+        return replace(self, control_points=mirrored, lane=_MIRRORED.get(self.lane, self.lane))
 
 
 def abbreviated(value: Any) -> str:

@@ -15,7 +15,7 @@ import pytest
 from ds_base.left_out import LeftOut
 from ds_road import Road, RoadError, Side, generate, read_roads
 from ds_road.export import write_all
-from ds_road.importing import cut_roads, import_roads
+from ds_road.importing import import_roads
 from ds_road.opendrive import SPACING
 
 ROADS = {
@@ -281,7 +281,7 @@ def test_the_line_lies_in_the_middle_of_its_track(tmp_path: Path) -> None:
     (single,) = import_roads(tmp_path / "t.csv", lane="single")  # the same borders
     assert (single.road.lane, single.road.lane_width) == ("single", 3.0)
     assert np.ptp([*single.road.left_edge[:, 1], *single.road.right_edge[:, 1]]) == pytest.approx(3.0)
-    (cut,) = cut_roads(tmp_path / "t.csv", 40.0, 100.0, lane="middle")
+    (cut,) = import_roads(tmp_path / "t.csv", lane="middle", sections=(40.0, 100.0))
     assert (cut.road.lane, cut.road.lane_width) == ("middle", 1.5)
 
 
@@ -304,7 +304,7 @@ def test_a_closed_track_ends_before_its_start(tmp_path: Path, repeat: float) -> 
     (tmp_path / "t.csv").write_text("".join(f"{x},{y}\n" for x, y in points))
     (found,) = import_roads(tmp_path / "t.csv")
     assert found.road.validity.valid and len(found.road.points) == len(CIRCLE)
-    cut = cut_roads(tmp_path / "t.csv", 100.0, 90.0)
+    cut = import_roads(tmp_path / "t.csv", sections=(100.0, 90.0))
     assert [one.name for one in cut] == ["t_0", "t_90", "t_180", "t_270", "t_360"]
     assert {round(one.road.length, 6) for one in cut} == {100.0}
 
@@ -327,16 +327,16 @@ def test_a_track_that_is_too_large_is_cut(tmp_path: Path) -> None:
     (tmp_path / "ring.csv").write_text("".join(f"{400 * math.cos(a)},{400 * math.sin(a)}\n" for a in angles))
     (whole,) = import_roads(tmp_path / "ring.csv")
     assert not whole.road.validity.valid
-    sections = cut_roads(tmp_path / "ring.csv", 200.0, 300.0)
+    sections = import_roads(tmp_path / "ring.csv", sections=(200.0, 300.0))
     assert [one.name for one in sections] == [f"ring_{start}" for start in range(0, 2500, 300)]
     for one in sections:
         assert one.road.validity.valid and one.road.length == pytest.approx(200.0, abs=0.01)
         turned = np.diff(np.unwrap(np.arctan2(*np.diff(one.road.points, axis=0)[[0, -1], ::-1].T)))
         assert turned == pytest.approx(200.0 / 400.0, abs=0.01)
     (tmp_path / "open.csv").write_text("".join(f"{x},{x % 7}\n" for x in range(0, 250, 10)))
-    assert len(cut_roads(tmp_path / "open.csv", 100.0, 50.0)) == 4
+    assert len(import_roads(tmp_path / "open.csv", sections=(100.0, 50.0))) == 4
     with pytest.raises(RoadError, match="is 2.. m long, expected 900 m: cut shorter sections"):
-        cut_roads(tmp_path / "open.csv", 900.0, 50.0)
+        import_roads(tmp_path / "open.csv", sections=(900.0, 50.0))
 
 
 def test_tests_of_the_sdc_competition_are_read(tmp_path: Path) -> None:
