@@ -22,9 +22,9 @@ from ds_bags.layout import BagError, partial_path
 from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
-from ds_bags.run_writer import RunWriter, write_bag
+from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
-from ds_sim.registry import DONKEY, spec_of
+from ds_sim.registry import DONKEY
 from ds_sim.session import RunRecord
 
 pytestmark = pytest.mark.graph
@@ -131,7 +131,8 @@ def test_what_cannot_be_recovered_is_reported(bags: Path, run: RunRecord, tmp_pa
     with pytest.raises(BagError, match="is whole"):
         recover(bags / "raw")
     with Rosbag2Writer(tmp_path / "bag", {}) as writer:
-        RunWriter(writer, "/twin", spec_of("donkey"), run, "telemetry").begin()
+        channel = writer.channel(topic_of(typestore(), "/outcome", "ds_interfaces/msg/Outcome", depth=1))
+        writer.write(channel, 1, bytes(6))
     with pytest.raises(BagError, match="before its first flush"):
         recover(tmp_path / "bag")
     (tmp_path / "bag_recovered").mkdir()

@@ -7,7 +7,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -15,7 +14,6 @@ from ds_base.bounded_file import read_words
 from ds_base.errors import InputError
 from ds_base.installation import share_folders
 from ds_sim.messages import MessageBuilder
-from ds_sim.session import RunRecord
 
 _OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
 
@@ -39,8 +37,3 @@ def message_builder(namespace: str) -> MessageBuilder:
     """Make the builder of the messages of one simulator's bag, whose namespace prefixes its tf frames."""
     types = typestore().types
     return MessageBuilder(lambda name: types[name.replace("/", "/msg/")], np.asarray, namespace)
-
-
-def frame_times(run: RunRecord) -> NDArray[np.int64]:
-    """Time of each frame of a run, (n,), ns since its start."""
-    return np.array([round(observation.time * 1e9) for observation in run.observations], np.int64)

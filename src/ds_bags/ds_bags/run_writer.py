@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
-from ds_bags.messages import frame_times, message_builder, typestore
+from ds_bags.messages import message_builder, typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_base.folder_files import place_folder
 from ds_base.installation import versions
@@ -113,17 +113,14 @@ def write_bag(
     try:
         shutil.rmtree(hidden, ignore_errors=True)
         with Rosbag2Writer(hidden / folder.name, facts) as writer:
-            messages = RunWriter(writer, namespace, spec_of(simulator), run, level, translate)
-            messages.begin()
-            messages.frames(None if level == "telemetry" else observations)
-            messages.end()
+            images = _write_run(writer, namespace, spec_of(simulator), run, level, observations, translate)
             results = {
                 "outcome": run.outcome.name,
                 "message": run.message,
                 "steps": str(run.steps),
                 "fitness": repr(run.fitness),
                 "max_lateral_position": repr(run.max_lateral_position),
-                **({"images": str(messages.images)} if level != "telemetry" else {}),
+                **({"images": str(images)} if level != "telemetry" else {}),
             }
             writer.close(facts | results)
         shutil.rmtree(folder, ignore_errors=True)
@@ -132,74 +129,52 @@ def write_bag(
         raise BagError(f"bag {folder} cannot be written ({error.strerror}): check the disk and the folder") from None
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
-    return messages.images
+    return images
 
 
-class RunWriter:
-    """Writes the messages of one run in order, frame by frame; see `write_bag`."""
+def _write_run(
+    writer: Rosbag2Writer,
+    namespace: str,
+    spec: SimulatorSpec,
+    run: RunRecord,
+    level: Level,
+    observations: Iterable[Observation],
+    translate: Translation | None,
+) -> int:
+    """Write the messages of one run, frame by frame, and return the number of its images; see `write_bag`."""
+    make, store = message_builder(namespace), typestore()
+    image_topic = _IMAGE_TOPIC.get(level, "")
+    translated_topic = image_topic.replace("camera", TRANSLATED, 1) if translate is not None else ""
+    pictured_topics = {image_topic, translated_topic, "camera/camera_info"} if image_topic else set()
+    channels: dict[str, int] = {}
+    for topic, (kind, depth, latched) in _TOPICS.items():
+        if topic in pictured_topics or not topic.startswith(("camera/", TRANSLATED)):
+            name = topic if topic[0] == "/" else f"{namespace}/{topic}"
+            channels[topic] = writer.channel(topic_of(store, name, kind, depth=depth, latched=latched))
 
-    def __init__(
-        self,
-        writer: Rosbag2Writer,
-        namespace: str,
-        spec: SimulatorSpec,
-        run: RunRecord,
-        level: Level,
-        translate: Translation | None = None,
-    ) -> None:
-        self._writer, self._spec, self._run, self._translate = writer, spec, run, translate
-        self._make, self._store = message_builder(namespace), typestore()
-        self._image = _IMAGE_TOPIC.get(level, "")
-        self._translated = self._image.replace("camera", TRANSLATED, 1) if translate is not None else ""
-        self.images = 0
-        pictured = {self._image, self._translated, "camera/camera_info"} if self._image else set()
-        self._channels: dict[str, int] = {}
-        for topic, (kind, depth, latched) in _TOPICS.items():
-            if topic in pictured or not topic.startswith(("camera/", TRANSLATED)):
-                name = topic if topic[0] == "/" else f"{namespace}/{topic}"
-                described = topic_of(self._store, name, kind, depth=depth, latched=latched)
-                self._channels[topic] = writer.channel(described)
+    def put(topic: str, nanoseconds: int, message: Any) -> None:
+        writer.write(channels[topic], nanoseconds, bytes(store.serialize_cdr(message, _TOPICS[topic][0])))
 
-    def begin(self) -> None:
-        """Write what is constant over the run: the road and the camera's mount."""
-        start = self._make.stamp(START)
-        self._put("road", START, self._make.road(self._run.road))
-        self._put("road_markers", START, self._make.road_markers(self._run.road, self._spec.look, start))
-        self._put("/tf_static", START, self._make.camera_transform(self._spec.camera, start))
-
-    def frames(self, observations: Iterable[Observation] | None = None) -> None:
-        """Write all frames and the commands that answer them, and the images of the observations if there are any."""
-        run, make = self._run, self._make
-        images = run.observations if observations is None else observations
-        for index, (frame, pictured, time) in enumerate(
-            zip(run.observations, images, (START + frame_times(run)).tolist(), strict=True)
-        ):
-            header = make.header(time, ROAD_FRAME)
-            self._put("state", time, make.state(frame, header, run.road.road_id))
-            self._put("odom", time, make.odometry(frame.vehicle, header.stamp))
-            self._put("/tf", time, make.body_transform(frame.vehicle, header.stamp))
-            if observations is not None:
-                self._put_image(pictured, time)
-            if index < len(run.commands):
-                self._put("drive", time, make.command(run.commands[index], header))
-
-    def _put_image(self, frame: Observation, time: int) -> None:
-        if not frame.image.size:
-            return
-        self.images += 1
-        image = self._make.image if self._image == "camera/image_raw" else self._make.compressed_image
-        header = self._make.header(time, self._make.camera_frame)
-        self._put(self._image, time, image(frame.image, header))
-        if self._translate is not None:
-            translated = self._translate(frame.image)
-            self._put(self._translated, time, image(translated, header))
-        self._put("camera/camera_info", time, self._make.camera_info(self._spec.camera, header))
-
-    def end(self) -> None:
-        """Write the outcome."""
-        ended = START + round(self._run.simulated_seconds * 1e9)
-        self._put("outcome", ended, self._make.outcome(int(self._run.outcome)))
-
-    def _put(self, topic: str, nanoseconds: int, message: Any) -> None:
-        data = bytes(self._store.serialize_cdr(message, _TOPICS[topic][0]))
-        self._writer.write(self._channels[topic], nanoseconds, data)
+    start = make.stamp(START)
+    put("road", START, make.road(run.road))
+    put("road_markers", START, make.road_markers(run.road, spec.look, start))
+    put("/tf_static", START, make.camera_transform(spec.camera, start))
+    image_of = make.image if level == "raw" else make.compressed_image
+    images = 0
+    for index, (frame, pictured) in enumerate(zip(run.observations, observations, strict=True)):
+        time = START + round(frame.time * 1e9)
+        header = make.header(time, ROAD_FRAME)
+        put("state", time, make.state(frame, header, run.road.road_id))
+        put("odom", time, make.odometry(frame.vehicle, header.stamp))
+        put("/tf", time, make.body_transform(frame.vehicle, header.stamp))
+        if image_topic and pictured.image.size:
+            images += 1
+            camera_header = make.header(time, make.camera_frame)
+            put(image_topic, time, image_of(pictured.image, camera_header))
+            if translate is not None:
+                put(translated_topic, time, image_of(translate(pictured.image), camera_header))
+            put("camera/camera_info", time, make.camera_info(spec.camera, camera_header))
+        if index < len(run.commands):
+            put("drive", time, make.command(run.commands[index], header))
+    put("outcome", START + round(run.simulated_seconds * 1e9), make.outcome(int(run.outcome)))
+    return images

@@ -9,7 +9,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from types import FrameType
 from typing import Any
 
 import rclpy
@@ -21,52 +20,15 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ds_base.errors import InputError
+from ds_base.executables import GRACE, Stop
 
 try:
     from rclpy.experimental import EventsExecutor
 except ImportError:  # rclpy before 7.1.5 has none
     EventsExecutor = SingleThreadedExecutor
 
-GRACE = 0.7
-"""Seconds that a node gets after a signal to end by itself; chosen so that everything fits into a second."""
 SPIN_TIME = 0.1
 """Longest wait of an executor before it looks for a signal, s; the events executor ignores a time-out of None."""
-
-
-class Stop:
-    """Handler of SIGINT and SIGTERM in the main thread.
-
-    A signal ends the process at once while its nodes are being made; later it is only noted, so that no callback ends
-    halfway. A process that is still busy after a grace, s, in a library or in a simulator that hangs, says its last
-    words and is ended. All with status 0: being stopped is no error, and `ros2 launch` reports `process has died` for
-    any other.
-
-    Attributes:
-        making: whether the nodes are being made.
-        requested: whether a signal has come.
-    """
-
-    def __init__(self, grace: float = GRACE, last_words: Callable[[], None] = lambda: None) -> None:
-        self.making, self.requested = True, False
-        self._grace, self._last_words = grace, last_words
-        self._readable, writable = os.pipe()
-        os.set_blocking(writable, False)
-        # The C signal handler writes this, even while the main thread cannot run the Python handler.
-        signal.set_wakeup_fd(writable, warn_on_full_buffer=False)
-        threading.Thread(target=self._end_in_time, name="stop", daemon=True).start()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._on_signal)
-
-    def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self.requested = True
-
-    def _end_in_time(self) -> None:
-        os.read(self._readable, 1)
-        if not self.making:
-            threading.Event().wait(self._grace)
-            self._last_words()
-            print(f"ended while still busy, {self._grace:g} s after the signal", file=sys.stderr, flush=True)
-        os._exit(0)
 
 
 class LogFolderError(InputError):

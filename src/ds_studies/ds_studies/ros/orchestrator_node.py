@@ -19,6 +19,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
+from ds_base.executables import Stop
 from ds_base.extension import confirm
 from ds_base.progress import lines_to
 from ds_orchestrator.campaign.executor import Stopped
@@ -27,7 +28,7 @@ from ds_sim.ros.neighbours import Presence
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.parameters import declare
 from ds_sim.ros.requests import GoalServer, RequestRefused
-from ds_sim.ros.runtime import Stop, init_ros
+from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Reason
 from ds_studies.ros.campaign_view import CampaignView
 from ds_studies.ros.goals import ENGINES, Job, StateListener, Work, drive_tests_goal, run_campaign_goal
