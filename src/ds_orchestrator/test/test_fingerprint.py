@@ -21,7 +21,7 @@ def test_the_renderer_counts_where_panda_drives(monkeypatch: pytest.MonkeyPatch)
     def missing() -> str:
         raise SimulatorError("libEGL.so.1 is missing")
 
-    monkeypatch.setattr(simulator, "renderer_name", missing)
+    monkeypatch.setattr(simulator, "graphics", missing)
     assert differences(here, fingerprint("", (PANDA,))) == f"renderer absent there, {here['renderer']} here"
     assert not {"renderer", "panda3d"} & set(fingerprint("onnx", (BULLET, SimulatorName(DONKEY))))
 

@@ -69,15 +69,10 @@ class Vehicle(ABC):
         return
 
 
-def check_ranges(
-    parameters: Any, limits: Mapping[str, tuple[float, float]], usual: tuple[float, float] = (0.0, math.inf)
-) -> None:
-    """Check that the numbers of a vehicle's parameters, a dataclass, are within limits by field; ValueError if not.
-
-    All other fields have the usual limits.
-    """
+def check_ranges(parameters: Any, limits: Mapping[str, tuple[float, float]]) -> None:
+    """Check the numbers of a dataclass by field: within limits, at least 0 where there are none, or ValueError."""
     for field in fields(parameters):
-        value, (low, high) = getattr(parameters, field.name), limits.get(field.name, usual)
+        value, (low, high) = getattr(parameters, field.name), limits.get(field.name, (0.0, math.inf))
         if not (math.isfinite(value) and low <= value <= high):
             raise ValueError(f"{field.name} is {value}, expected a number from {low:g} to {high:g}: correct it")
 

@@ -14,8 +14,6 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from ds_sim.parts import check_ranges
-
 GRAVITY = 9.81
 """m/s^2."""
 
@@ -84,9 +82,6 @@ class BulletParameters:
 
     substeps: int = 12  # physics substeps per step of 1/20 s; chosen: 12 (240 Hz); for the reason see `BulletVehicle`
     solver_iterations: int = 50  # iterations of projected Gauss-Seidel per substep; chosen: Bullet's default of 50
-
-    def __post_init__(self) -> None:
-        check_ranges(self, _LIMITS)
 
     def adjusted(self, *, friction: float, payload: float) -> BulletParameters:
         """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
@@ -159,22 +154,3 @@ class BulletParameters:
         """Mean angle of two front wheels, rad, left positive; inverse of `wheel_angles`."""
         left_tan, right_tan, half = math.tan(left), math.tan(right), 0.5 * self.track / self.wheelbase
         return math.atan(0.5 * (left_tan / (1.0 + half * left_tan) + right_tan / (1.0 - half * right_tan)))
-
-
-_TINY = 1e-6
-_LIMITS: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(
-        (
-            "length", "width", "height", "wheelbase", "track", "mass", "unsprung_mass", "wheel_mass", "wheel_radius",
-            "wheel_spin_inertia", "ride_frequency", "steering_rate", "steering_torque",
-            "limiter_band", "fade_speed",
-        ),
-        (_TINY, math.inf),
-    ),
-    "front_share": (0.2, 0.8),
-    "max_steering_angle": (_TINY, 1.0),
-    "neutral_throttle": (_TINY, 0.9),
-    "substeps": (1, 1000),
-    "solver_iterations": (1, 1000),
-}  # fmt: skip
-"""Range of each value whose range is not simply 0 or more."""

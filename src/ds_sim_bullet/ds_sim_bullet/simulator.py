@@ -49,13 +49,12 @@ LOOK = Look(
 
 
 class BulletSimulator(RoadSimulator):
-    """Simulator of a rigid-body city car in PyBullet, with nominal parameters unless others are given."""
+    """Simulator of a rigid-body city car in PyBullet."""
 
     modules = ("pybullet",)
 
-    def __init__(self, parameters: BulletParameters | None = None) -> None:
-        parameters = parameters or BulletParameters()
-        vehicle = BulletVehicle(parameters)
+    def __init__(self) -> None:
+        parameters = BulletParameters()
         spec = SimulatorSpec(
             name="bullet",
             physics="rigid bodies: sprung car on four wheels with Coulomb friction, rear-driven",
@@ -72,4 +71,4 @@ class BulletSimulator(RoadSimulator):
             engine=f"PyBullet {metadata.version('pybullet')}",
             extra={"physics_rate": f"{FRAME_RATE * parameters.substeps:g} Hz"},
         )
-        super().__init__(spec, vehicle)
+        super().__init__(spec, BulletVehicle(parameters))

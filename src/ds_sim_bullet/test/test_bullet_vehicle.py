@@ -124,13 +124,6 @@ def test_the_urdf_has_the_mass_and_the_balance_of_the_car() -> None:
     assert 0.5 + moment / P.wheelbase == pytest.approx(P.front_share)
 
 
-def test_invalid_parameters_are_refused_in_one_line() -> None:
-    with pytest.raises(ValueError, match=r"^mass is nan, expected a number from 1e-06 to inf: correct it$"):
-        BulletParameters(mass=math.nan)
-    with pytest.raises(ValueError, match=r"^substeps is 0, expected"):
-        BulletParameters(substeps=0)
-
-
 def test_without_pybullet_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(UnknownSimulatorError, match=r"^simulator 'bullet' cannot be loaded \(this needs pybullet"):

@@ -11,7 +11,7 @@ from ds_sim.camera.look import Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import SimulatorError, SimulatorSpec
-from ds_sim_panda.scene.graphics import renderer_name
+from ds_sim_panda.scene.graphics import graphics
 from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import GAINS, PREVIEW_DISTANCE, MultiBodyParameters
@@ -44,13 +44,13 @@ class PandaSimulator(RoadSimulator):
     def depends_on(cls) -> dict[str, str]:
         """Versions of the libraries that move the car and draw; the renderer is "absent" where it cannot draw."""
         try:
-            renderer = renderer_name()
+            renderer = graphics().renderer
         except (ImportError, SimulatorError):
             renderer = "absent"
         return {**{name: versions()[name] for name in LIBRARIES}, "renderer": renderer}
 
-    def __init__(self, parameters: MultiBodyParameters | None = None) -> None:
-        p = parameters or MultiBodyParameters()
+    def __init__(self) -> None:
+        p = MultiBodyParameters()
         scene = PandaScene(CAMERA)
         spec = SimulatorSpec(
             name="panda",
@@ -67,6 +67,6 @@ class PandaSimulator(RoadSimulator):
             autopilot=GAINS,
             preview_distance=PREVIEW_DISTANCE,
             engine=f"commonroad-vehicle-models {version('commonroad-vehicle-models')}, Panda3D {version('panda3d')} on "
-            f"{renderer_name()}",
+            f"{graphics().renderer}",
         )
         super().__init__(spec, MultiBodyVehicle(p), scene=scene)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
@@ -34,7 +32,7 @@ def drive(car: MultiBodyVehicle, frames: int, steering: float, throttle: float) 
     return states
 
 
-@pytest.mark.parametrize("number", published.CARS)
+@pytest.mark.parametrize("number", [1, 2, 3])
 def test_the_right_hand_side_is_that_of_the_package_at_random_states(number: int) -> None:
     rng = np.random.default_rng(number)
     reference = published.parameter_set(number)
@@ -79,13 +77,6 @@ def test_the_steering_has_the_published_rate(car: MultiBodyVehicle) -> None:
     angles = [0.0, *(s.steering_angle for s in drive(car, 60, 1.0, 0.0))]
     assert np.abs(np.diff(angles)).max() == pytest.approx(0.4 * FRAME_TIME)
     assert angles[-1] == pytest.approx(-0.91)
-
-
-def test_invalid_parameters_are_refused_in_one_line() -> None:
-    with pytest.raises(ValueError, match=r"^parameter_set is 4, expected one of 1, 2, 3: correct it$"):
-        MultiBodyParameters(parameter_set=4)
-    with pytest.raises(ValueError, match=r"^fade_speed is nan, expected a number from 1e-06 to 40: correct it$"):
-        MultiBodyParameters(fade_speed=math.nan)
 
 
 def test_another_version_of_the_model_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -47,8 +47,8 @@ def test_the_sun_stands_where_the_almanac_says() -> None:
 @pytest.mark.parametrize("variable", ["LIBGL_DRIVERS_PATH", "__EGL_VENDOR_LIBRARY_FILENAMES"])
 def test_missing_libraries_are_named_in_one_line(variable: str) -> None:
     code = (
-        "from ds_sim_panda.scene.graphics import renderer_name\n"
-        "try: renderer_name()\n"
+        "from ds_sim_panda.scene.graphics import graphics\n"
+        "try: graphics()\n"
         "except Exception as error: print(type(error).__name__, error)\n"
     )
     environment = {**os.environ, variable: "/nonexistent"}

@@ -14,8 +14,6 @@ import dataclasses
 import math
 from dataclasses import dataclass
 
-from ds_sim.parts import check_ranges
-
 GRAVITY = 9.81
 """m/s^2."""
 
@@ -132,14 +130,6 @@ class SoftbodyParameters:
     # Solver iterations for the beams' damping per substep; chosen: 2; ten change that drive by less than 1 um.
     solver_iterations: int = 2
 
-    def __post_init__(self) -> None:
-        check_ranges(self, _LIMITS, usual=(1e-9, math.inf))
-        if self.frame_substeps % self.body_substeps:
-            raise ValueError(
-                f"frame_substeps is {self.frame_substeps}, expected a multiple of body_substeps "
-                f"({self.body_substeps}): correct one of them"
-            )
-
     def adjusted(self, *, friction: float, payload: float) -> SoftbodyParameters:
         """Copy as `ds_sim.parts.Vehicle.adjust` has it; springs and dampers stay those of the car."""
         if (friction, payload) == (1.0, 0.0):
@@ -172,23 +162,3 @@ class SoftbodyParameters:
     def centre_of_mass_ahead(self) -> float:
         """Distance of the centre of mass ahead of the midpoint between the axles, m."""
         return self.wheelbase * (self.front_share - 0.5)
-
-
-_LIMITS: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("front_share", "roll_front_share", "ackermann"), (0.0, 1.0)),
-    **dict.fromkeys(
-        (
-            "load_sensitivity",
-            "carcass_damping",
-            "rolling_resistance",
-            "frame_damping",
-            "arm_damping",
-            "body_damping",
-            "roll_axis_height",
-            "rotor_inertia",
-            "regenerative_force",
-        ),
-        (0.0, math.inf),
-    ),
-}
-"""Range of each value whose range is not simply above 0."""

@@ -49,10 +49,10 @@ LOOK = Look(
 
 
 class SoftbodySimulator(RoadSimulator):
-    """Simulator of a small electric car of nodes and damped beams, with nominal parameters unless others are given."""
+    """Simulator of a small electric car of nodes and damped beams."""
 
-    def __init__(self, parameters: SoftbodyParameters | None = None) -> None:
-        p = parameters or SoftbodyParameters()
+    def __init__(self) -> None:
+        p = SoftbodyParameters()
         spec = SimulatorSpec(
             name="softbody",
             physics="soft body: mass nodes joined by damped beams, brush tyres at the wheel nodes",

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -87,8 +86,6 @@ def test_the_frame_has_the_cars_mass_centre_and_inertia() -> None:
     assert plan.masses.min() > 0.0
     assert centre == pytest.approx((-0.03 * P.wheelbase, 0.0), abs=1e-9)
     assert plan.masses @ np.sum((plan.positions - centre) ** 2, axis=1) == pytest.approx(P.yaw_inertia)
-    with pytest.raises(ValueError, match="no positive node masses"):
-        blueprint(replace(P, yaw_inertia=300.0))
 
 
 def modes() -> NDArray[np.float64]:
@@ -142,15 +139,6 @@ def test_the_length_of_a_vector_has_the_bits_of_python() -> None:
 def test_full_throttle_straight_ahead_ends_at_the_top_speed() -> None:
     *_, last = drive(standing(), 1200, 0.0, 1.0)
     assert last.speed == pytest.approx(P.top_speed, abs=1.0)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("mass", math.nan), ("friction", 0.0), ("front_share", 1.5), ("arm_damping", -1.0), ("body_substeps", 7)],
-)
-def test_impossible_parameters_are_refused(name: str, value: float) -> None:
-    with pytest.raises(ValueError, match=name):
-        dataclasses.replace(P, **{name: value})  # type: ignore[arg-type]
 
 
 def test_a_lifted_wheel_carries_the_minimum_load() -> None:

@@ -51,11 +51,6 @@ def _graphics() -> Graphics:
     return Graphics()
 
 
-def renderer_name() -> str:
-    """Name and version of the library that draws, such as `Mesa 22.3.6, llvmpipe (LLVM 15.0.6, 256 bits)`."""
-    return graphics().renderer
-
-
 class Graphics:
     """Draws scenes into memory; calls may come from any thread, one after the other.
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from ds_sim.parts import check_ranges
 from ds_sim.simulator import AutopilotGains
 from ds_sim_panda.vehicle import published
 
@@ -28,8 +27,8 @@ class MultiBodyParameters:
     resistance.
     """
 
-    # Number of the published set, see `published.CARS`; chosen: 1, a Ford Escort, a compact car with front-wheel drive,
-    # which neither siblings nor twin have.
+    # Number of the published set; chosen: 1, a Ford Escort, a compact car with front-wheel drive, which neither the
+    # siblings nor the twin have.
     parameter_set: int = 1
     # Side force of a tyre by its longitudinal slip, over its load (`r_vy1`). Published are -0.0278, of one tyre, for
     # all wheels, with which the car strays 0.8 m over 200 m of straight road; chosen: 0, as tyres on both sides of a
@@ -53,12 +52,6 @@ class MultiBodyParameters:
     # chosen: 1.5, half of Runge-Kutta's limit of 2.79, as the load of a wheel can nearly double. Halving both moves the
     # car by at most 0.1 mm on a road.
     stable_step: float = 1.5
-
-    def __post_init__(self) -> None:
-        if self.parameter_set not in published.CARS:
-            numbers = ", ".join(str(number) for number in published.CARS)
-            raise ValueError(f"parameter_set is {self.parameter_set}, expected one of {numbers}: correct it")
-        check_ranges(self, _LIMITS)
 
     @property
     def published(self) -> Any:
@@ -93,18 +86,3 @@ class MultiBodyParameters:
         along = p.tire.p_kx1 * p.R_w**2 / p.I_y_w
         sideways = 2.0 * abs(p.tire.p_ky1) / min(p.m_uf, p.m_ur)
         return float(load * max(along, sideways))
-
-
-_TINY = 1e-6
-_LIMITS: dict[str, tuple[float, float]] = {
-    "slip_side_force": (-0.1, 0.1),
-    "drive_acceleration": (0.0, 11.5),
-    "max_speed": (_TINY, 40.0),
-    "limiter_band": (_TINY, 40.0),
-    "regenerative_deceleration": (0.0, 11.5),
-    "fade_speed": (_TINY, 40.0),
-    "neutral_throttle": (_TINY, 0.9),
-    "substeps": (1, 1000),
-    "stable_step": (1e-3, 2.79),
-}
-"""Range of each value; 11.5 m/s^2 is the largest acceleration of the published sets, 2.79 the limit of stability."""

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 PACKAGE = "commonroad-vehicle-models"
 VERSION = "3.0.2"
 """Version of the package whose functions `integration` compiles."""
-CARS = {1: "Ford Escort", 2: "BMW 320i", 3: "VW Vanagon"}
-"""Cars by number of their parameter set."""
 
 STATES = 29
 """Length of the state."""
@@ -45,7 +43,7 @@ def check_version() -> None:
 
 @cache
 def parameter_set(number: int) -> Any:
-    """Read a published parameter set: the package's own `VehicleParameters`, SI units; do not change it."""
+    """Read a published set, of a Ford Escort, BMW 320i or VW Vanagon (1 to 3), in SI units; do not change it."""
     from vehiclemodels.vehicle_parameters import setup_vehicle_parameters
 
     return setup_vehicle_parameters(number)
