@@ -24,6 +24,7 @@ from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.look import Look
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
+from ds_sim.camera.surface import LEAD_IN, LEAD_OUT, RESOLUTION
 from ds_sim.camera.textures import textures
 from ds_sim.registry import STANDARD, spec_of
 from ds_sim.simulator import VehicleState
@@ -37,10 +38,10 @@ ROADS = {
 
 def whole_atlas(road: Road, look: Look) -> NDArray[np.uint8]:
     """All levels of the ground, painted in full, side by side."""
-    centre, across = painting.with_leads(road, painting.LEAD_IN, painting.LEAD_OUT)
+    centre, across = painting.with_leads(road, LEAD_IN, LEAD_OUT)
     half_width = road.lane_width
     low, high = centre.min(axis=0) - half_width - painting.MARGIN, centre.max(axis=0) + half_width + painting.MARGIN
-    columns, rows = (math.ceil((high[i] - low[i]) / painting.RESOLUTION / 32) * 32 for i in (0, 1))
+    columns, rows = (math.ceil((high[i] - low[i]) / RESOLUTION / 32) * 32 for i in (0, 1))
     made = textures(look, painting.LEVELS)
     repeats = (math.ceil(rows / 512), math.ceil(columns / 512), 1)
     raster, asphalt = (
@@ -52,14 +53,14 @@ def whole_atlas(road: Road, look: Look) -> NDArray[np.uint8]:
         def pixels(
             offset: float, line: NDArray[np.float64] = line, normal: NDArray[np.float64] = normal
         ) -> NDArray[np.int32]:
-            return np.round(((line + offset * normal) / painting.RESOLUTION - 0.5) * 64).astype(np.int32)
+            return np.round(((line + offset * normal) / RESOLUTION - 0.5) * 64).astype(np.int32)
 
         mask = np.zeros((rows, columns), np.uint8)
         cv2.fillPoly(mask, [np.concatenate((pixels(half_width), pixels(-half_width)[::-1]))], 255, cv2.LINE_8, 6)
         raster[mask > 0] = asphalt[mask > 0]
         inset = half_width - look.line_width / 2
         for offset, colour in ((inset, look.edge_line), (-inset, look.edge_line), (0.0, look.centre_line)):
-            thickness = max(1, round(look.line_width / painting.RESOLUTION))
+            thickness = max(1, round(look.line_width / RESOLUTION))
             cv2.polylines(raster, [pixels(offset)], False, colour, thickness, cv2.LINE_AA, 6)
     atlas = np.zeros((rows, 2 * columns, 4), np.uint8)
     outside = (*(int(round(v)) for v in made.grass[0][..., :3].reshape(-1, 3).mean(axis=0)), 255)

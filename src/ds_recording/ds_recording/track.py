@@ -135,7 +135,7 @@ def write_track(path: Path, track: Track, half_width: float) -> None:
 def read_track(path: Path) -> Track:
     """Read a RoboRacer track file, closed if its ends are at most two steps apart; RecordingError if it is none."""
     try:
-        points = tracks.read_track(read_regular(path, MAX_TRACK_FILE)).points
+        points, _ = tracks.read_track(read_regular(path, MAX_TRACK_FILE))
     except (OSError, FileError, RoadError) as error:
         raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error!s:.200}") from None
     steps = np.hypot(*np.diff(points, axis=0).T)

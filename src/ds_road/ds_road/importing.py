@@ -28,7 +28,7 @@ from ds_road.commonroad import WIDTH_SPREAD, constant_width, read_commonroad
 from ds_road.files import LARGEST_FILE, road_from_json, road_object
 from ds_road.opendrive import MOST_ROADS, SPACING, read_opendrive
 from ds_road.road import LANE_WIDTH, MAX_POINTS, Road, RoadError, Side
-from ds_road.tracks import MeasuredTrack, read_track
+from ds_road.tracks import read_track
 
 SPARSE = 2.5
 """m; road points of SBFT tests that are farther apart are interpolated; chosen: twice the usual spacing."""
@@ -126,7 +126,7 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | 
     if beginning[:1] != b"<":
         lanes = 1 if lane == "single" else 2
         left_out.total += 1
-        return [_track(read_track(content), path.stem, lane_width, lanes, scale)]
+        return [_track(content, path.stem, lane_width, lanes, scale)]
     try:
         root = parse_xml(content)
     except FileError as error:
@@ -140,12 +140,13 @@ def _read(path: Path, left_out: LeftOut, lane_width: float | None, lane: Side | 
     raise RoadError(f"XML of {root.tag[:40]!r}: expected OpenDRIVE or commonRoad")
 
 
-def _track(track: MeasuredTrack, name: str, lane_width: float | None, lanes: int, scale: float) -> CentreLine:
+def _track(content: bytes, name: str, lane_width: float | None, lanes: int, scale: float) -> CentreLine:
     """The line in the middle of a track; where it has no widths, that of the file."""
-    points, right, left = (None if values is None else scale * values for values in track)
-    assert points is not None
-    if right is None or left is None:
+    points, sides = read_track(content)
+    points = scale * points
+    if sides is None:
         return CentreLine(name, points, lane_width or LANE_WIDTH)
+    right, left = scale * sides.T
     along = np.gradient(points, axis=0)
     normal = np.stack((-along[:, 1], along[:, 0]), axis=1) / np.maximum(np.hypot(*along.T), 1e-12)[:, None]
     middle = points + ((left - right) / 2.0)[:, None] * normal

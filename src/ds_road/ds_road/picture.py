@@ -93,15 +93,9 @@ def draw(
 
 
 def map_axes(figure: Figure, road: Road, corner: Array, scale: float, size: tuple[int, int], footer: int = 0) -> Axes:
-    """Draw a road on grass.
+    """Draw a road on grass in an empty figure, `scale` pixels per metre.
 
-    Args:
-        figure: empty figure.
-        road: the road.
-        corner: position of the map's lower left corner in the road frame, m.
-        scale: pixels per metre.
-        size: columns and rows of the map, pixels.
-        footer: rows of the figure below the map, pixels.
+    The lower left corner is in the road frame, m; the map's size is columns and rows, the footer rows below it, px.
     """
     columns, rows = size
     figure.set_layout_engine("none")

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,22 +24,13 @@ NAMES = {
 MOST_ROWS = 200_000
 
 
-class MeasuredTrack(NamedTuple):
-    """Centre line and widths of a track, m.
+def read_track(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Read a track; a `RoadError` names the line of the file.
 
-    Attributes:
-        points: (n, 2) in driving order.
-        right: (n,) from the line to the right border; None if the file has no widths.
-        left: (n,) to the left border.
+    Returns:
+        Centre line in driving order, (n, 2), and distances from it to the right and to the left border, (n, 2), m; None
+        if the file has no widths.
     """
-
-    points: NDArray[np.float64]
-    right: NDArray[np.float64] | None = None
-    left: NDArray[np.float64] | None = None
-
-
-def read_track(content: bytes) -> MeasuredTrack:
-    """Read a track; a `RoadError` names the line of the file."""
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError:
@@ -79,8 +69,8 @@ def read_track(content: bytes) -> MeasuredTrack:
         raise RoadError(f"row {row + 1} of the track has no finite x and y: correct or delete it")
     right, left = columns["right"], columns["left"]
     if right is None or left is None:
-        return MeasuredTrack(table[:, [x, y]])
-    return MeasuredTrack(table[:, [x, y]], table[:, right], table[:, left])
+        return table[:, [x, y]], None
+    return table[:, [x, y]], table[:, [right, left]]
 
 
 def _cells(line: str) -> list[str]:

@@ -51,7 +51,7 @@ def load(module: str, *arguments: Any, symbols: Mapping[str, int] | None = None)
     The module is imported, and its function compiled, only where no object file has the present code of its package.
 
     Args:
-        module: name of the module.
+        module: its name.
         arguments: types of the function's arguments, as in `ctypes`.
         symbols: addresses of the C functions that it calls, except those of the C library.
     """

@@ -322,9 +322,7 @@ def simulator_of_process(name: str) -> Simulator:
     return simulator
 
 
-@cache
-def _kept(name: str) -> Simulator:
-    return make_simulator(name)
+_kept = cache(make_simulator)
 
 
 @lru_cache

@@ -14,12 +14,10 @@ from ds_road import Road
 from ds_road.geometry import arc_lengths
 from ds_sim.camera.atlas import TILE, AtlasMemory, Ground
 from ds_sim.camera.look import Look
-from ds_sim.camera.surface import SURFACE_CONDITIONS, Canvas, Strip, Surface
+from ds_sim.camera.surface import LEAD_IN, LEAD_OUT, RESOLUTION, SURFACE_CONDITIONS, Canvas, Strip, Surface
 from ds_sim.camera.textures import TEXTURE_SIZE, textures
 from ds_sim.conditions.model import DEFAULT, Conditions
 
-RESOLUTION = 0.05
-"""Size of a pixel of the finest raster, m; chosen: a line of 0.15 m is three pixels wide."""
 LEVELS = 6
 """Number of rasters in the pyramid, each with half the resolution; the coarsest has pixels of 1.6 m, in which a lane
 line vanishes."""
@@ -28,8 +26,6 @@ LAZY_LEVELS = 2
 are seen nearly whole."""
 MARGIN = 30.0
 """Width of the grass painted around the road, m; beyond it the plane has one colour."""
-LEAD_IN, LEAD_OUT = 10.0, 40.0
-"""Length of straight road painted before the start and beyond the end, m, so that neither ends abruptly in view."""
 _SHIFT = 6
 """Fractional bits of the coordinates that OpenCV draws with."""
 _LINE_REACH = 4
@@ -63,7 +59,7 @@ def paint_ground(
     surface = None
     if SURFACE_CONDITIONS & conditions.changed.keys():
         source = rng or np.random.default_rng(0)
-        surface = Surface(conditions, look, source, resolution=RESOLUTION, leads=(LEAD_IN, LEAD_OUT))
+        surface = Surface(conditions, look, source)
     centre, across = with_leads(road, LEAD_IN, LEAD_OUT)
     low = centre.min(axis=0) - road.half_width - MARGIN
     high = centre.max(axis=0) + road.half_width + MARGIN

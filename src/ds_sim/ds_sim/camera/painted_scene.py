@@ -37,6 +37,7 @@ class PaintedScene(RenderedScene):
 
     conditions = SURFACE_CONDITIONS | CAMERA_CONDITIONS | {"visibility", "sun_azimuth", "sun_elevation"}
     only: ClassVar[Mapping[str, object]] = {}
+    world_first = True
 
     def __init__(self, camera: CameraSpec, look: Look) -> None:
         super().__init__(camera)
@@ -64,11 +65,6 @@ class PaintedScene(RenderedScene):
     def _sun(self, conditions: Conditions) -> tuple[float, float]:
         look = self._lit(conditions)
         return look.sun_azimuth, look.sun_elevation
-
-    @staticmethod
-    def _streams(rng: np.random.Generator) -> tuple[np.random.Generator, np.random.Generator]:
-        world, lens = rng.spawn(2)
-        return world, lens
 
     def _lit(self, conditions: Conditions) -> Look:
         """Look under the sun of conditions."""

@@ -34,12 +34,14 @@ class RenderedScene(Scene):
     Attributes:
         conditions: conditions that the scene realises.
         haze: colour into which distant things fade by `Optics`; None where the renderer draws haze itself.
+        world_first: whether the first of the two random streams of a run is the world's, not the lens's.
         only: properties that the camera must have, or it is refused by a ValueError, as the scene draws no other.
     """
 
     conditions: ClassVar[frozenset[str]] = CAMERA_CONDITIONS
     haze: Colour | None = None
     only: ClassVar[Mapping[str, object]] = PLAIN
+    world_first: ClassVar[bool] = False
 
     def __init__(self, camera: CameraSpec) -> None:
         for name, expected in self.only.items():
@@ -68,17 +70,13 @@ class RenderedScene(Scene):
     def _sun(self, conditions: Conditions) -> tuple[float, float]:
         """Azimuth and elevation of the sun, rad."""
 
-    @staticmethod
-    def _streams(rng: np.random.Generator) -> tuple[np.random.Generator, np.random.Generator]:
-        """Sources of what is random in the world, and on the lens."""
-        lens, world = rng.spawn(2)
-        return world, lens
-
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Build the world of a road from scratch; see `Scene.load`."""
         self._sensor = self._whole = None
         self._run_rows = self._rows
-        world_rng, lens_rng = self._streams(rng)
+        lens_rng, world_rng = rng.spawn(2)
+        if self.world_first:
+            lens_rng, world_rng = world_rng, lens_rng
         sun = self._sun(conditions)
         self._run_spec, self._optics = camera_under(self._spec, conditions, lens_rng, sun=sun, haze=self.haze)
         self._build(road, conditions, world_rng)

@@ -23,6 +23,10 @@ from ds_sim.camera.textures import TEXTURE_SIZE
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.pieces import gaps, pieces
 
+RESOLUTION = 0.05
+"""Size of a pixel of the finest raster, m; chosen: a line of 0.15 m is three pixels wide."""
+LEAD_IN, LEAD_OUT = 10.0, 40.0
+"""Length of straight road painted before the start and beyond the end, m, so that neither ends abruptly in view."""
 SURFACE_CONDITIONS = frozenset(
     {
         "line_contrast",
@@ -108,25 +112,12 @@ class Canvas:
 
 
 class Surface:
-    """Draws the conditions of one road on its raster, whose pixels have a size, m.
+    """Draws the conditions of one road on its raster."""
 
-    The leads are the lengths of road before the start and beyond the end, m.
-    """
-
-    def __init__(
-        self,
-        conditions: Conditions,
-        look: Look,
-        rng: np.random.Generator,
-        *,
-        resolution: float,
-        leads: tuple[float, float],
-    ) -> None:
+    def __init__(self, conditions: Conditions, look: Look, rng: np.random.Generator) -> None:
         self._conditions = conditions
         self._look = look
         self._rngs = dict(zip(("lines", "grain", "patches", "shadows"), rng.spawn(4), strict=True))
-        self._resolution = resolution
-        self._leads = leads
         reflectance = float(light_of(look.asphalt).mean())
         self._reflectance = conditions.pavement_reflectance or reflectance
         self._brighter = self._reflectance / reflectance
@@ -149,7 +140,7 @@ class Surface:
 
     def draw(self, canvas: Canvas, strip: Strip) -> None:
         """Draw patches, lines and shadows on a paved road with its leads."""
-        line = _Line(strip, self._resolution, self._leads)
+        line = _Line(strip)
         self._draw_patches(canvas, line)
         self._draw_lines(canvas, line)
         self._draw_shadows(canvas, line)
@@ -169,10 +160,10 @@ class Surface:
 
     def _draw_lines(self, canvas: Canvas, line: _Line) -> None:
         c, look, rng = self._conditions, self._look, self._rngs["lines"]
-        thickness = max(1, round(look.line_width / self._resolution))
+        thickness = max(1, round(look.line_width / RESOLUTION))
         grain = _grain(self._rngs["grain"]) * np.float32(min(c.line_contrast, 1.0 - c.line_contrast))
         for offset, colour in line.strip.lines(look):
-            cap = (thickness / 2.0 + _CAP) * self._resolution
+            cap = (thickness / 2.0 + _CAP) * RESOLUTION
             for start, end in gaps(pieces(rng, line.regions, c.line_cover_length, c.line_cover), 0.0, line.length):
                 low = start + cap if start > 0.0 else start
                 high = end - cap if end < line.length else end
@@ -213,11 +204,11 @@ class Surface:
 class _Line:
     """Road's centre line by its arc length, in OpenCV's coordinates with fraction bits."""
 
-    def __init__(self, strip: Strip, resolution: float, leads: tuple[float, float]) -> None:
-        self.strip, self._resolution = strip, resolution
+    def __init__(self, strip: Strip) -> None:
+        self.strip = strip
         self._arc = arc_lengths(strip.centre)
         self.length = float(self._arc[-1])
-        self.regions = ((0.0, leads[0]), (leads[0], self.length - leads[1]), (self.length - leads[1], self.length))
+        self.regions = ((0.0, LEAD_IN), (LEAD_IN, self.length - LEAD_OUT), (self.length - LEAD_OUT, self.length))
 
     def part(self, start: float, end: float, offset: float) -> NDArray[np.int32]:
         """Points from start to end, at a distance to the right."""
@@ -232,7 +223,7 @@ class _Line:
             + offsets * np.interp(arcs, self._arc, self.strip.across[:, i])
             for i in (0, 1)
         ]
-        return np.round((np.stack(points, axis=1) / self._resolution - 0.5) * (1 << _SHIFT)).astype(np.int32)
+        return np.round((np.stack(points, axis=1) / RESOLUTION - 0.5) * (1 << _SHIFT)).astype(np.int32)
 
 
 def _grain(rng: np.random.Generator) -> NDArray[np.float32]:

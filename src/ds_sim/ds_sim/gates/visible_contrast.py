@@ -11,6 +11,7 @@ from ds_road import Road
 from ds_road.geometry import arc_lengths
 from ds_sim.camera.lens import project
 from ds_sim.camera.optics import decode, mounted
+from ds_sim.camera.surface import LEAD_OUT
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import PROBE_EVERY
 from ds_sim.session import RunRecord
@@ -35,8 +36,6 @@ LEAST_POINTS = 4
 """Points in the picture without which a line is out of sight; chosen: 1 m of it."""
 DARKEST = 1.0 / 255.0 / 12.92
 """Linear light of grey level 1: the darkest pavement against which contrast is taken."""
-_LEAD_OUT = 40.0
-"""Straight road that simulators draw beyond the end, m (`ds_sim.camera.ground`)."""
 _RED, _GREEN, _BLUE = 0.2126, 0.7152, 0.0722
 """Weights of linear red, green and blue (ITU-R BT.709)."""
 _Points = NDArray[np.float64]
@@ -60,8 +59,8 @@ class VisibleContrast:
             across = (road.right_edge - middle) / road.half_width
         along = arc_lengths(lane)
         ahead = (middle[-1] - middle[-2]) / np.hypot(*(middle[-1] - middle[-2]))
-        middle = np.vstack((middle, middle[-1] + _LEAD_OUT * ahead))
-        across, along = np.vstack((across, across[-1:])), np.append(along, along[-1] + _LEAD_OUT)
+        middle = np.vstack((middle, middle[-1] + LEAD_OUT * ahead))
+        across, along = np.vstack((across, across[-1:])), np.append(along, along[-1] + LEAD_OUT)
         half = spec.look.line_width / 2
         edge = road.half_width - half
         self._stations = np.arange(0.0, along[-1], STEP)

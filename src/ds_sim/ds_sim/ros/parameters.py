@@ -30,17 +30,10 @@ def declare(
     choices: Sequence[str] = (),
     length: int | None = None,
 ) -> Any:
-    """Declare a read-only parameter and return its value.
+    """Declare a read-only parameter of a node and return its value.
 
-    Args:
-        node: node that gets the parameter.
-        name: name of the parameter.
-        default: decides the type: bool, int, float, str, or a list of one of them.
-        description: one sentence with the unit; `ros2 param describe` shows it.
-        low: smallest number, also of a list's entries.
-        high: largest number.
-        choices: the values that are allowed.
-        length: entries that a list must have: one for each namespace.
+    The default decides the type: bool, int, float, str, or a list of one of them. Of a list, the bounds and choices are
+    those of each entry, and the length is that of the node's namespaces. The description has the unit.
 
     Raises:
         ValueError: the given value is of another type or out of range.

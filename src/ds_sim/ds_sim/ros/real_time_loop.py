@@ -31,11 +31,6 @@ class FrameJitter:
         self.missed += max(0, index - self._last - 1)
         self._last = index
 
-    @property
-    def beats(self) -> int:
-        """Return the number of frames so far."""
-        return len(self._late)
-
     def lateness(self, quantile: float) -> float:
         """Return a quantile in [0, 1] of the frames' delays after their grid points, s; 0 without frames."""
         return float(np.quantile(self._late, quantile)) if self._late else 0.0
@@ -44,7 +39,7 @@ class FrameJitter:
         """Summarise the jitter in one line."""
         median, most, worst = (1e3 * self.lateness(q) for q in (0.5, 0.99, 1.0))
         return (
-            f"real time: {self.beats} frames at {1.0 / self._period:g} Hz, late by {median:.1f} ms in the median, "
+            f"real time: {len(self._late)} frames at {1.0 / self._period:g} Hz, late by {median:.1f} ms in the median, "
             f"{most:.1f} ms at 99%, {worst:.1f} ms at worst; {self.missed} frames missed"
         )
 

@@ -54,23 +54,19 @@ class LoadedRoad:
         """
         try:
             road = road_from_message(request.road)
-        except RoadError as error:
-            raise RequestRefused(Reason.BAD_ROAD, str(error)) from None
-        if not road.validity.valid:
-            raise RequestRefused(Reason.BAD_ROAD, f"the road is not valid: {road.validity.reason}")
-        if request.default_conditions and request.conditions:
-            raise RequestRefused(Reason.BAD_GOAL, "conditions, and default_conditions: expected one of both")
-        try:
+            if not road.validity.valid:
+                raise RoadError(f"the road is not valid: {road.validity.reason}")
+            if request.default_conditions and request.conditions:
+                raise ConditionsError("conditions, and default_conditions: expected one of both")
             has_conditions = request.conditions or request.default_conditions
             conditions = conditions_from_messages(request.conditions) if has_conditions else self._default
             self._spec.check(conditions)
-        except ConditionsError as error:
-            raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
+            self.scenario = Scenario(road, conditions, seed=request.seed)
+        except RoadError as error:
+            raise RequestRefused(Reason.BAD_ROAD, str(error)) from None
         except NotApplicableError as error:
             raise RequestRefused(Reason.NOT_APPLICABLE, str(error)) from None
-        try:
-            self.scenario = Scenario(road, conditions, seed=request.seed)
-        except ScenarioError as error:
+        except (ConditionsError, ScenarioError) as error:
             raise RequestRefused(Reason.BAD_GOAL, str(error)) from None
         return road
 

@@ -43,12 +43,7 @@ def panda() -> Any:
 def graphics() -> Graphics:
     """Graphics of this process; SimulatorError if EGL or Mesa's software renderer is missing."""
     with _lock:
-        return _graphics()
-
-
-@cache
-def _graphics() -> Graphics:
-    return Graphics()
+        return _made()
 
 
 class Graphics:
@@ -147,6 +142,10 @@ class Graphics:
     def _last_message(self) -> str:
         lines = bytes(self._messages.get_data()).decode(errors="replace").split("\n")
         return next((line for line in reversed(lines) if line.strip()), "Panda3D gives no reason")
+
+
+_made = cache(Graphics)
+"""The one of this process."""
 
 
 def _egl() -> Any:

@@ -21,14 +21,10 @@ _SEED = 14
 
 
 def noise(size: tuple[int, int], cells: int, seed: int, *, octaves: int = 1, fade: float = 0.5) -> NDArray[np.float64]:
-    """Smooth noise that tiles, with mean 0 and standard deviation 1.
+    """Smooth noise of rows and columns that tiles, with mean 0 and standard deviation 1.
 
-    Args:
-        size: rows and columns.
-        cells: of random values along each side.
-        seed: of the values, added to the scene's own.
-        octaves: layers, each with twice the cells.
-        fade: amplitude of a layer relative to the one before.
+    It has random values at so many cells along each side; each further octave has twice the cells, and an amplitude
+    that fades by a factor.
     """
     total = np.zeros(size)
     for octave in range(octaves):
