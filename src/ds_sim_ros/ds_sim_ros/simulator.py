@@ -114,21 +114,14 @@ class RosWorld(Vehicle, Scene):
 
     def _ask(self, act: Callable[[Link], Answer]) -> Answer:
         """Use the connection; one that failed is not used again, as its simulator may be another when it comes back."""
-        if self._link is None:
-            from ds_sim_ros.ros.link import Link  # needs ROS
-
-            self._link = self._named(lambda: Link(self._settings, self._folder))
-        link = self._link
         try:
-            return self._named(lambda: act(link))
-        except SimulatorError:
-            self.close()
-            raise
+            if self._link is None:
+                from ds_sim_ros.ros.link import Link  # needs ROS
 
-    def _named(self, act: Callable[[], Answer]) -> Answer:
-        try:
-            return act()
+                self._link = Link(self._settings, self._folder)
+            return act(self._link)
         except SimulatorError as error:
+            self.close()
             raise SimulatorError(f"{self._settings.name}: {error}") from None
 
     def _begin(self, link: Link, road: Road, seed: int) -> None:

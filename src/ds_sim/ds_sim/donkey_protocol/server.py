@@ -40,13 +40,7 @@ class DonkeyServerError(InputError):
 class DonkeyServer:
     """Serves a simulator to clients of the Donkey protocol; what each drives are `tests`, from the first road on.
 
-    Args:
-        simulator: name known to `ds_sim.registry`.
-        tests: what each client drives.
-        patience: s of wall-clock time that a client may take for a whole message, or for reading an answer.
-        most_clients: connected at the same time.
-        greeting_delay: see `GREETING_DELAY`.
-        yields_after: see `YIELDS_AFTER`.
+    A client may take `patience` s of the wall clock for a whole message, or for reading an answer.
     """
 
     def __init__(

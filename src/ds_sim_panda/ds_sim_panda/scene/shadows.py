@@ -25,13 +25,9 @@ _BORDER = 8
 def cast_shadows(
     solids: Any, course: Course, towards_sun: Direction, along: AlongRoad | None = None
 ) -> tuple[Any, tuple[float, float, float]]:
-    """Draw the shadows around a road, seen from above.
+    """Draw the shadows around a road, seen from above: of solids, a `NodePath`, and those that conditions put along it.
 
-    Args:
-        solids: `NodePath` of all that casts shadows; it has no parent afterwards.
-        course: the road.
-        towards_sun: where the sun stands.
-        along: where conditions put shadows across the road.
+    The solids have no parent afterwards.
 
     Returns:
         Texture, 1 in full shadow of what stands beside the road, and in a second channel, if any, in one of conditions;
