@@ -92,9 +92,6 @@ class FramePublisher:
         self._run_start += seconds + FRAME_TIME
 
 
-RowsSeen = Callable[[SimulatorSpec], tuple[int, int] | None]
-
-
 class DrawnRows:
     """Leaves out rows that only the driver in the simulator's own process would get, and does not look at."""
 
@@ -104,12 +101,10 @@ class DrawnRows:
         self._seen: tuple[int, int] | None = None
         self._own = 0
 
-    def draw_for(self, rows_seen: RowsSeen, *, subscriptions: int) -> None:
-        """Draw from the next run on what the driver in this process looks at.
+    def draw_for(self, rows_seen: Callable[[SimulatorSpec], tuple[int, int] | None], *, subscriptions: int) -> None:
+        """Draw from the next run on the rows that the driver in this process looks at, first and end; all if None.
 
-        Args:
-            rows_seen: maps the simulator's description to first row and end of these rows; to None for all rows.
-            subscriptions: subscriptions of that driver to `frame`.
+        It has so many subscriptions to `frame`.
         """
         self._seen, self._own = rows_seen(self._simulator.spec), subscriptions
 
