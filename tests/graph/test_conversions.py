@@ -28,7 +28,8 @@ def test_a_road_message_makes_an_equal_road_with_the_same_id(name: str) -> None:
     from ds_interfaces.msg import Road as RoadMsg
     from rclpy.serialization import deserialize_message, serialize_message
 
-    from ds_sim.ros.conversions import road_from_message, road_to_message
+    from ds_sim.messages import road_from_message
+    from ds_sim.ros.conversions import road_to_message
 
     sent = deserialize_message(serialize_message(road_to_message(ROADS[name])), RoadMsg)
     made = road_from_message(sent)
@@ -37,7 +38,8 @@ def test_a_road_message_makes_an_equal_road_with_the_same_id(name: str) -> None:
 
 
 def test_a_road_message_without_a_width_has_the_usual_one_and_contradictions_are_refused() -> None:
-    from ds_sim.ros.conversions import road_from_message, road_to_message
+    from ds_sim.messages import road_from_message
+    from ds_sim.ros.conversions import road_to_message
 
     message = road_to_message(ROADS["plain"])
     message.lane_width = 0.0

@@ -31,8 +31,9 @@ from ds_bags.layout import (
 from ds_base.bounded_file import open_regular
 from ds_base.bounded_json import load_json
 from ds_base.installation import ds_command
-from ds_road import Road, RoadError, road_from_fields, road_from_json
+from ds_road import Road, RoadError, road_from_json
 from ds_sim.conditions.text import parse_conditions
+from ds_sim.messages import road_from_message
 from ds_sim.registry import SimulatorName, received_simulator
 from ds_sim.scenario import MAX_SEED, Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
@@ -375,15 +376,7 @@ def _road(bag: BagReader, facts: dict[str, str]) -> Road:
     if "road" in facts:
         return road_from_json(load_json(facts["road"]))
     for _, _, message in bag.decoded(bag.of_type(ROAD)):
-        # Road messages of version 0.1 have control points only, those of 0.2 no lane.
-        return road_from_fields(
-            [(point.x, point.y) for point in message.control_points],
-            lane_width=float(getattr(message, "lane_width", 0.0)),
-            sampled=bool(getattr(message, "sampled", False)),
-            maxitwo_compatible=bool(getattr(message, "maxitwo_compatible", False)),
-            left_lane=bool(getattr(message, "left_lane", False)),
-            road_id=str(getattr(message, "road_id", "")),
-        )
+        return road_from_message(message)
     raise RoadError("no road")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_road import Road
+from ds_road import Road, road_from_fields
 from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.frames import GROUND_TRUTH_COVARIANCE, ROAD_FRAME, Pose, body_pose, camera_pose, frame_of
@@ -215,3 +215,21 @@ class MessageBuilder:
             mesh_file=self._make("visualization_msgs/MeshFile", filename="", data=self._sequence(nothing)),
             mesh_use_embedded_materials=False,
         )
+
+
+def road_from_message(message: Any) -> Road:
+    """Convert a message of any library to a road; its id tells only lanes apart that have no field, and is computed.
+
+    Messages of version 0.1 have control points only, those of 0.2 no lane.
+
+    Raises:
+        ds_road.RoadError: the fields do not define a road.
+    """
+    return road_from_fields(
+        [(point.x, point.y) for point in message.control_points],
+        lane_width=float(getattr(message, "lane_width", 0.0)),
+        sampled=bool(getattr(message, "sampled", False)),
+        maxitwo_compatible=bool(getattr(message, "maxitwo_compatible", False)),
+        left_lane=bool(getattr(message, "left_lane", False)),
+        road_id=str(getattr(message, "road_id", "")),
+    )

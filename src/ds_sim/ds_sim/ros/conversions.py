@@ -24,7 +24,7 @@ from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from ds_road import Road, road_from_fields
+from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import from_pairs
 from ds_sim.frames import ROAD_FRAME
@@ -79,24 +79,8 @@ MESSAGES = message_builder()
 """Builds messages that name no frame of a simulator."""
 
 
-def road_from_message(message: RoadMsg) -> Road:
-    """Convert a message to a road; its id tells only lanes apart that have no field, and is computed.
-
-    Raises:
-        ds_road.RoadError: the fields do not define a road.
-    """
-    return road_from_fields(
-        [(point.x, point.y) for point in message.control_points],
-        lane_width=message.lane_width,
-        sampled=message.sampled,
-        maxitwo_compatible=message.maxitwo_compatible,
-        left_lane=message.left_lane,
-        road_id=message.road_id,
-    )
-
-
 def road_to_message(road: Road) -> RoadMsg:
-    """Convert a road to a message from which `road_from_message` makes an equal road."""
+    """Convert a road to a message from which `ds_sim.messages.road_from_message` makes an equal road."""
     message: RoadMsg = MESSAGES.road(road)
     return message
 

@@ -16,7 +16,8 @@ from rclpy.node import Node
 from ds_base.errors import InputError
 from ds_road import Road, RoadError
 from ds_sim.conditions.model import Conditions, ConditionsError, NotApplicableError
-from ds_sim.ros.conversions import conditions_from_messages, refusal_result, road_from_message
+from ds_sim.messages import road_from_message
+from ds_sim.ros.conversions import conditions_from_messages, refusal_result
 from ds_sim.scenario import Scenario, ScenarioError
 from ds_sim.simulator import Reason, SimulatorSpec
 

@@ -24,8 +24,9 @@ from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_eng
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
+from ds_sim.messages import road_from_message
 from ds_sim.registry import SimulatorName
-from ds_sim.ros.conversions import conditions_from_messages, road_from_message
+from ds_sim.ros.conversions import conditions_from_messages
 from ds_sim.ros.requests import GoalServer
 from ds_sim.scenario import Scenario
 from ds_studies.ros.campaign_messages import outcome_message
