@@ -24,13 +24,9 @@ def share_folders(package: str) -> list[Path]:
     return [*shares, Path(__file__).parents[2] / package]  # a checkout whose workspace is not built yet
 
 
-ROS_MODULES = ("rclpy", "ds_interfaces")
-"""What nodes import: ROS 2, and the messages of a built checkout."""
-
-
 def missing_of_ros() -> list[str]:
-    """Modules of ROS that nodes need and that are not there; empty where ROS is set up."""
-    return [name for name in ROS_MODULES if find_spec(name) is None]
+    """What nodes need and is not there of ROS 2 and the messages of a built checkout; empty where ROS is set up."""
+    return [name for name in ("rclpy", "ds_interfaces") if find_spec(name) is None]
 
 
 def wheel_version() -> str | None:
