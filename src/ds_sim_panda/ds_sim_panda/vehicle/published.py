@@ -61,16 +61,14 @@ def record(values: Any, **changed: Any) -> Any:
 
     Fields that are None are left out; `changed` replaces fields, by a mapping in a dataclass inside.
     """
-    numbers = _numbers(values)
+    numbers = dataclasses.asdict(values, dict_factory=_numbers)
     for name, value in changed.items():
         numbers[name] = {**numbers[name], **value} if isinstance(value, dict) else value
     return np.array(_row(numbers), dtype=_layout(numbers))[()]
 
 
-def _numbers(values: Any) -> dict[str, Any]:
-    numbers = {field.name: getattr(values, field.name) for field in dataclasses.fields(values)}
-    nested = {k: _numbers(v) if dataclasses.is_dataclass(v) else v for k, v in numbers.items() if v is not None}
-    return {name: value for name, value in nested.items() if value != {}}
+def _numbers(fields: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in fields if value is not None and value != {}}
 
 
 def _row(numbers: dict[str, Any]) -> tuple[Any, ...]:
