@@ -306,8 +306,10 @@ def _train_epoch(
 def _validate(network: nn.Module, samples: list[Sample], crops: dict[str, Crop], plan: TrainingPlan) -> float:
     network.eval()
     batches = [np.arange(i, min(i + plan.batch_size, len(samples))) for i in range(0, len(samples), plan.batch_size)]
-    losses = _losses(network, _load_batches(samples, batches, crops, None), reduction="sum")
-    return sum(map(float, losses)) / len(samples)
+    total = 0.0
+    for loss in _losses(network, _load_batches(samples, batches, crops, None), reduction="sum"):
+        total += float(loss)  # not `sum`, which compensates from Python 3.12 on
+    return total / len(samples)
 
 
 def _load_batches(

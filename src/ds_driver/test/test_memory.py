@@ -218,6 +218,7 @@ def test_runs_of_one_process_share_no_state(tmp_path: Path) -> None:
             "has 1 numbers, the input that it comes back",
         ),
         ({"inputs": {"h": {"state": "h_out", "shape": [1, 9]}, "c": {"state": "c_out"}}}, "expects 1x8 as input h"),
+        ({"inputs": {"h": {"state": "h_out", "shape": [2**20] * 4}, "c": {"state": "c_out"}}}, "is too large"),
         (
             {"inputs": {"h": {"value": "speed"}, "c": {"state": "c_out"}}},
             "it takes 8 numbers, speed of 1 frames gives 1",

@@ -137,7 +137,8 @@ def read_track(path: Path) -> Track:
     try:
         points, _ = tracks.read_track(read_regular(path, MAX_TRACK_FILE))
     except (OSError, FileError, RoadError) as error:
-        raise RecordingError(f"{path}: {getattr(error, 'strerror', None) or error!s:.200}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise RecordingError(f"{path}: {reason!s:.200}: expected lines x_m,y_m,w_tr_right_m,w_tr_left_m") from None
     steps = np.hypot(*np.diff(points, axis=0).T)
     if len(points) < 4 or (steps <= 0.0).any():
         raise RecordingError(f"{path}: expected 4 or more points, of which no neighbours are the same")

@@ -53,7 +53,15 @@ def test_a_roboracer_file_comes_back(tmp_path: Path, closed: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "1,2,3\n", "0,0,1,1\n1,nan,1,1\n2,0,1,1\n3,0,1,1\n", "a,b,c,d\n", "0,0,1,1\n" * 5]
+    "text",
+    [
+        "",
+        "1,2,3\n",
+        "0,0,1,1\n1,nan,1,1\n2,0,1,1\n3,0,1,1\n",
+        "a,b,c,d\n",
+        "0,0,1,1\n" * 5,
+        "# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + "".join(f"{x},2,{x / 10}\n" for x in range(5)),
+    ],
 )
 def test_other_files_are_refused_in_one_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "track.csv").write_text(text)

@@ -53,6 +53,7 @@ def draw_map(feature_map: FeatureMap, value: Value, *, bounds: Bounds) -> Pictur
     """Draw one value of a feature map of two features, as (rows, columns, 3) uint8 RGB.
 
     Filled cells show their value, their number of tests, and as in `-2` how many the gates exclude; others are hatched.
+    Maps with the same bounds can be compared cell by cell.
     """
     excluded = sum(feature_map.excluded.values())
     titles = (feature_map.title, VALUE_TITLES[value] + (f"; -n: excluded, {excluded} in all" if excluded else ""))

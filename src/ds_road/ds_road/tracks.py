@@ -55,8 +55,10 @@ def read_track(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64]
     columns = {
         key: next((names.index(name) for name in aliases if name in names), None) for key, aliases in NAMES.items()
     }
-    if len(names) != table.shape[1]:  # a remark, not names
-        columns = dict.fromkeys(NAMES)
+    if len(names) != table.shape[1]:
+        if columns["x"] is not None and columns["y"] is not None:
+            raise RoadError(f"{len(names)} names of columns, and {table.shape[1]} numbers a line: give each its name")
+        columns = dict.fromkeys(NAMES)  # a remark, not names
     x, y = columns["x"], columns["y"]
     if x is None or y is None:
         if any(columns.values()) or len(names) == table.shape[1] or table.shape[1] < 2:

@@ -73,7 +73,11 @@ class Criteria:
         newly_failing: int | None = None,
         worse: Sequence[str] = (),
     ) -> list[str]:
-        """Say which criteria are not met, after `check`; `newly_failing` is None without a reference."""
+        """Say which criteria are not met, one sentence each; `newly_failing` is None without a reference.
+
+        Raises:
+            ConfigError: the criterion needs a comparison, and there is none.
+        """
         self.check(has_reference=newly_failing is not None)
         unmet = []
         failing = {name: failures for name, (failures, _) in tally.items() if failures}

@@ -45,7 +45,10 @@ condition; fails by default: too few roads are completed without any; error: of 
 
 @dataclass(frozen=True, kw_only=True)
 class Threshold:
-    """Where a driver first fails, for one factor on one simulator; levels are as in `Factor`, None is beyond them."""
+    """Where a driver first fails, for one factor on one simulator; levels are as in `Factor`, None is beyond them.
+
+    The message is one line about an error, else "".
+    """
 
     simulator: SimulatorName
     factor: Factor

@@ -51,7 +51,8 @@ def drive_road(
 ) -> RunRecord:
     """Drive a road until the run ends; failures of simulator or driver end the run as an error.
 
-    A probed run measures the contrast of the lines (`ds_sim.gates`).
+    A probed run measures the contrast of the lines (`ds_sim.gates`), on whole images unless the simulator takes
+    stills.
 
     Raises:
         ds_sim.NotApplicableError: the simulator cannot realise a condition; there is no run then.

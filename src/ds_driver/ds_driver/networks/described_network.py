@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
@@ -192,10 +193,10 @@ class DescribedNetworkPilot(Pilot):
         spec, shape = self._given[place]
         assert spec.state is not None
         state = self._output(outputs, f"the state of input {place}", spec.state)
-        if state.size != np.prod(shape):
+        if state.size != math.prod(shape):
             raise DriverError(
                 f"output {spec.state!r} has {state.size} numbers, the input that it comes back in has "
-                f"{int(np.prod(shape))}: name another output"
+                f"{math.prod(shape)}: name another output"
             )
         return state
 

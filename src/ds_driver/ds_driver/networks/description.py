@@ -273,11 +273,11 @@ class GivenInput(Keys, allow_inf_nan=False):
             shape = (1, numbers)
         else:
             raise ValueError("the file does not say the shape of this input: add shape, with a batch of 1")
-        if np.prod(shape) > MOST_NUMBERS:
+        if math.prod(shape) > MOST_NUMBERS:
             raise ValueError(f"a state of {'x'.join(map(str, shape))} is too large")
-        if numbers is not None and np.prod(shape) != numbers:
+        if numbers is not None and math.prod(shape) != numbers:
             value_words = f"{self.value} of {self.last} frames" if self.value else "its constant"
-            raise ValueError(f"it takes {int(np.prod(shape))} numbers, {value_words} gives {numbers}")
+            raise ValueError(f"it takes {math.prod(shape)} numbers, {value_words} gives {numbers}")
         return shape
 
 

@@ -106,7 +106,8 @@ class NetworkDriver:
     def commands(self, frames: Sequence[Frame]) -> list[Command | DriverError]:
         """Compute a command for each frame: the bits of `command`, or the error of that frame.
 
-        The frames are of one run, or of several if `largest_batch` is more than one.
+        The frames, any number, are of one run, or of several if `largest_batch` is more than one; at most so many go
+        through the network at once.
 
         Raises:
             ds_driver.networks.images.ImageError: an image has another size or type.

@@ -107,7 +107,7 @@ class Pilot(ABC):
         largest_batch: frames that `predict_batch` takes at once; more than one only if a prediction depends on its
             frame alone, so that frames of several runs may alternate.
         sees_crop_only: whether it never looks at rows outside the crop of a frame.
-        has_memory: whether an answer may depend on earlier frames of its run.
+        has_memory: whether an answer may depend on earlier frames of its run, so that none may be left out.
         translation: of images before the network sees them; None if it sees them as they are.
     """
 
@@ -130,7 +130,10 @@ class Pilot(ABC):
         """
 
     def seen(self, frame: Frame) -> tuple[NDArray[np.uint8], str]:
-        """Return what it sees of a frame, for pictures: (rows, columns, channels) uint8, and what the channels are."""
+        """Return what it sees of a frame, for pictures: (rows, columns, channels) uint8, and what the channels are.
+
+        Without an override, the image as the paper's networks see it.
+        """
         return prepare(frame.image, frame.crop), "yuv"
 
     def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:

@@ -40,7 +40,7 @@ def translate(
 
     Returns:
         Number of translated drives of a data set, for which `workers` processes work, as many as there are processors
-        if None; or of images of a bag or tub. `progress` counts the same.
+        if None, and with 1 only this one; or of images of a bag or tub. `progress` counts the same.
 
     Raises:
         Sim2RealError: there is nothing to translate, or `out` holds translations by another generator.
@@ -72,7 +72,7 @@ def _data_set(folder: Path, out: Path, translator: Translator, progress: Progres
     write_whole(target / GENERATOR, translator.generator.content)
     progress.start(len(files))
     work = partial(_translate_drive, translator.backend, target)
-    for file in map_in_processes(work, files, workers=workers):
+    for file in map(work, files) if workers == 1 else map_in_processes(work, files, workers=workers):
         progress.advance(line=f"{simulator}: {file.stem}")
     if (folder / "manifest.json").is_file():
         write_manifest(out, _facts(folder / "manifest.json"))

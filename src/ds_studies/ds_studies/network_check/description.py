@@ -3,12 +3,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from ds_base.bounded_memory import limited_memory
 from ds_base.installation import ds_command
@@ -116,7 +115,7 @@ def _images(network_input: NetworkInput) -> list[dict[str, Any]]:
 
 def _given(one: NetworkInput, outputs: Sequence[str]) -> dict[str, Any]:
     """Guess what an input beside the image is, by its name and size; see `GivenInput`."""
-    name, size = one.name.lower(), int(np.prod([n or 1 for n in one.shape or (1,)]))
+    name, size = one.name.lower(), math.prod(n or 1 for n in one.shape or (1,))
     back = [name for name in outputs if one.name and name.lower().strip("_").startswith(one.name.lower())]
     back += [f"{word}{one.name}" for word in ("new_", "next_", "out_") if f"{word}{one.name}" in outputs]
     if back:

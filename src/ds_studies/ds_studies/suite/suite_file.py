@@ -76,7 +76,14 @@ class SuiteTest(Keys, strict=True):
 
 
 class Suite(Keys, strict=True):
-    """Regression suite: a campaign's name and tests, digests of its driver's files, or "", and the simulators' code."""
+    """Regression suite.
+
+    Attributes:
+        campaign: name of the campaign's folder.
+        driver_sha256: digest of its files, or "".
+        maxitwo_compatible: as in the campaign's configuration.
+        code_sha256: digest of the simulators' code by which the outcomes came about.
+    """
 
     format: Literal["digital-siblings-suite"] = "digital-siblings-suite"
     version: Literal[1] = 1
