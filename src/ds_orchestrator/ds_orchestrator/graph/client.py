@@ -295,6 +295,8 @@ class GraphClient:
         if not handle.accepted:
             return "the goal was rejected: is this simulator of another version?"
         result = self._await_result(name, handle)
+        if result is not None and result.status == GoalStatus.STATUS_UNKNOWN:  # of a node that never had the goal
+            return f"the simulator was started anew during the run, {simulator.place}"
         if result is not None:
             return cast(DriveRoad.Result, result.result)
         if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
@@ -391,7 +393,9 @@ class _Simulator:
 
 
 def _fill(record: RunRecord, result: DriveRoad.Result) -> None:
-    """Copy a simulator's result into a record."""
+    """Copy a simulator's result into a record; ValueError for one that no run ends with."""
+    if result.outcome.value == Outcome.RUNNING:
+        raise ValueError("it says that the run goes on")
     record.reason = Reason(result.reason.value)
     record.observations = messages.observations_of(result.trajectory)
     record.commands = messages.commands_of(result.trajectory)
