@@ -128,23 +128,32 @@ def own_cluster(workers: int, options: ClusterOptions, folder: Path) -> Iterator
     """Start a scheduler and workers of one thread on this machine, yield the scheduler's address, and end them."""
     dask: Any = import_module("dask")
     distributed: Any = import_module("distributed")
-    # The dashboard has no authentication.
-    with (
-        dask.config.set({"distributed.worker.memory.terminate": False, "distributed.worker.memory.pause": False}),
-        distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            host=options.listen,
-            protocol="tls://" if options.tls else "tcp://",
-            security=options.security(),
-            dashboard_address=None,
-            worker_dashboard_address=None,
-            local_directory=str(folder),
-            silence_logs=50,
-        ) as cluster,
-    ):
-        yield str(cluster.scheduler_address)
+    # Results are fetched at once, so that workers need neither limits of memory nor a place on the disk for more.
+    limits = {f"distributed.worker.memory.{what}": False for what in ("target", "spill", "pause", "terminate")}
+    with dask.config.set(limits):
+        try:
+            # The dashboard has no authentication.
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host=options.listen,
+                protocol="tls://" if options.tls else "tcp://",
+                security=options.security(),
+                dashboard_address=None,
+                worker_dashboard_address=None,
+                local_directory=str(folder),
+                silence_logs=50,
+            )
+        except RuntimeError as error:  # of a worker, whose own error is the cause
+            problem: BaseException | None = error
+            while problem is not None and not isinstance(problem, OSError):
+                problem = problem.__cause__ or problem.__context__
+            if problem is None:
+                raise
+            raise ClusterError(f"workers of dask cannot be started in {folder}: {problem.strerror}") from None
+        with cluster:
+            yield str(cluster.scheduler_address)
 
 
 def _is_loopback(host: str) -> bool:
