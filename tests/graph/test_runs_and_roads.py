@@ -220,6 +220,20 @@ def test_a_node_that_stops_between_two_runs_is_replaced(graph: Any, monkeypatch:
     assert graph.execute(DONKEY, Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
 
 
+def test_a_simulator_that_is_started_anew_during_a_run_is_an_error(graph: Any) -> None:
+    """The new node never had the goal, and answers the question for its result at once."""
+
+    def watch(step: int, progress: float, lateral_position: float) -> None:
+        if not restarts:
+            restarts.append(step)
+            graph._supervisor.restart("closed_loop_ds1")
+
+    restarts: list[int] = []
+    run = graph.execute(DONKEY, Scenario(ROAD, seed=1), watch=watch)
+    assert restarts and run.outcome is Outcome.SIM_ERROR and "started anew during the run" in run.message
+    assert graph.execute(DONKEY, Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
+
+
 def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
