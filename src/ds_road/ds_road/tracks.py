@@ -56,8 +56,8 @@ def read_track(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64]
         key: next((names.index(name) for name in aliases if name in names), None) for key, aliases in NAMES.items()
     }
     if len(names) != table.shape[1]:
-        if columns["x"] is not None and columns["y"] is not None:
-            raise RoadError(f"{len(names)} names of columns, and {table.shape[1]} numbers a line: give each its name")
+        if len(names) > table.shape[1] and columns["x"] is not None and columns["y"] is not None:
+            raise RoadError(f"{len(names)} columns have names, but lines have {table.shape[1]} numbers: add the others")
         columns = dict.fromkeys(NAMES)  # a remark, not names
     x, y = columns["x"], columns["y"]
     if x is None or y is None:
