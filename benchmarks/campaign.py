@@ -25,11 +25,11 @@ from rich.console import Console
 from rich.table import Table
 
 CASES = (
-    "graph:dave2_short@onnx",
     "local:dave2_short@onnx",
     "local:dave2_short@openvino",
     "local:dave2_short@openvino-bf16",
-    "dask:dave2_short@openvino-bf16",
+    "graph:dave2_short@openvino",
+    "graph:dave2_short@openvino-bf16",
 )
 
 
