@@ -138,9 +138,11 @@ def train_command(
     from ds_driver.training import CHECKPOINT, schedule_of, train
 
     network = network or (architecture_in(path_of_weights(start)) if start else "dave2")
+    chosen = schedule_of(schedule, network)
     plan = replace(
-        schedule_of(schedule, network),
+        chosen,
         seed=seed,
+        epochs=epochs or chosen.epochs,
         images_per_simulator=images,
         learning_rate=learning_rate,
         weights_at=_steps_of(weights_at),
@@ -148,7 +150,6 @@ def train_command(
         device=device,
         start=start or "",
     )
-    plan = replace(plan, epochs=epochs or plan.epochs)
     kept = f"the finished epochs are kept in {out}; the same command continues"
     with stopped(lambda: kept if (out / CHECKPOINT).is_file() else ""):
         train(data, out, plan, ScreenProgress(), trusted=trust or [])

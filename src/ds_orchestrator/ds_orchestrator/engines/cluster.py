@@ -111,12 +111,7 @@ def connect(address: str, options: ClusterOptions, *, limit: float = CONNECT_TIM
     try:
         return distributed.Client(address, timeout=limit, security=options.security(), set_as_default=False)
     except (OSError, TimeoutError, ValueError, RuntimeError) as error:
-        causes: list[BaseException] = []
-        cause: BaseException | None = error
-        while cause is not None and len(causes) < 10:
-            causes.append(cause)
-            cause = cause.__cause__ or cause.__context__
-        tls = next((c for c in causes if "certificate" in str(c).lower() or "ssl" in str(c).lower()), None)
+        tls = next((c for c in _causes(error) if "certificate" in str(c).lower() or "ssl" in str(c).lower()), None)
         if tls is not None:
             what = " ".join(str(tls).split())[:200]
             raise ClusterError(f"{address} refuses this TLS connection ({what}): check the files of tls") from None
@@ -146,14 +141,21 @@ def own_cluster(workers: int, options: ClusterOptions, folder: Path) -> Iterator
                 silence_logs=50,
             )
         except RuntimeError as error:  # of a worker, whose own error is the cause
-            problem: BaseException | None = error
-            while problem is not None and not isinstance(problem, OSError):
-                problem = problem.__cause__ or problem.__context__
+            problem = next((cause for cause in _causes(error) if isinstance(cause, OSError)), None)
             if problem is None:
                 raise
             raise ClusterError(f"workers of dask cannot be started in {folder}: {problem.strerror}") from None
         with cluster:
             yield str(cluster.scheduler_address)
+
+
+def _causes(error: BaseException) -> list[BaseException]:
+    """The error and those that led to it, ten at most."""
+    causes, cause = [error], error.__cause__ or error.__context__
+    while cause is not None and len(causes) < 10:
+        causes.append(cause)
+        cause = cause.__cause__ or cause.__context__
+    return causes
 
 
 def _is_loopback(host: str) -> bool:
