@@ -20,7 +20,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings
-from ds_orchestrator.engines import membership
+from ds_orchestrator.engines import dask_engine
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, TlsFiles, connect, read_cluster
 from ds_orchestrator.engines.dask_engine import DaskEngine, running_dask
 from ds_road import generate
@@ -112,11 +112,11 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
         late = cluster.worker()
         cluster.worker("--preload", str(other))
         wait_until(lambda: "numpy 1.0.0 there" in lines)
-        wait_until(lambda: len(engine._membership.ready) == 2)
+        wait_until(lambda: len(engine.ready) == 2)
         first.kill()
         wait_until(lambda: "is gone: others take over" in lines)
         assert drives.encoded() == reference
-        assert len(engine._membership.ready) == 1 and late.poll() is None
+        assert len(engine.ready) == 1 and late.poll() is None
     assert len([line for line in lines if "refused" in line]) == 1
     assert cluster.drive_workers()  # of the late worker
     cluster.close()
@@ -142,7 +142,7 @@ def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp
 def test_a_worker_that_hangs_is_given_up(
     cluster: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(membership, "SILENCE", 5.0)
+    monkeypatch.setattr(dask_engine, "SILENCE", 5.0)
     lines = Lines()
     first = cluster.worker()
     with running(cluster, tmp_path, lines) as engine:
