@@ -29,8 +29,7 @@ from hypothesis import strategies as st
 from ds_base.progress import LOGGER, lines_to
 from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
-from ds_sim import SimulatorName, make_simulator
-from ds_sim.donkey_protocol.conversation import Conversation, ServedTests
+from ds_sim import Scenario, SimulatorName, make_simulator
 from ds_sim.donkey_protocol.messages import (
     LARGEST_MESSAGE,
     ImageFormat,
@@ -39,7 +38,7 @@ from ds_sim.donkey_protocol.messages import (
     command_of,
     image_format_of,
 )
-from ds_sim.donkey_protocol.server import DonkeyServer
+from ds_sim.donkey_protocol.server import Conversation, DonkeyServer
 from ds_sim.simulator import Outcome
 
 ROAD = generate(np.random.default_rng(21), max_angle=120)
@@ -97,7 +96,7 @@ def served(*roads: Road, sim: str = "bullet", **options: Any) -> Iterator[tuple[
 
     async def main() -> None:
         found.extend((asyncio.get_running_loop(), asyncio.current_task()))
-        tests = ServedTests(roads=roads or (ROAD,), seed=5)
+        tests = [Scenario(road, seed=5) for road in roads or (ROAD,)]
 
         def listening(port: int) -> None:
             found.append(port)
@@ -222,7 +221,7 @@ def test_axes_are_unitys() -> None:
 
 def test_a_reset_before_the_car_moved_keeps_the_road_and_later_ones_go_on() -> None:
     simulator = make_simulator("bullet")
-    talk = Conversation(simulator, ServedTests(roads=[ROAD, STRAIGHT]))
+    talk = Conversation(simulator, [Scenario(ROAD, seed=0), Scenario(STRAIGHT, seed=0)])
     start = talk.answer({"msg_type": "load_scene", "scene_name": "generated_road"})[1]
     drive, reset, hold = control(0.0, 1.0), {"msg_type": "reset_car"}, control(0.0, 0.0, 1.0)
     assert talk.answer(reset) == [] and talk.answer(hold)[0] == start
@@ -244,7 +243,7 @@ def test_a_reset_before_the_car_moved_keeps_the_road_and_later_ones_go_on() -> N
 def test_images_are_scaled_and_grey_and_what_has_no_effect_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, LOGGER)
     simulator = make_simulator("bullet")
-    talk = Conversation(simulator, ServedTests(roads=[ROAD]))
+    talk = Conversation(simulator, [Scenario(ROAD, seed=0)])
     talk.answer({"msg_type": "load_scene", "scene_name": "generated_road"})
     for _ in range(2):
         talk.answer({**OWN_PIXELS, "img_w": "80", "img_h": "40", "img_d": "1", "fov": "50"})

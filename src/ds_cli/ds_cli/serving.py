@@ -44,12 +44,12 @@ def serve_donkey_command(
     """
     from ds_cli.roads import one_road, roads_of
     from ds_sim.conditions.text import parse_conditions
-    from ds_sim.donkey_protocol.conversation import ServedTests
     from ds_sim.donkey_protocol.server import DonkeyServer
+    from ds_sim.scenario import Scenario
 
     roads = [one_road(None, seed, max_angle, lane)] if road is None else roads_of(road, lane)
-    tests = ServedTests(roads=roads, seed=seed, conditions=parse_conditions(conditions))
-    server = DonkeyServer(sim, tests)
+    chosen_conditions = parse_conditions(conditions)
+    server = DonkeyServer(sim, [Scenario(one, chosen_conditions, seed=seed) for one in roads])
 
     def listening(chosen: int) -> None:
         print(f"serving {sim} on {host}:{chosen}", flush=True)

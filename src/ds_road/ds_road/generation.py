@@ -48,7 +48,7 @@ def generate(rng: np.random.Generator, *, max_angle: int = 270, box: float = BOX
         >>> from ds_road import generate
         >>> rng = np.random.default_rng(7)
         >>> road = generate(rng, max_angle=200)
-        >>> len(road.control_points), bool(road.validity)
+        >>> len(road.control_points), road.validity.valid
         (9, True)
     """
     if not 1 <= max_angle <= 360:

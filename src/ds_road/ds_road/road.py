@@ -56,7 +56,7 @@ class Road:
     Examples:
         >>> from ds_road import Road
         >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75), (165, 90)])
-        >>> road.turns_count, round(road.length, 1), bool(road.validity)
+        >>> road.turns_count, round(road.length, 1), road.validity.valid
         (1, 54.6, True)
         >>> road.mirrored().turns_count, road.in_lane("left").lane
         (1, 'left')

@@ -12,7 +12,7 @@ from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, Conditions
 from .conditions.text import format_conditions, parse_conditions
 from .gates.gate import Gate, GateState, gate_of
 from .gates.visible_contrast import ContrastProbe, VisibleContrast
-from .oracle import LaneTracker, Oracle, OracleLimits
+from .oracle import LaneTracker, Oracle
 from .parts import Scene, Vehicle
 from .registry import (
     BULLET,
@@ -74,7 +74,6 @@ __all__ = [
     "NotApplicableError",
     "Observation",
     "Oracle",
-    "OracleLimits",
     "Outcome",
     "PaintedScene",
     "ResimulationError",

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
+from ds_sim.oracle import LaneTracker, Oracle
 from ds_sim.simulator import Outcome
 
 
@@ -61,9 +61,9 @@ def test_less_than_a_metre_in_ten_seconds_is_stuck() -> None:
 
 
 def test_reaching_the_maximum_of_steps_is_a_timeout() -> None:
-    oracle = Oracle(100.0, OracleLimits(max_steps=30))
-    assert oracle.judge(step=29, lateral_distance=1.0, arc_length=1.0) is Outcome.RUNNING
-    assert oracle.judge(step=30, lateral_distance=1.0, arc_length=5.0) is Outcome.TIMEOUT
+    oracle = Oracle(100.0)
+    assert oracle.judge(step=1999, lateral_distance=1.0, arc_length=1.0) is Outcome.RUNNING
+    assert oracle.judge(step=2000, lateral_distance=1.0, arc_length=5.0) is Outcome.TIMEOUT
 
 
 def test_outcomes_are_verdicts_or_errors() -> None:
