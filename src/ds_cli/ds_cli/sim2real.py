@@ -44,7 +44,7 @@ def train_command(
 
     Example: ds sim2real train --sim bullet --real my_tub --out s2r_bullet
     """
-    from ds_driver.sim2real.preparation import prepare_domains, read_sources
+    from ds_driver.sim2real.preparation import prepare_domains
     from ds_driver.sim2real.settings import PRESETS
     from ds_driver.sim2real.trainer import EPOCHS, train
     from ds_driver.training import CHECKPOINT
@@ -53,21 +53,15 @@ def train_command(
     settings = replace(settings, epochs=epochs or settings.epochs)
     kept = f"the finished epochs are kept in {out}; the same command continues"
     with stopped(lambda: kept if (out / CHECKPOINT).is_file() else ""):
-        sources = read_sources(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
-        match = sources.match
-        for name, window, position in zip(
-            (sim, "photographs"), (match.simulated, match.real), match.positions, strict=True
-        ):
-            say(f"{name}: cropped to {window}; {position}")
-        domains, warnings = prepare_domains(sources, real, out)
-        for warning in warnings:
+        domains = prepare_domains(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
+        for warning in domains.warnings:
             say(f"warning: {warning}")
         history = train(domains, settings, out, ScreenProgress())
     document = {
         "simulator": sim,
-        "crop": {"simulated": asdict(match.simulated), "real": asdict(match.real)},
-        "difference": match.difference,
-        "warnings": list(warnings),
+        "crop": {"simulated": asdict(domains.match.simulated), "real": asdict(domains.match.real)},
+        "difference": domains.match.difference,
+        "warnings": list(domains.warnings),
         "losses": history,
         "epochs": str(out / EPOCHS),
     }

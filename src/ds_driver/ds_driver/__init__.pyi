@@ -14,7 +14,7 @@ from .networks.pilot import DriverError, Frame, Pilot, Prediction
 from .networks.torch_networks import make_network
 from .networks.weights import WeightsError, shipped_networks
 from .sim2real.generator import Sim2RealError, StoredGenerator, Window, load_generator
-from .sim2real.preparation import Sources, prepare_domains, read_sources
+from .sim2real.preparation import prepare_domains
 from .sim2real.settings import PRESETS, Sim2RealSettings
 from .sim2real.translator import Translator
 from .training import TrainingError, TrainingPlan, train
@@ -40,7 +40,6 @@ __all__ = [
     "Sample",
     "Sim2RealError",
     "Sim2RealSettings",
-    "Sources",
     "SpeedController",
     "StampMatcher",
     "StoredGenerator",
@@ -60,7 +59,6 @@ __all__ = [
     "prepare",
     "prepare_domains",
     "read_samples",
-    "read_sources",
     "shipped_networks",
     "throttle",
     "train",

@@ -24,7 +24,7 @@ from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.backends import cpu_capabilities
 from ds_driver.networks.images import Crop
 from ds_driver.networks.pilot import DriverError
-from ds_driver.sim2real import pictures, translator
+from ds_driver.sim2real import translator
 from ds_driver.sim2real.generator import (
     GeneratorShape,
     Sim2RealError,
@@ -36,12 +36,21 @@ from ds_driver.sim2real.generator import (
 )
 from ds_driver.sim2real.image_translation import open_set
 from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, LanePairs, align_lane, lane_shapes, pair_lanes
-from ds_driver.sim2real.lane_view import BOUND, find_lines, lane_difference, match_windows, measure_lane
+from ds_driver.sim2real.lane_view import BOUND, Match, find_lines, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, InstanceNorm, to_batch, to_images
-from ds_driver.sim2real.preparation import network_window, prepare_domains, read_sources
+from ds_driver.sim2real.preparation import (
+    FRAMES,
+    Domains,
+    check_roads_are_new,
+    network_window,
+    prepare_domains,
+    read_photographs,
+    sim2real_roads,
+    simulated_frames,
+    split,
+)
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
-from ds_driver.sim2real.simulated_frames import check_roads_are_new, sim2real_roads, simulated_frames
-from ds_driver.sim2real.trainer import EPOCHS, Domains, learning_rate_share, train
+from ds_driver.sim2real.trainer import EPOCHS, learning_rate_share, train
 from ds_driver.sim2real.translation import translate
 from ds_driver.sim2real.translator import Translator, generator_to_onnx
 from ds_driver.training import CHECKPOINT, TrainingError
@@ -95,8 +104,7 @@ def domains(rng: np.random.Generator) -> Domains:
         shown_simulated=images[2][:1],
         shown_real=images[3][:1],
         simulator="bullet",
-        window=WHOLE,
-        real_window=WHOLE,
+        match=Match(simulated=WHOLE, real=WHOLE, kept=1.0, difference=0.0),
     )
 
 
@@ -303,7 +311,7 @@ def test_photographs_of_nothing_like_a_road_are_refused() -> None:
 def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
     def refused(match: str) -> None:
         with pytest.raises(Sim2RealError, match=match) as caught:
-            pictures.read_photographs(tmp_path, 100)
+            read_photographs(tmp_path, 100)
         assert "\n" not in str(caught.value)
 
     refused("no photographs, expected at least 20")
@@ -312,14 +320,14 @@ def test_bad_photographs_are_named_in_one_line(tmp_path: Path) -> None:
     refused("one photograph, expected at least 20")
     for i in range(1, 25):
         (tmp_path / f"a{i:02d}.jpg").write_bytes(image)
-    found = pictures.read_photographs(tmp_path, 22)
-    assert found.shape == (22, 60, 80, 3) and [len(part) for part in pictures.split(found)] == [18, 4]
+    found = read_photographs(tmp_path, 22)
+    assert found.shape == (22, 60, 80, 3) and [len(part) for part in split(found)] == [18, 4]
     (tmp_path / "a07.jpg").write_bytes(jpeg(np.zeros((60, 90, 3), np.uint8)))
     refused("a07.jpg: photographs of 80 x 60 and 90 x 60 px")
     (tmp_path / "a07.jpg").write_bytes(image[:50])
     refused("a07.jpg: an image is damaged")
     with pytest.raises(Sim2RealError, match="does not exist"):
-        pictures.read_photographs(tmp_path / "nowhere", 100)
+        read_photographs(tmp_path / "nowhere", 100)
 
 
 def test_windows_and_sizes_that_do_not_fit_are_refused() -> None:
@@ -432,18 +440,17 @@ def test_from_photographs_to_a_set_of_generators(tmp_path: Path) -> None:
     told = ProgressLines()
     real = tmp_path / "photographs"
     real.mkdir()
-    for index, image in enumerate(simulated_frames(SOFTBODY, settings, tmp_path / "s.npz", told).images):
+    for index, image in enumerate(np.concatenate(simulated_frames(SOFTBODY, settings, tmp_path / "s.npz", told))):
         (real / f"{index:03d}.jpg").write_bytes(jpeg(image))
     out = tmp_path / "out"
-    sources = read_sources(BULLET, real, out, settings, told)
-    data, warnings = prepare_domains(sources, real, out)
-    assert sources.match.difference < BOUND and not warnings
-    frames = sources.frames
-    assert 0 < frames.held_out.sum() < len(frames.images) == 80
+    data = prepare_domains(BULLET, real, out, settings, told)
+    assert data.match.difference < BOUND and not data.warnings
+    training, held_out = simulated_frames(BULLET, settings, out / FRAMES, told)
+    assert len(training) and len(held_out) and len(training) + len(held_out) == 80
     train(data, settings, out, told)
-    again = read_sources(BULLET, real, out, settings, told)
-    assert again.match == sources.match and np.array_equal(again.frames.held_out, frames.held_out)
+    again = prepare_domains(BULLET, real, out, settings, told)
+    assert again.match == data.match and np.array_equal(again.shown_simulated, data.shown_simulated)
     (tmp_path / "set").mkdir()
     shutil.copy(out / EPOCHS / "epoch_002.safetensors", tmp_path / "set" / "bullet.safetensors")
     generator = open_set(str(tmp_path / "set")).generator("bullet")
-    assert (generator.window, generator.real_window) == (sources.match.simulated, sources.match.real)
+    assert (generator.window, generator.real_window) == (data.match.simulated, data.match.real)

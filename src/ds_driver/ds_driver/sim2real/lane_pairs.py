@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 
 from ds_driver.sim2real.generator import Sim2RealError
 from ds_driver.sim2real.lane_view import BOUND, find_lines, lane_borders
-from ds_driver.sim2real.pictures import FEWEST
+from ds_driver.sim2real.settings import FEWEST
 
 HEIGHTS = (0.25, 0.35, 0.45, 0.62, 0.8, 0.99)
 """Rows at which lines are compared, as shares of the height; chosen: from the car to where a lane is a few pixels."""

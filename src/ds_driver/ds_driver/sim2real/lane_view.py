@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.sim2real.generator import Sim2RealError, Window
-from ds_driver.sim2real.pictures import evenly
 
 WIDEST = 0.14
 """Widest line, in widths of the image; chosen: tape on the photographed tracks is up to 0.12 wide at the bottom."""
@@ -183,6 +182,11 @@ def lane_difference(views: tuple[LaneView, LaneView], windows: tuple[Window, Win
     return float(np.nanmean(apart, axis=0).max())
 
 
+def evenly(count: int, limit: int) -> NDArray[np.int64]:
+    """Choose at most `limit` of `count` items, evenly; return their indices."""
+    return np.unique(np.linspace(0, count - 1, min(count, limit)).round().astype(np.int64))
+
+
 def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
     """Measure where images, (n, rows, columns, 3) uint8 RGB, show the lane; `what` names them in messages.
 
@@ -236,14 +240,12 @@ class Match:
 
     Attributes:
         kept: share of the simulator's view that is left.
-        positions: where the lane is, in simulated and real crops.
         difference: of the measured lines, see `lane_difference`; compare it with `BOUND`.
     """
 
     simulated: Window
     real: Window
     kept: float
-    positions: tuple[LanePosition, LanePosition]
     difference: float
 
 
@@ -281,11 +283,8 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
             alike = difference <= BOUND / 2
             rank = (0.0, round(kept, 2), float(area)) if alike else (-difference, 0.0, 0.0)
             if rank > best_rank:
-                positions = (simulated.seen_through(windows[0]), real.seen_through(windows[1]))
                 best_rank = rank
-                best = Match(
-                    simulated=windows[0], real=windows[1], kept=kept, positions=positions, difference=difference
-                )
+                best = Match(simulated=windows[0], real=windows[1], kept=kept, difference=difference)
     if best is None:
         raise Sim2RealError("no crop of the photographs shows the lane as the simulator does: mount the camera alike")
     return best

@@ -11,6 +11,8 @@ ROAD_SEED = 20_150_715
 """Seed of the simulated roads; chosen: no other verb has it as its default."""
 HELD_OUT = 0.2
 """Share of roads and photographs, the last ones, that training never sees."""
+FEWEST = 20
+"""Fewest photographs; chosen: a fifth is held out, and lines are measured on the others."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

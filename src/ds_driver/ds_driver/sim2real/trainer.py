@@ -9,7 +9,7 @@ os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # large pages make training 
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,48 +21,19 @@ from torch import Tensor, nn
 from ds_base.atomic_files import write_whole
 from ds_base.folder_files import enter_folder
 from ds_base.progress import Progress
-from ds_driver.sim2real.generator import Sim2RealError, Window, save_generator
-from ds_driver.sim2real.lane_pairs import LanePairs, align_lane
+from ds_driver.sim2real.generator import Sim2RealError, save_generator
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, to_batch, to_images
-from ds_driver.sim2real.pictures import sheet
+from ds_driver.sim2real.preparation import Domains
 from ds_driver.sim2real.settings import Sim2RealSettings
 from ds_driver.training import device_of, load_checkpoint, save_checkpoint
 from ds_sim.camera.encodings import png
 
 EPOCHS = "epochs"
 """Folder of the stored generators and sheets."""
-SHOWN = 4
-"""Pictures of each domain on a sheet."""
+GAP = 4
+"""White pixels between pictures of a sheet."""
 REPORTS = 10
 LOSSES = ("adversarial", "cycle", "identity", "discriminator")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Domains:
-    """Prepared images of both domains, (n, rows, columns, 3) uint8 RGB of the generators' size.
-
-    Attributes:
-        simulated: for training, as `real`.
-        pairs: of the simulated images, the real ones to draw from, and where both show the lines.
-        shown_simulated: held-out ones for the sheets, as `shown_real`.
-        simulator: whose images they are.
-        window: part of the simulator's images.
-        real_window: part of the photographs.
-    """
-
-    simulated: NDArray[np.uint8]
-    real: NDArray[np.uint8]
-    pairs: LanePairs
-    shown_simulated: NDArray[np.uint8]
-    shown_real: NDArray[np.uint8]
-    simulator: str
-    window: Window
-    real_window: Window
-
-    def pair(self, simulated: int, real: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-        """Return a simulated image and a real one, aligned to it."""
-        shown, wanted = self.pairs.photographed_lanes[real], self.pairs.simulated_lanes[simulated]
-        return self.simulated[simulated], align_lane(self.real[real], shown, wanted)
 
 
 class CycleGan:
@@ -174,8 +145,8 @@ def train(domains: Domains, settings: Sim2RealSettings, out: Path, progress: Pro
                 tensors,
                 simulator=domains.simulator,
                 shape=settings.shape,
-                window=domains.window,
-                real_window=domains.real_window,
+                window=domains.match.simulated,
+                real_window=domains.match.real,
             )
         state = {
             "networks": [network.state_dict() for network in gan.networks],
@@ -216,13 +187,18 @@ def _named(losses: Tensor) -> dict[str, float]:
 
 @torch.inference_mode()
 def _sheet(gan: CycleGan, domains: Domains, device: torch.device) -> NDArray[np.uint8]:
+    """Arrange held-out images with their translations, (rows, columns, 3) uint8 RGB: both domains side by side."""
+
     def row(image: NDArray[np.uint8], there: nn.Module, back: nn.Module) -> list[NDArray[np.uint8]]:
         translated = there(_batch(image, device))
         return [image, *(to_images(part)[0].cpu().numpy() for part in (translated, back(translated)))]
 
     left = [row(image, gan.to_real, gan.to_simulated) for image in domains.shown_simulated]
     right = [row(image, gan.to_simulated, gan.to_real) for image in domains.shown_real]
-    return sheet([a + b for a, b in zip(left, right, strict=True)])
+    rows = np.array([a + b for a, b in zip(left, right, strict=True)])
+    framed = np.pad(rows, ((0, 0), (0, 0), (0, GAP), (0, GAP), (0, 0)), constant_values=255)
+    page = np.concatenate(np.concatenate(framed, axis=1), axis=1)
+    return np.ascontiguousarray(page[:-GAP, :-GAP])
 
 
 def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
@@ -233,7 +209,7 @@ def _identity(domains: Domains, settings: Sim2RealSettings) -> str:
     for part in (domains.simulated, domains.real, *lanes):
         digest.update(np.ascontiguousarray(part).tobytes())
     plan = asdict(replace(settings, threads=1, device="auto"))
-    windows = [str(domains.window), str(domains.real_window)]
+    windows = [str(domains.match.simulated), str(domains.match.real)]
     return json.dumps([domains.simulator, plan, windows, digest.hexdigest()], sort_keys=True)
 
 
