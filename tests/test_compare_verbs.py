@@ -63,7 +63,7 @@ def engine(monkeypatch: pytest.MonkeyPatch) -> list[OfDriver]:
         return started[-1]
 
     use_engines(monkeypatch, start)
-    monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_, **__: None)
+    monkeypatch.setattr("ds_orchestrator.engines.start.check_driver", lambda *_, **__: None)
     monkeypatch.setattr(
         "ds_driver.networks.network_driver.driver_sha256",
         lambda name: str(name).encode().hex().ljust(64, "0") if name.has_files else "",

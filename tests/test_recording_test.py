@@ -22,8 +22,7 @@ from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_orchestrator.store.model import Execution, Test
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import read_camera, write_camera
-from ds_recording.sibling.recorded_drive import read_drive
-from ds_recording.sibling.sections import sections
+from ds_recording.sibling.recorded_drive import read_drive, sections
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import spec_of
 from ds_studies.track_test import LocationInputs, TrackTest, TrackTestError, _fit_twin, run_track_test

@@ -17,7 +17,7 @@ from ds_driver import Autopilot, DriverError, Frame, NetworkDriver, drive_road, 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.closed_loop.worker_process import WorkerProcess
-from ds_orchestrator.engines.preflight import check_driver
+from ds_orchestrator.engines.start import check_driver
 import ds_driver.ros.autopilot_node, ds_driver.ros.camera_driver_node, ds_driver.ros.driver_node
 import ds_driver.ros.closed_loop_node
 from ds_studies.whole_campaign import run_campaign

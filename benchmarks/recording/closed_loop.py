@@ -32,8 +32,7 @@ from ds_recording.floor_camera import read_camera, write_camera
 from ds_recording.locate import located_of
 from ds_recording.located import COLUMNS, write_located
 from ds_recording.recording import read_views
-from ds_recording.sibling.recorded_drive import read_drive
-from ds_recording.sibling.sections import sections
+from ds_recording.sibling.recorded_drive import read_drive, sections
 from ds_recording.track import HEADER
 from ds_road import Road
 from ds_road.generation import generate

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from ds_driver.control.autopilot import throttle
-from ds_recording.floor_camera import FloorCamera, write_camera
-from ds_recording.lens import Lens
+from ds_recording.floor_camera import FloorCamera, Lens, write_camera
 from ds_road import Road
 from ds_road.generation import generate
 from ds_sim.camera.painted_scene import PaintedScene

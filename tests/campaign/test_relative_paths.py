@@ -61,7 +61,7 @@ def test_keys_of_a_cluster_lie_beside_its_file(project: Path) -> None:
 
 
 def test_a_test_writes_a_file_that_is_read_as_what_was_typed(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ds_orchestrator.engines.preflight.check_driver", lambda *_, **__: None)
+    monkeypatch.setattr("ds_orchestrator.engines.start.check_driver", lambda *_, **__: None)
     run = Result(document={}, show=lambda: None, next="ds models")
     monkeypatch.setattr("ds_cli.campaign.run.campaign", lambda *_, **__: run)
     typed = ("test", project / "nets/mine.yaml", "--sims", f"bullet,donkey@{project}/car.yaml")

@@ -13,7 +13,7 @@ from tests.fuzz.kinds_bags import write_tub
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.located import COLUMNS, Located, write_located
-from ds_recording.sibling.sections import sections
+from ds_recording.sibling.recorded_drive import sections
 from ds_recording.sibling.simulator import RecordingSimulator
 from ds_recording.track import Track
 from ds_sim.scenario import Scenario

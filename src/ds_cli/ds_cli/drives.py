@@ -174,7 +174,7 @@ def drive_command(
     from ds_orchestrator.campaign.config import ConfigError
     from ds_orchestrator.campaign.engine import engine_here
     from ds_orchestrator.campaign.executor import trajectory_sha256
-    from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.engines.start import check_driver
     from ds_orchestrator.graph.supervisor import check_ros
     from ds_road import RoadError
     from ds_sim.conditions.text import parse_conditions

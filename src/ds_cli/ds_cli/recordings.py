@@ -66,7 +66,7 @@ def recording_test_command(
     from ds_driver.data.recordings import Reading
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_orchestrator.engines.drive_tests import Callbacks
-    from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.engines.start import check_driver
     from ds_studies.track_test import PAGE, ROADS, LocationInputs, TrackTest, run_track_test
 
     network = options.driver_named(driver, backend)
@@ -197,8 +197,7 @@ def recording_roads_command(
 
     Example: ds recording roads located --length 60 --out roads.json
     """
-    from ds_recording.sibling.recorded_drive import read_drive
-    from ds_recording.sibling.sections import sections
+    from ds_recording.sibling.recorded_drive import read_drive, sections
     from ds_road import write_roads
 
     drive = read_drive(folder)

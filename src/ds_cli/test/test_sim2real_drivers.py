@@ -23,7 +23,7 @@ from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator,
 from ds_driver.sim2real.networks import Generator
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.engines.dask_worker import parcel_of
-from ds_orchestrator.engines.preflight import check_driver
+from ds_orchestrator.engines.start import check_driver
 from ds_sim import BULLET, DONKEY
 from ds_sim.camera.encodings import jpeg
 

@@ -18,9 +18,8 @@ from ds_base.bounded_file import FileError, read_regular
 from ds_base.progress import counted
 from ds_driver.networks.images import ImageError, rgb_of_file
 from ds_recording.errors import RecordingError
-from ds_recording.floor_camera import FloorCamera
-from ds_recording.lens import MODELS as COEFFICIENTS
-from ds_recording.lens import Lens
+from ds_recording.floor_camera import MODELS as COEFFICIENTS
+from ds_recording.floor_camera import FloorCamera, Lens
 
 Array = NDArray[Any]
 

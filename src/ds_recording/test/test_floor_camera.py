@@ -9,8 +9,7 @@ import pytest
 
 from ds_recording.chessboard import calibrate, parse_board
 from ds_recording.errors import RecordingError
-from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
-from ds_recording.lens import Lens
+from ds_recording.floor_camera import FloorCamera, Lens, read_camera, write_camera
 
 CAMERA = FloorCamera(
     width_px=160,

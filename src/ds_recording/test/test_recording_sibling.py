@@ -19,10 +19,8 @@ from tubs import write_tub
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, write_camera
 from ds_recording.located import COLUMNS
-from ds_recording.sibling.photo_scene import PhotoScene, network_grid
-from ds_recording.sibling.recorded_drive import read_drive
-from ds_recording.sibling.sections import sections
-from ds_recording.sibling.simulator import RecordingSimulator
+from ds_recording.sibling.recorded_drive import read_drive, sections
+from ds_recording.sibling.simulator import PhotoScene, RecordingSimulator, network_grid
 from ds_road import RoadError
 from ds_sim.registry import UnknownSimulatorError, make_simulator
 from ds_sim.scenario import Scenario

@@ -35,8 +35,7 @@ from ds_recording.locate import located_of
 from ds_recording.located import ABOUT, LOCATED, Located, read_located, write_located
 from ds_recording.odometry import summary
 from ds_recording.recording import read_views
-from ds_recording.sibling.recorded_drive import RecordedDrive, near_photographs, read_drive
-from ds_recording.sibling.sections import left_its_lane, sections
+from ds_recording.sibling.recorded_drive import RecordedDrive, left_its_lane, near_photographs, read_drive, sections
 from ds_recording.sibling.simulator import SETTINGS
 from ds_recording.track import Track
 from ds_report.recording_page import write_recording_page

@@ -25,8 +25,7 @@ from ds_orchestrator.campaign.live_file import LiveFile
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import is_driven
 from ds_orchestrator.engines.cluster import ClusterOptions
-from ds_orchestrator.engines.preflight import preflight
-from ds_orchestrator.engines.start import running_engine
+from ds_orchestrator.engines.start import preflight, running_engine
 from ds_report.build import NOT_MADE, write_all
 from ds_report.first_screen import FirstScreen, first_screen
 

@@ -95,7 +95,7 @@ def network_named(driver: DriverName, simulators: Sequence[SimulatorName]) -> Ne
     """A network with its digest, checked before anything starts."""
     from ds_analysis.comparison.paired_drives import Network
     from ds_driver.networks.network_driver import driver_sha256
-    from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.engines.start import check_driver
 
     check_driver(driver, simulators)
     return Network(driver=driver, sha256=driver_sha256(driver))

@@ -179,7 +179,7 @@ def search_command(
     from ds_base.folder_files import make_folder
     from ds_orchestrator.campaign.config import ConfigError, read_config, rebase_paths
     from ds_orchestrator.campaign.template import template
-    from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.engines.start import check_driver
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
@@ -224,7 +224,7 @@ def campaign_run_command(
     Example: ds campaign run my.yaml --out out --workers 2
     """
     from ds_orchestrator.campaign.config import ConfigError, read_config
-    from ds_orchestrator.engines.preflight import check_driver
+    from ds_orchestrator.engines.start import check_driver
 
     criteria = criteria_of(fail_on, max_failures, has_reference=False)
     check_writable(junit)
@@ -271,8 +271,7 @@ def campaign_resume_command(
 def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions | None, following: str) -> Result:
     """Forecast a campaign from one drive on every simulator; nothing is written."""
     from ds_orchestrator.campaign.forecast import measure
-    from ds_orchestrator.engines.preflight import preflight
-    from ds_orchestrator.engines.start import running_engine
+    from ds_orchestrator.engines.start import preflight, running_engine
 
     settings = config.drive_settings(cluster=cluster)
     preflight(settings)

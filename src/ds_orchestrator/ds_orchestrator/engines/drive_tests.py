@@ -15,8 +15,7 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Executor, Listener, Stopped, StopSwitch
 from ds_orchestrator.campaign.folder import record_provenance
 from ds_orchestrator.engines.fingerprint import code_sha256
-from ds_orchestrator.engines.preflight import preflight
-from ds_orchestrator.engines.start import running_engine
+from ds_orchestrator.engines.start import preflight, running_engine
 from ds_orchestrator.store.model import NO_ORIGIN, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.gates.gate import Gate

@@ -1,13 +1,71 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts the engine that drives."""
+"""Checks that tests can be driven as they are to be, and starts the engine that drives them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from ds_orchestrator.campaign.engine import DriveSettings, Engine, EngineName
+from ds_base.installation import missing_module
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.engine import BAG_MODULES, DriveSettings, Engine, EngineName, usual_record
+from ds_orchestrator.engines.cluster import ClusterOptions
+from ds_orchestrator.graph.supervisor import check_ros
+from ds_sim.conditions.model import NotApplicableError
+from ds_sim.registry import SimulatorName, make_simulator, spec_of
+
+
+def preflight(settings: DriveSettings) -> None:
+    """Check engine, driver, simulators and conditions.
+
+    Raises:
+        ConfigError: an option does not go with the engine, or a simulator cannot realise the conditions.
+        ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
+        ds_orchestrator.graph.supervisor.RosMissingError: the engine needs nodes, and ROS is not installed.
+        ValueError: the driver cannot be used; see `check_driver`.
+    """
+    engine = settings.engine
+    if settings.attach and engine != "graph":
+        raise ConfigError(f"engine: {engine} starts no nodes: leave out --attach, or set it to graph")
+    if settings.attach and settings.workers > 1:
+        raise ConfigError(
+            f"workers: {settings.workers} cannot be used with --attach: set it to 1, or leave out --attach"
+        )
+    if engine != "dask" and settings.cluster != ClusterOptions():
+        raise ConfigError(f"engine: {engine} uses no cluster: set it to dask (--engine dask)")
+    if engine == "graph":
+        check_ros()
+    if engine == "dask":
+        settings.cluster.check()
+    if settings.record != "none" and usual_record() == "none":
+        raise ConfigError(f"record: {settings.record} writes bags: {missing_module(BAG_MODULES[0])}, or set it to none")
+    check_driver(settings.driver, settings.simulators, attach=settings.attach)
+    for name in settings.simulators:
+        simulator = make_simulator(name)
+        simulator.close()
+        try:
+            simulator.spec.check(settings.conditions)
+        except NotApplicableError as error:
+            raise ConfigError(f"conditions: {error}: leave the simulator or the condition out") from None
+
+
+def check_driver(driver: DriverName, simulators: Sequence[SimulatorName], *, attach: bool = False) -> None:
+    """Check a driver and the simulators that it will drive; where running nodes drive, one may be this driver.
+
+    Raises:
+        ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
+    """
+    if driver == AUTOPILOT or (attach and driver.is_node):
+        return
+    from ds_driver.networks.network_driver import load_pilot
+
+    translation = load_pilot(driver).translation
+    if translation is not None:
+        for name in simulators:
+            translation.generators.generator(spec_of(name).name)
+
 
 Start = Callable[[DriveSettings, Path], AbstractContextManager[Engine]]
 """Starts an engine, given how it drives and a folder for the logs of its processes; the context stops it."""

@@ -18,8 +18,7 @@ from ds_driver.networks.pilot import DriverError
 from ds_orchestrator.campaign.engine import DriveSettings, Engine
 from ds_orchestrator.campaign.executor import Executor, Listener, NoOutcomeError
 from ds_orchestrator.engines.drive_tests import open_drives
-from ds_orchestrator.engines.preflight import preflight
-from ds_orchestrator.engines.start import running_engine
+from ds_orchestrator.engines.start import preflight, running_engine
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.text import format_conditions
