@@ -28,7 +28,7 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
 from ds_orchestrator.store.model import Test
 from ds_sim import BULLET, SOFTBODY, SimulatorName
-from ds_sim.camera.look import Colour
+from ds_sim.camera.spec import Colour
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.road_simulator import RoadSimulator

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 
-from ds_sim.camera.look import Look
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.parts import Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, SimulatorSpec, VehicleState

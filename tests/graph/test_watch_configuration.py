@@ -23,7 +23,7 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.graph.session import RosDomain
-from ds_sim.frames import ROAD_FRAME, frame_of
+from ds_sim.messages import ROAD_FRAME, frame_of
 from ds_sim.registry import BULLET, DONKEY, SOFTBODY, spec_of
 from ds_sim.ros.frame_publisher import FramePublisher
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.camera.lens import optical_axes
-from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.optics import CAMERA_CONDITIONS
 from ds_sim.camera.rendered_scene import RenderedScene
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Colour, Look
 from ds_sim.conditions.model import Conditions
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_torcs.host import Kind, TorcsHost

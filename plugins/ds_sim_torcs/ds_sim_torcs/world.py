@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ds_base.atomic_files import write_whole
 from ds_road import Road
 from ds_road.geometry import arc_lengths
-from ds_sim.camera.look import Look
 from ds_sim.camera.optics import encode, light_of
+from ds_sim.camera.spec import Look
 from ds_sim.conditions.model import Conditions
 from ds_sim_torcs.host import DATA
 

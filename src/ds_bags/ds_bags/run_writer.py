@@ -19,7 +19,7 @@ from ds_base.folder_files import place_folder
 from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
-from ds_sim.frames import ROAD_FRAME, START
+from ds_sim.messages import ROAD_FRAME, START
 from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord

@@ -38,7 +38,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import Test
 from ds_report.heatmap import Value
 from ds_sim.conditions.model import DEFAULT, FIELDS
-from ds_sim.conditions.words import conditions_in_words
+from ds_sim.conditions.text import conditions_in_words
 from ds_sim.registry import NO_SIMULATOR
 
 Kind = Literal["road", "conditions"]

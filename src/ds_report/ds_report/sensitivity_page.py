@@ -16,8 +16,7 @@ from ds_analysis.sensitivity.result import Sensitivity
 from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_report.camera_pictures import CameraPicture, camera_picture
 from ds_report.pages import write_page
-from ds_sim.conditions.text import format_3sf
-from ds_sim.conditions.words import conditions_in_words
+from ds_sim.conditions.text import conditions_in_words, format_3sf
 from ds_sim.registry import colours_of
 
 if TYPE_CHECKING:

@@ -2,11 +2,10 @@
 from .camera.atlas import Ground
 from .camera.ground import paint_ground
 from .camera.lens import project
-from .camera.look import Look
 from .camera.painted_scene import PaintedScene
 from .camera.renderer import Camera
 from .camera.sensor import Sensor
-from .camera.spec import CameraSpec
+from .camera.spec import CameraSpec, Look
 from .conditions.actuation import COMMAND_CONDITIONS, Actuation
 from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, ConditionsError, NotApplicableError
 from .conditions.text import format_conditions, parse_conditions

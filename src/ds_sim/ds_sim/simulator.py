@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 from ds_base.errors import InputError, RunError
 from ds_base.installation import missing_module
 from ds_road import Road
-from ds_sim.camera.look import Look
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
 
 if TYPE_CHECKING:

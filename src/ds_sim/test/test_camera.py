@@ -16,10 +16,9 @@ from scipy.spatial.transform import Rotation
 from ds_road import Road, generate
 from ds_sim.camera.atlas import Ground
 from ds_sim.camera.ground import paint_ground
-from ds_sim.camera.look import Look
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.simulator import VehicleState
 
 Lens = Literal["pinhole", "equidistant"]

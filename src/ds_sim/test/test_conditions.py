@@ -13,8 +13,7 @@ import pytest
 from ds_road import Road
 from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
-from ds_sim.conditions.text import format_conditions, from_json, parse_conditions
-from ds_sim.conditions.words import PHRASES, Side, conditions_in_words
+from ds_sim.conditions.text import PHRASES, Side, conditions_in_words, format_conditions, from_json, parse_conditions
 from ds_sim.registry import make_simulator, simulator_of_process
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session

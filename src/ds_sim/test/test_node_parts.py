@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from ds_sim.ros.command_monitor import WARN_AFTER, CommandMonitor
-from ds_sim.ros.real_time_loop import FrameJitter
+from ds_sim.ros.command_monitor import WARN_AFTER, CommandMonitor, FrameJitter
 from ds_sim.simulator import CommandError, Reason
 
 

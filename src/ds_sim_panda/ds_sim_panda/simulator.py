@@ -7,8 +7,7 @@ import math
 from importlib.metadata import version
 
 from ds_base.installation import versions
-from ds_sim.camera.look import Look
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import SimulatorError, SimulatorSpec
 from ds_sim_panda.scene.graphics import graphics

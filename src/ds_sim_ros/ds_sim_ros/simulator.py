@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
-from ds_sim.camera.look import Look
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene, Vehicle
 from ds_sim.road_simulator import RoadSimulator, start_of

@@ -6,8 +6,7 @@ from __future__ import annotations
 import math
 from importlib.metadata import version
 
-from ds_sim.camera.look import Look
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, SimulatorSpec
 from ds_sim_softbody.parameters import SoftbodyParameters

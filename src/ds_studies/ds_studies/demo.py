@@ -26,7 +26,7 @@ from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.conditions.words import conditions_in_words
+from ds_sim.conditions.text import conditions_in_words
 from ds_sim.registry import SimulatorName, make_simulator, with_libraries
 from ds_sim.resimulation import resimulate
 from ds_sim.session import RunRecord

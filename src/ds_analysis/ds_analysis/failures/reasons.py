@@ -18,7 +18,7 @@ from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution, Test
 from ds_road import Road
 from ds_road.geometry import lane_curvature
-from ds_sim.conditions.words import conditions_in_words
+from ds_sim.conditions.text import conditions_in_words
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import FRAME_TIME, Outcome
 

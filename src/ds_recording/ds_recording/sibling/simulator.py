@@ -28,10 +28,9 @@ from ds_recording.errors import RecordingError
 from ds_recording.sibling.recorded_drive import LENGTH, RecordedDrive, check_is_section, read_drive, sections
 from ds_road import Road
 from ds_sim.camera.lens import Vector, optical_axes
-from ds_sim.camera.look import Look
 from ds_sim.camera.optics import LENS_CONDITIONS, SENSOR_CONDITIONS
 from ds_sim.camera.rendered_scene import RenderedScene
-from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH, CameraSpec
+from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH, CameraSpec, Look
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Observation, OutOfSightError, SimulatorSpec, VehicleState

@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.camera.lens import components, sample_rays
-from ds_sim.camera.look import Colour
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Colour
 from ds_sim.conditions.model import REFERENCE_ILLUMINANCE, Conditions
 
 _STEPS = 4096

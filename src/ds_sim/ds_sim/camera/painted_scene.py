@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 from ds_road import Road
 from ds_sim.camera.atlas import AtlasMemory, Ground
 from ds_sim.camera.ground import paint_ground
-from ds_sim.camera.look import Look
 from ds_sim.camera.optics import CAMERA_CONDITIONS
 from ds_sim.camera.rendered_scene import RenderedScene
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import scene_rows
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import Conditions
 from ds_sim.simulator import SimulatorError, VehicleState

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.camera.lens import Vector, rays
-from ds_sim.camera.look import Look
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 
 _STEP = 8
 """Spacing of the grid on which directions are computed, px; chosen: linear interpolation is within 0.1 px."""

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.camera.lens import optical_axes
-from ds_sim.camera.look import Colour
 from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
 from ds_sim.camera.sensor import Sensor, scene_rows
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Colour
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene
 from ds_sim.simulator import SimulatorError, VehicleState

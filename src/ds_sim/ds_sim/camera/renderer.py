@@ -31,9 +31,8 @@ from ds_sim.camera.lens import (
     reversed_rays,
     sample_rays,
 )
-from ds_sim.camera.look import Look
 from ds_sim.camera.panorama import Panorama
-from ds_sim.camera.spec import CameraSpec
+from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.simulator import VehicleState
 
 SAMPLES = (1, 2, 4, 8)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from ds_road.geometry import arc_lengths
 from ds_sim.camera.atlas import Box
-from ds_sim.camera.look import Colour, Look
 from ds_sim.camera.optics import decode, encode, light_of
+from ds_sim.camera.spec import Colour, Look
 from ds_sim.camera.textures import TEXTURE_SIZE
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.pieces import gaps, pieces

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_sim.camera.look import Look
+from ds_sim.camera.spec import Look
 
 TEXTURE_SIZE = 512
 """Side of a texture, pixels of the finest raster (25.6 m)."""

@@ -27,8 +27,7 @@ from std_msgs.msg import Header
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import from_pairs
-from ds_sim.frames import ROAD_FRAME
-from ds_sim.messages import MessageBuilder
+from ds_sim.messages import ROAD_FRAME, MessageBuilder
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import (
     FRAME_RATE,

@@ -18,7 +18,7 @@ from tf2_msgs.msg import TFMessage
 from visualization_msgs.msg import MarkerArray
 
 from ds_road import Road
-from ds_sim.frames import ROAD_FRAME, START
+from ds_sim.messages import ROAD_FRAME, START
 from ds_sim.ros.conversions import frame_to_message, message_builder
 from ds_sim.simulator import FRAME_TIME, Observation, Simulator, SimulatorSpec
 

@@ -8,13 +8,9 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from ds_interfaces.action import DriveRoad
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
-
-from ds_sim.ros.requests import RequestRefused
-from ds_sim.simulator import Reason
 
 _TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
@@ -82,17 +78,3 @@ def _fits(value: Any, low: float | None, high: float | None, choices: Sequence[s
     if isinstance(value, float) and not math.isfinite(value):
         return False
     return (low is None or value >= low) and (high is None or value <= high)
-
-
-SYNC_MODES = (DriveRoad.Goal.SYNC_LOCKSTEP, DriveRoad.Goal.SYNC_FIRST, DriveRoad.Goal.SYNC_REALTIME)
-"""lockstep: only the command with the stamp of the last image counts; first: the first command after the last image
-counts; realtime: frames come at 20 Hz by the wall clock, and the last command is held."""
-
-
-def check_goal(sync: str, command_timeout: float) -> None:
-    """Refuse, as BAD_GOAL, options of a goal that cannot be; "" and 0 mean the node's parameters."""
-    if sync not in ("", *SYNC_MODES):
-        raise RequestRefused(Reason.BAD_GOAL, f"sync {sync!r}: expected one of {', '.join(SYNC_MODES)}")
-    if not 0.0 <= command_timeout < math.inf:
-        message = f"command_timeout {command_timeout}: expected seconds, or 0 for the node's own"
-        raise RequestRefused(Reason.BAD_GOAL, message)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -21,6 +22,10 @@ from ds_sim.ros.conversions import conditions_from_messages, refusal_result
 from ds_sim.scenario import Scenario, ScenarioError
 from ds_sim.simulator import Reason, SimulatorSpec
 
+SYNC_MODES = (DriveRoad.Goal.SYNC_LOCKSTEP, DriveRoad.Goal.SYNC_FIRST, DriveRoad.Goal.SYNC_REALTIME)
+"""lockstep: only the command with the stamp of the last image counts; first: the first command after the last image
+counts; realtime: frames come at 20 Hz by the wall clock, and the last command is held."""
+
 
 class RequestRefused(InputError):
     """A node does not accept a road or a goal: a reason for programs, and cause and remedy in one line."""
@@ -33,6 +38,15 @@ class RequestRefused(InputError):
 def no_road() -> RequestRefused:
     """Make the refusal of a request that needs a loaded road."""
     return RequestRefused(Reason.NO_ROAD, "no road is loaded: call load_road first, or give one with the goal")
+
+
+def check_goal(sync: str, command_timeout: float) -> None:
+    """Refuse, as BAD_GOAL, options of a goal that cannot be; "" and 0 mean the node's parameters."""
+    if sync not in ("", *SYNC_MODES):
+        raise RequestRefused(Reason.BAD_GOAL, f"sync {sync!r}: expected one of {', '.join(SYNC_MODES)}")
+    if not 0.0 <= command_timeout < math.inf:
+        message = f"command_timeout {command_timeout}: expected seconds, or 0 for the node's own"
+        raise RequestRefused(Reason.BAD_GOAL, message)
 
 
 class LoadedRoad:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs one node or two in a process until a signal stops them, within a second whatever the nodes are doing."""
+"""Runs nodes in a process until a signal stops them, within a second; executors and subscriptions that rclpy lacks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from typing import Any
 import rclpy
 import rclpy.task
 from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from ds_base.errors import InputError
@@ -100,6 +102,24 @@ def with_info(callback: Callable[[Any, dict[str, Any]], None]) -> Callable[..., 
 
     call.__signature__ = inspect.signature(callback)  # type: ignore[attr-defined]
     return call
+
+
+def subscribe_to_commands(node: Node, kind: Any, topic: str, callback: Callable[..., None], depth: int) -> None:
+    """Subscribe reliably until a publisher offers best effort only, to which no reliable subscription connects.
+
+    ROS's `BEST_AVAILABLE` decides by the publishers that are there already, and drivers come later.
+    """
+
+    def relax(_event: object) -> None:
+        node.get_logger().warning(
+            f"{topic}: a publisher offers best effort only, so commands may be lost: publish reliably"
+        )
+        node.destroy_subscription(reliable)
+        profile = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
+        node.create_subscription(kind, topic, callback, profile)
+
+    events = SubscriptionEventCallbacks(incompatible_qos=relax)
+    reliable = node.create_subscription(kind, topic, callback, depth, event_callbacks=events)
 
 
 _failures: list[BaseException] = []
