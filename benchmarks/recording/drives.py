@@ -23,7 +23,7 @@ from ds_driver.control.autopilot import throttle
 from ds_recording.floor_camera import FloorCamera, Lens, write_camera
 from ds_road import Road
 from ds_road.generation import generate
-from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import Conditions
 from ds_sim.parts import Scene, Vehicle

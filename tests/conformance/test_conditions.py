@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_sim.camera.ground import paint_ground
-from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import make_simulator, spec_of

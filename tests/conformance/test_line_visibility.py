@@ -14,7 +14,7 @@ import pytest
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import Road
-from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.gates.gate import GateState, gate_of
 from ds_sim.gates.visible_contrast import ContrastProbe, VisibleContrast

@@ -53,7 +53,7 @@ class TorcsScene(RenderedScene):
     def __init__(self, host: TorcsHost, camera: CameraSpec, look: Look = LOOK) -> None:
         super().__init__(camera)
         self._host = host
-        self._look = look
+        self._look, self.sun = look, (look.sun_azimuth, look.sun_elevation)
         self._origin: tuple[float, float] | None = None
         across = math.tan(camera.horizontal_fov / 2.0)
         down = math.degrees(2.0 * math.atan(across * camera.height_px / camera.width))
@@ -61,6 +61,7 @@ class TorcsScene(RenderedScene):
 
     def close(self) -> None:
         """End the host; `load` may follow."""
+        super().close()
         self._origin = None
         self._host.close()
 
@@ -70,12 +71,6 @@ class TorcsScene(RenderedScene):
         origin = write_world(self._host.folder, road, self._look, conditions)
         self._host.ask(Kind.ROAD, NAME.encode(), size=0)
         self._origin = origin
-
-    def _sun(self, conditions: Conditions) -> tuple[float, float]:
-        look = self._look
-        azimuth = look.sun_azimuth if conditions.sun_azimuth is None else conditions.sun_azimuth
-        elevation = look.sun_elevation if conditions.sun_elevation is None else conditions.sun_elevation
-        return azimuth, elevation
 
     def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
         if self._origin is None:

@@ -2,7 +2,7 @@
 from .camera.atlas import Ground
 from .camera.ground import paint_ground
 from .camera.lens import project
-from .camera.painted_scene import PaintedScene
+from .camera.rendered_scene import PaintedScene
 from .camera.renderer import Camera
 from .camera.sensor import Sensor
 from .camera.spec import CameraSpec, Look

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from ds_base.errors import InputError
 from ds_road import Road
-from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road, RoadError
-from ds_sim.camera.painted_scene import PaintedScene
+from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS, Actuation, actuation_of
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.oracle import LaneTracker, Oracle

@@ -85,6 +85,7 @@ class PhotoScene(RenderedScene):
     """
 
     conditions: ClassVar[frozenset[str]] = LENS_CONDITIONS | SENSOR_CONDITIONS | {"camera_pitch", "camera_yaw"}
+    sun = (math.pi / 2, math.asin(math.sqrt(0.5)))  # unknown; chosen: 45 degrees high, for `low_sun` alone
 
     def __init__(self, drive: RecordedDrive) -> None:
         super().__init__(camera_spec(drive))
@@ -104,9 +105,6 @@ class PhotoScene(RenderedScene):
 
     def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
         self.unseen = 0.0
-
-    def _sun(self, conditions: Conditions) -> tuple[float, float]:
-        return math.pi / 2, math.asin(math.sqrt(0.5))  # unknown; chosen: 45 degrees high, for `low_sun` alone
 
     def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
         spec = self._run_spec

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Base class of scenes that a renderer draws: mounts the camera, and applies optics, conditions and sensor."""
+"""Scenes that a renderer draws, with the camera, optics and sensor of the conditions; and the one of painted ground."""
 
 from __future__ import annotations
 
@@ -12,16 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road import Road
+from ds_sim.camera.atlas import AtlasMemory, Ground
+from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.lens import optical_axes
 from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
+from ds_sim.camera.renderer import Camera
 from ds_sim.camera.sensor import Sensor, scene_rows
-from ds_sim.camera.spec import CameraSpec, Colour
+from ds_sim.camera.spec import CameraSpec, Colour, Look
+from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene
 from ds_sim.simulator import SimulatorError, VehicleState
 
 PLAIN = {"lens": "pinhole", "gain": 1.0, "gamma": 1.0, "exposure": 0.0, "blur": 0.0, "noise": 0.0, "latency": 0}
 """Camera whose image is as another renderer draws it."""
+_SPARE: list[AtlasMemory] = []
+"""Memory of unloaded scenes, some 60 MB each: a process needs it for each drive at a time, not for each simulator."""
 
 
 class RenderedScene(Scene):
@@ -32,12 +38,14 @@ class RenderedScene(Scene):
 
     Attributes:
         conditions: conditions that the scene realises.
+        sun: azimuth and elevation of the sun, rad, where conditions do not say.
         haze: colour into which distant things fade by `Optics`; None where the renderer draws haze itself.
         world_first: whether the first of the two random streams of a run is the world's, not the lens's.
         only: properties that the camera must have, or it is refused by a ValueError, as the scene draws no other.
     """
 
     conditions: ClassVar[frozenset[str]] = CAMERA_CONDITIONS
+    sun: tuple[float, float]
     haze: Colour | None = None
     only: ClassVar[Mapping[str, object]] = PLAIN
     world_first: ClassVar[bool] = False
@@ -65,10 +73,6 @@ class RenderedScene(Scene):
             SimulatorError: no road is loaded, or the renderer fails.
         """
 
-    @abstractmethod
-    def _sun(self, conditions: Conditions) -> tuple[float, float]:
-        """Azimuth and elevation of the sun, rad."""
-
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:
         """Build the world of a road from scratch; see `Scene.load`."""
         self._sensor = self._whole = None
@@ -76,8 +80,7 @@ class RenderedScene(Scene):
         lens_rng, world_rng = rng.spawn(2)
         if self.world_first:
             lens_rng, world_rng = world_rng, lens_rng
-        sun = self._sun(conditions)
-        self._run_spec, self._optics = camera_under(self._spec, conditions, lens_rng, sun=sun, haze=self.haze)
+        self._run_spec, self._optics = camera_under(self._spec, conditions, lens_rng, sun=self.sun, haze=self.haze)
         self._build(road, conditions, world_rng)
         self._sensor = Sensor(self._run_spec, rng, self._run_rows)
 
@@ -108,3 +111,56 @@ class RenderedScene(Scene):
             return image
         axes, position = optical_axes(self._run_spec, state)
         return self._optics(rows).apply(image, np.array(axes), position[2])
+
+
+class PaintedScene(RenderedScene):
+    """Implements `ds_sim.parts.Scene` for any camera and look.
+
+    Args:
+        camera: camera and its mounting.
+        look: appearance of the world.
+    """
+
+    conditions = SURFACE_CONDITIONS | CAMERA_CONDITIONS | {"visibility", "sun_azimuth", "sun_elevation"}
+    only: ClassVar[Mapping[str, object]] = {}
+    world_first = True
+
+    def __init__(self, camera: CameraSpec, look: Look) -> None:
+        super().__init__(camera)
+        self._look, self.haze, self.sun = look, look.horizon, (look.sun_azimuth, look.sun_elevation)
+        self._own_camera = self._camera = Camera(camera, look)
+        self._memory: AtlasMemory | None = None
+        self._ground: Ground | None = None
+
+    def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
+        self._ground = None
+        self._memory = self._memory or (_SPARE.pop() if _SPARE else AtlasMemory())
+        azimuth, elevation = conditions.sun_azimuth, conditions.sun_elevation
+        look = replace(
+            self._look,
+            sun_azimuth=self.sun[0] if azimuth is None else azimuth,
+            sun_elevation=self.sun[1] if elevation is None else elevation,
+        )
+        spec, rows = self._run_spec, scene_rows(self._run_spec, self._run_rows)
+        if self._own_camera.rows != rows:
+            self._own_camera = Camera(self._spec, self._look, rows)
+        changed = look != self._look or spec != self._spec
+        self._camera = Camera(spec, look, rows) if changed else self._own_camera
+        self._ground = paint_ground(road, look, self._memory, conditions=conditions, rng=rng)
+
+    def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        if self._ground is None:
+            raise SimulatorError("the scene has no road: load one first")
+        camera = self._camera if self._camera.rows == rows else self._camera.with_all_rows
+        return camera.render(self._ground, state)
+
+    def unload(self) -> None:
+        """Forget the road, and leave the memory of its ground to whichever scene of this process loads one next."""
+        if self._memory:
+            _SPARE.append(self._memory)
+        self.close()
+
+    def close(self) -> None:
+        """Release the painted ground."""
+        super().close()
+        self._ground = self._memory = None

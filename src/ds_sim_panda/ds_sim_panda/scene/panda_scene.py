@@ -15,7 +15,7 @@ from ds_sim.camera.lens import Axes, Vector, optical_axes
 from ds_sim.camera.optics import CAMERA_CONDITIONS
 from ds_sim.camera.rendered_scene import RenderedScene
 from ds_sim.camera.spec import CameraSpec
-from ds_sim.conditions.model import Conditions
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene.graphics import graphics, panda
 from ds_sim_panda.scene.parameters import FAR, NEAR
@@ -55,19 +55,18 @@ class PandaScene(RenderedScene):
         graphics()
         self._camera = panda().NodePath(panda().Camera("camera", make_lens(camera)))
         self._world: World | None = None
+        x, y, z = sun_direction(DEFAULT)
+        self.sun = math.atan2(y, x), math.asin(z)
 
     def close(self) -> None:
         """Release the world; `load` may follow."""
+        super().close()
         self._world = None
 
     def _build(self, road: Road, conditions: Conditions, rng: np.random.Generator) -> None:
         self._world = None
         changed = WORLD_CONDITIONS & conditions.changed.keys()
         self._world = World(road, Setting(conditions, rng) if changed else None)
-
-    def _sun(self, conditions: Conditions) -> tuple[float, float]:
-        x, y, z = sun_direction(conditions)
-        return math.atan2(y, x), math.asin(z)
 
     def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
         world, spec = self._world, self._run_spec
