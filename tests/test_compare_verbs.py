@@ -19,11 +19,11 @@ import typer
 from tests.campaign.engines import MadeUpEngine, use_engines
 from tests.command_line import ds
 
-from ds_analysis.comparison.ci_results import Criteria
 from ds_analysis.sensitivity.factors import factors_named
 from ds_analysis.sensitivity.result import RoadResult, Sensitivity, Threshold
 from ds_base.folder_files import locked
 from ds_cli.campaign.run import judged
+from ds_cli.options import CampaignCriteria
 from ds_cli.output import Result, end
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -480,8 +480,8 @@ def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:
     with closing(Store(folder / "campaign.sqlite")) as store:
         failures = sum(execution.outcome.is_failure for execution in store.executions())
     result = Result(document=None, show=lambda: None, next="ds models")
-    assert judged(result, folder, Criteria(), None) is result
-    unmet = judged(result, folder, Criteria(fail_on="failure"), junit).unmet
+    assert judged(result, folder, CampaignCriteria()) is result
+    unmet = judged(result, folder, CampaignCriteria(fail_on="failure", junit=junit)).unmet
     assert len(unmet) == 1 and unmet[0].startswith("tests fail: ")
     root = ElementTree.parse(junit).getroot()
     assert (root.get("tests"), root.get("failures")) == ("24", str(failures))

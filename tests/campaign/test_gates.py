@@ -17,7 +17,7 @@ from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
 
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_base.folder_files import StoreError
-from ds_cli.campaign.inspection import status
+from ds_cli.campaign.inspection import campaign_status_command
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError, parse_config
@@ -103,7 +103,7 @@ def test_excluded_tests_are_shown_apart(tmp_path: Path, capsys: pytest.CaptureFi
     data = read_campaign(store)
     excluded = {key: gate.state.value for key, gate in data.gates.items() if not gate.is_valid}
     counts = {name: Counter(state for (_, n), state in excluded.items() if n == name) for name in DONKEYS}
-    found = status(tmp_path / "a")
+    found = campaign_status_command(tmp_path / "a")
     assert found.document["excluded"] == counts
     found.show()
     shown = capsys.readouterr().out

@@ -27,7 +27,7 @@ CONFIG = {
 
 def test_a_campaign_outlives_its_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver crashes once, during a run; the test is repeated, and the error enters no map."""
-    from ds_cli.campaign.inspection import status
+    from ds_cli.campaign.inspection import campaign_status_command
     from ds_orchestrator.graph import session as running
     from ds_orchestrator.graph.supervisor import ProcessSpec
     from ds_studies.whole_campaign import run_campaign
@@ -49,7 +49,7 @@ def test_a_campaign_outlives_its_driver(tmp_path: Path, monkeypatch: pytest.Monk
     assert time.monotonic() - began < 100.0
     assert (tmp_path / "once").exists()
     assert result.executions == 3 and result.executions_in_error == 0
-    errors = status(tmp_path / "out").document["errors"]
+    errors = campaign_status_command(tmp_path / "out").document["errors"]
     assert [(error["outcome"], error["attempt"]) for error in errors] == [("SIM_ERROR", 0)]
     assert "driver ended during the run" in errors[0]["message"]
     report = result.report.read_text()

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer, end, say
+from ds_cli.output import Result, ScreenProgress, say, verb
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def _write_video(
     write_video(video, f"{simulator}, {driver}", run.road, frames, run.commands, run.conditions, translate)
 
 
-@bag_app.command("info")
-def info_command(folder: BagFolder, as_json: options.JsonFlag = False) -> None:
+@verb(bag_app, "info")
+def info_command(folder: BagFolder) -> Result:
     """Describe a bag: outcome, road, versions and topics.
 
     A bag of another project is described as far as it is a rosbag2 or ROS 1 bag.
@@ -75,15 +75,14 @@ def info_command(folder: BagFolder, as_json: options.JsonFlag = False) -> None:
 
     ours, open_loop = ds_command("bag", "redrive", folder), ds_command("bag", "drive", folder, "--driver", "dave2")
     following = ours if document["facts"].get("simulator") else open_loop
-    answer(Result(document=document, show=show, next=following), as_json)
+    return Result(document=document, show=show, next=following)
 
 
-@bag_app.command("recover")
+@verb(bag_app, "recover")
 def recover_command(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the bag, or its hidden partial folder.")],
     out: Annotated[Path | None, typer.Option(help="Folder to write; DIR_recovered if left out.")] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Recover a bag whose writer was killed.
 
     Example: ds bag recover runs/killed
@@ -99,18 +98,17 @@ def recover_command(
             f"of {bag.source} could not be recovered. The damaged file is kept."
         )
 
-    answer(Result(document=document, show=show, next=ds_command("bag", "info", bag.folder)), as_json)
+    return Result(document=document, show=show, next=ds_command("bag", "info", bag.folder))
 
 
-@bag_app.command("redrive")
+@verb(bag_app, "redrive")
 def redrive_command(
     folder: BagFolder,
     sim: Annotated[SimulatorName | None, options.simulator_option("Simulator in place of the recorded one.")] = None,
     video: Annotated[Path | None, typer.Option(help="Video of the run to write, .mp4.")] = None,
     trust: options.Trust = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the run, if the bag has lost it.")] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Re-simulate a recorded run and compare it with the recording, bit by bit.
 
     The simulator gets the recorded road, seed and commands again, without a driver. This shows whether your
@@ -145,10 +143,10 @@ def redrive_command(
         )
     about, shown_again = ds_command("bag", "info", folder), ds_command("bag", "redrive", folder, "--video", "run.mp4")
     following = about if video else shown_again
-    end(Result(document=document, show=show if same else lambda: None, error=not same, next=following), as_json)
+    return Result(document=document, show=show if same else lambda: None, error=not same, next=following)
 
 
-@bag_app.command("drive")
+@verb(bag_app, "drive")
 def drive_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Bags with images, and Donkey Car tubs.")],
     driver: Annotated[str, typer.Option(help="Network: dave2, or a .safetensors or .yaml file.")] = "dave2",
@@ -163,8 +161,7 @@ def drive_command(
     ] = "recorded",
     limit: Annotated[int | None, typer.Option(min=1, help="Images of each recording at most.")] = None,
     trust: options.Trust = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Show recorded images to a network (open loop), and compare its steering with the recorded one.
 
     The network does not drive. Prints the steering errors, and distances between recordings.
@@ -242,4 +239,4 @@ def drive_command(
         if out is not None:
             print(f"{out / 'errors.png'}\n{out / 'answers.csv'}")
 
-    answer(Result(document=document, show=show, next=ds_command("check", driver)), as_json)
+    return Result(document=document, show=show, next=ds_command("check", driver))

@@ -14,7 +14,7 @@ import typer
 from ds_base.installation import ds_command
 from ds_base.words import duration
 from ds_cli import options
-from ds_cli.output import Interrupted, Result, end, say, warning
+from ds_cli.output import Interrupted, Result, say, verb, warning
 from ds_sim.conditions.model import ConditionsError
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
@@ -108,7 +108,7 @@ def _test_in(road: Path | None) -> tuple[int, object]:
     return 0, conditions
 
 
-@app.command("drive")
+@verb(app, "drive")
 def drive_command(
     sim: options.Simulator,
     driver: options.DriverText = "dave2",
@@ -153,8 +153,7 @@ def drive_command(
         Literal["error", "failure"],
         typer.Option(help="With failure: exit with 3 if the driver fails on the road; 1 is an error."),
     ] = "error",
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Drive one road with one driver on one simulator.
 
     Without --road the road is random. The driver fails when the vehicle leaves its lane.
@@ -263,4 +262,4 @@ def drive_command(
     unmet = [f"{whose} fails on the road"] if fail_on == "failure" and run.outcome.is_failure else []
     following = ds_command("test", "dave2" if attach or is_autopilot else whose)
     error = run.outcome.is_error
-    end(Result(document=document, show=show, error=error, unmet=unmet, next=following), as_json)
+    return Result(document=document, show=show, error=error, unmet=unmet, next=following)

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer
+from ds_cli.output import Result, ScreenProgress, verb
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def tables_result(tables: list[Table], out: Path | None, following: str, *, ever
     return Result(document={one.name: one.document() for one in tables}, show=show, next=following)
 
 
-@app.command("evaluate")
+@verb(app, "evaluate")
 def evaluate_command(
     folder: Annotated[
         Path | None,
@@ -93,8 +93,7 @@ def evaluate_command(
     out: Annotated[Path | None, typer.Option(help="Folder for CSV and LaTeX; DIR/evaluation if left out.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Print the robustness checks and densities too.")] = False,
     trust: options.Trust = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).
 
     The tables of the paper show its numbers next to those of your campaign. With --data and no campaign, you get RQ1 of
@@ -110,8 +109,7 @@ def evaluate_command(
         names = None if siblings is None else [SimulatorName(name) for name in siblings.split(",")]
         network = options.driver_named(driver or "dave2")
         tables = _offline_tables(data, network, names, twin or SimulatorName("donkey"), images, trusted)
-        answer(tables_result(tables, out, ds_command("test", network), everything=everything), as_json)
-        return
+        return tables_result(tables, out, ds_command("test", network), everything=everything)
     if of_campaign := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
         raise typer.BadParameter(f"--{of_campaign[0]} is the campaign's: leave it out, or leave out {folder}")
     from ds_analysis.paper.campaign_contents import maps_of
@@ -139,5 +137,4 @@ def evaluate_command(
         tables += evaluate_campaign(config, maps).tables
         tables += section.tables if (section := sibling_section(campaign)) else []
         following = ds_command("report", folder)
-        result = tables_result(tables, out or folder / "evaluation", following, everything=everything)
-    answer(result, as_json)
+        return tables_result(tables, out or folder / "evaluation", following, everything=everything)

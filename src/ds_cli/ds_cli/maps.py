@@ -15,7 +15,7 @@ from rich.text import Text
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, answer
+from ds_cli.output import Result, verb
 
 if TYPE_CHECKING:
     from ds_orchestrator.maps.feature_map import FeatureMap, MapCell
@@ -114,7 +114,7 @@ def _style(value: float) -> str:
     return "bold rgb({},{},{}) on rgb({},{},{})".format(*ink_on(colour), *colour)
 
 
-@app.command("maps")
+@verb(app, "maps")
 def maps_command(
     folder: options.Folder,
     name: Annotated[
@@ -124,8 +124,7 @@ def maps_command(
         str | None,
         typer.Option(help="Two or three features that span the maps, separated by commas; as configured if left out."),
     ] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Show a campaign's feature maps, or those of imported outcomes, as coloured grids.
 
     A cell shows how often the tests of similar roads fail. There is a map for every simulator, and one of the siblings
@@ -175,4 +174,4 @@ def maps_command(
             further = "; ".join(",".join(other) for other in data.config.further_axes)
             console.print(f"Other axes, with --axes A,B: {further}", highlight=False)
 
-    answer(Result(document=to_json(every), show=show, next=ds_command("report", folder)), as_json)
+    return Result(document=to_json(every), show=show, next=ds_command("report", folder))

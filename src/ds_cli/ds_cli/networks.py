@@ -15,7 +15,7 @@ from ds_base.bounded_json import read_json
 from ds_base.installation import ds_command
 from ds_base.words import count
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer, say, say_next, stopped
+from ds_cli.output import Result, ScreenProgress, say, say_next, stopped, verb
 
 app = typer.Typer()
 
@@ -66,7 +66,7 @@ def collect_command(
     say_next(_training_of(out))
 
 
-@app.command("import")
+@verb(app, "import")
 def import_command(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Donkey Car tubs and bags with images.")],
     out: Annotated[Path, typer.Option(help="Folder of the data set, new or existing.")],
@@ -79,8 +79,7 @@ def import_command(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse a recording with an image that cannot be read.")
     ] = False,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Import recorded drives of a real car into a data set.
 
     `ds train` can then train on it, and `ds evaluate` can compare networks on it.
@@ -104,7 +103,7 @@ def import_command(
     if left_out.items:
         say(left_out.line())
     document = asdict(imported) | {"unreadable": len(left_out.items)}
-    answer(Result(document=document, show=show, next=_training_of(out)), as_json)
+    return Result(document=document, show=show, next=_training_of(out))
 
 
 @app.command("train")
@@ -171,8 +170,8 @@ def _steps_of(text: str) -> tuple[int, ...]:
     return tuple(int(step) for step in steps)
 
 
-@app.command("models")
-def models_command(as_json: options.JsonFlag = False) -> None:
+@verb(app, "models")
+def models_command() -> Result:
     """List the shipped networks and their success rates.
 
     Example: ds models
@@ -194,4 +193,4 @@ def models_command(as_json: options.JsonFlag = False) -> None:
             table.add_row(row["name"], f"{row['parameters']:,}", f"{row['bytes']:,}", success)
         Console().print(table)
 
-    answer(Result(document=document, show=show, next="ds check dave2"), as_json)
+    return Result(document=document, show=show, next="ds check dave2")

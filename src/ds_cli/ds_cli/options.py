@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import typer
 
@@ -14,10 +14,8 @@ from ds_base.extension import confirm
 from ds_sim.registry import SimulatorName, simulators
 
 if TYPE_CHECKING:
+    from ds_analysis.comparison.ci_results import Criteria
     from ds_driver.networks.driver_name import DriverName
-    from ds_orchestrator.campaign.config import CampaignConfig
-    from ds_orchestrator.campaign.engine import DriveSettings
-    from ds_orchestrator.campaign.engine import EngineName as Engines
     from ds_orchestrator.engines.cluster import ClusterOptions
 
 ALL = "all"
@@ -50,7 +48,6 @@ def complete_value(incomplete: str) -> list[str]:
     return [f"{name}=" for name in complete_condition(incomplete)]
 
 
-JsonFlag = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 OutFolder = Annotated[Path, typer.Option(help="Campaign folder; a campaign that was stopped there is resumed.")]
 AttachFlag = Annotated[bool, typer.Option(help="Start no nodes: use those that run in this ROS domain.")]
 Wait = Annotated[
@@ -212,48 +209,98 @@ def driver_named(text: str, backend: str = "auto", device: str = "cpu") -> Drive
     return driver
 
 
-def with_engine(config: CampaignConfig, workers: int | None, engine: str | None) -> CampaignConfig:
-    """The configuration with another number of workers, or another engine."""
-    return config.model_copy(update=_chosen(workers, engine))
+def check_writable(*paths: Path | None) -> None:
+    """Refuse files that could not be written at the end, before anything is driven."""
+    for path in paths:
+        if path is not None and path.is_dir():
+            raise IsADirectoryError(21, "is a folder, expected a file to write", str(path))
+        if path is not None and not path.absolute().parent.is_dir():
+            raise FileNotFoundError(2, "there is no such folder: create it first", str(path.absolute().parent))
 
 
-def with_engine_without_ros(
-    settings: DriveSettings, workers: int | None, engine: str | None, cluster: Path | None
-) -> DriveSettings:
-    """The settings with an engine: `local` with a process for each processor, unless the options say otherwise."""
-    chosen = {
-        "engine": "local",
-        "workers": usual_workers(engine),
-        "cluster": cluster_of(cluster),
-        **_chosen(workers, engine),
-    }
-    return replace(settings, **chosen)
+@dataclass(frozen=True)
+class PassCriteria:
+    """Options of pass criteria, and of what a CI job shows."""
+
+    fail_on: FailOn = None
+    max_failures: MaxFailures = None
+    junit: Junit = None
+    has_reference: ClassVar[bool] = True
+
+    @property
+    def criteria(self) -> Criteria:
+        """The pass criteria, if they make sense."""
+        from ds_analysis.comparison import ci_results
+
+        limit = None if self.max_failures is None else ci_results.MaxFailures.parse(self.max_failures)
+        criteria = ci_results.Criteria(fail_on=self.fail_on, max_failures=limit)
+        criteria.check(has_reference=self.has_reference)
+        return criteria
+
+    def check(self, *files: Path | None) -> None:
+        """Refuse what makes no sense, and files that could not be written."""
+        _ = self.criteria
+        check_writable(self.junit, *files)
 
 
-def usual_workers(engine: str | None) -> int:
-    """Workers where nothing says how many: a process for each processor, but one graph of nodes."""
-    from ds_orchestrator.campaign.config import MOST_WORKERS
-    from ds_orchestrator.campaign.engine import engine_here
+@dataclass(frozen=True)
+class ComparisonCriteria(PassCriteria):
+    """Options of a comparison's pass criteria."""
 
-    if engine is not None and engine_here(cast("Engines", engine)) == "graph":
-        return 1
-    return min(len(os.sched_getaffinity(0)), MOST_WORKERS)
+    markdown: Markdown = None
 
 
-def _chosen(workers: int | None, engine: str | None) -> dict[str, Any]:
-    from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError
-    from ds_orchestrator.campaign.engine import EngineName as Names
+@dataclass(frozen=True)
+class CampaignCriteria(PassCriteria):
+    """Options of a campaign's pass criteria."""
 
-    if workers is not None and workers > MOST_WORKERS:
-        raise ConfigError(f"--workers {workers}: expected 1 to {MOST_WORKERS}")
-    if engine is not None and engine not in get_args(Names):
-        raise ConfigError(f"--engine {engine}: expected one of {', '.join(get_args(Names))}")
-    changed = {"workers": workers, "engine": engine}
-    return {key: value for key, value in changed.items() if value is not None}
+    fail_on: FailOnFailure = None
+    has_reference = False
 
 
-def cluster_of(file: Path | None) -> ClusterOptions:
-    """The cluster that `--cluster` describes; one on this machine without it."""
-    from ds_orchestrator.engines.cluster import ClusterOptions, read_cluster
+@dataclass(frozen=True)
+class Driving:
+    """Options of what drives, and how many at a time."""
 
-    return ClusterOptions() if file is None else read_cluster(file)
+    workers: Workers = None
+    engine: EngineName = None
+
+    def chosen(self) -> dict[str, Any]:
+        """Keys of a configuration, as far as they are chosen."""
+        from ds_orchestrator.campaign.config import MOST_WORKERS, ConfigError
+        from ds_orchestrator.campaign.engine import EngineName as Names
+
+        if self.workers is not None and self.workers > MOST_WORKERS:
+            raise ConfigError(f"--workers {self.workers}: expected 1 to {MOST_WORKERS}")
+        if self.engine is not None and self.engine not in get_args(Names):
+            raise ConfigError(f"--engine {self.engine}: expected one of {', '.join(get_args(Names))}")
+        changed = {"workers": self.workers, "engine": self.engine}
+        return {key: value for key, value in changed.items() if value is not None}
+
+    def without_ros(self) -> dict[str, Any]:
+        """Keys of settings: the engine `local` with a process for each processor, unless the options say otherwise."""
+        from ds_orchestrator.campaign.config import MOST_WORKERS
+        from ds_orchestrator.campaign.engine import engine_here
+
+        chosen = self.chosen()
+        workers = min(len(os.sched_getaffinity(0)), MOST_WORKERS)
+        if engine_here(chosen.get("engine", "local")) == "graph":
+            workers = 1  # one graph of nodes
+        return {"engine": "local", "workers": workers, **chosen}
+
+
+@dataclass(frozen=True)
+class DrivingAnywhere(Driving):
+    """The same with a cluster of machines."""
+
+    cluster: Cluster = None
+
+    def without_ros(self) -> dict[str, Any]:
+        """See `Driving.without_ros`."""
+        return {**super().without_ros(), "cluster": self.cluster_options()}
+
+    def cluster_options(self) -> ClusterOptions:
+        """The cluster that `--cluster` describes; one on this machine without it."""
+        from ds_orchestrator.engines.cluster import ClusterOptions, read_cluster
+
+        return ClusterOptions() if self.cluster is None else read_cluster(self.cluster)

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli import options
-from ds_cli.output import Result, answer, say, say_next
+from ds_cli.output import Result, say, say_next, verb
 
 if TYPE_CHECKING:
     from ds_analysis.outcomes.columns import Columns
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
 outcomes_app = typer.Typer()
 
 
-@outcomes_app.command("import")
+@verb(outcomes_app, "import")
 def outcomes_import_command(
     tables: Annotated[
         list[Path],
@@ -34,8 +33,7 @@ def outcomes_import_command(
     strict: Annotated[
         bool, typer.Option("--strict", help="Refuse a row that cannot be read, and a feature with empty cells.")
     ] = False,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Make a study of the same tests' outcomes on any simulators, to predict, propose drives and compare.
 
     A table needs the columns test_id, simulator and failed, or their usual other names. If they cannot be found, the
@@ -91,7 +89,7 @@ def outcomes_import_command(
             print(f"fewer than {FEWEST_TESTS} tests: {', '.join(few)}; they count where they were driven")
         print(path)
 
-    answer(Result(document=document, show=show, next=ds_command("predict", out)), as_json)
+    return Result(document=document, show=show, next=ds_command("predict", out))
 
 
 def _guessed(tables: list[Path], out: Path) -> Columns:

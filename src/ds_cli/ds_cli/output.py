@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import os
 import stat
@@ -10,9 +11,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -22,6 +23,7 @@ from ds_base.words import duration
 if TYPE_CHECKING:
     from ds_driver.control.command_habits import Habit
 
+_JSON = Annotated[bool, typer.Option("--json", help="Print one JSON document on standard output.")]
 NOT_PASSED = 3
 """Exit status if a pass criterion is not met; 1 and 2 say that nothing was decided."""
 
@@ -132,8 +134,41 @@ def number(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-def answer(result: Result, as_json: bool) -> None:
-    """Print a result for a person or as JSON."""
+def verb(app: typer.Typer, name: str) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Add a verb that returns a `Result`, which is then printed for a person, or as JSON.
+
+    A parameter whose type is a dataclass stands for several options, the fields of that class. The exit status is 1 if
+    the result is an error, and 3 if a pass criterion is not met.
+    """
+
+    def add(function: Callable[..., Result]) -> Callable[..., Result]:
+        parameters: list[inspect.Parameter] = []
+        groups: dict[str, tuple[Any, list[str]]] = {}
+        for parameter in inspect.signature(function, eval_str=True).parameters.values():
+            taken, kind = [parameter], parameter.annotation
+            if isinstance(kind, type) and is_dataclass(kind):
+                taken = list(inspect.signature(kind, eval_str=True).parameters.values())
+                groups[parameter.name] = kind, [one.name for one in taken]
+            parameters += taken
+        parameters.append(inspect.Parameter("as_json", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=_JSON))
+
+        def command(as_json: bool, **values: Any) -> None:
+            for group, (kind, names) in groups.items():
+                values[group] = kind(**{one: values.pop(one) for one in names})
+            end(function(**values), as_json)
+
+        command.__doc__ = function.__doc__
+        command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+            [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in parameters]
+        )
+        app.command(name)(command)
+        return function
+
+    return add
+
+
+def end(result: Result, as_json: bool) -> None:
+    """Print a result, and exit with status 1 if it is an error, with 3 if a pass criterion is not met."""
     if as_json:
         print(json.dumps(result.document, allow_nan=False))
     else:
@@ -142,10 +177,5 @@ def answer(result: Result, as_json: bool) -> None:
         say(f"not passed: {sentence}")
     if not result.error:
         say_next(result.next)
-
-
-def end(result: Result, as_json: bool) -> None:
-    """Print a result, and exit with status 1 if it is an error, with 3 if a pass criterion is not met."""
-    answer(result, as_json)
     if result.error or result.unmet:
         raise typer.Exit(1 if result.error else NOT_PASSED)

@@ -10,7 +10,7 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer, end, stopped
+from ds_cli.output import Result, ScreenProgress, stopped, verb
 
 recording_app = typer.Typer()
 
@@ -28,7 +28,7 @@ EVERY = 3.0
 """Seconds between two lines of progress."""
 
 
-@recording_app.command("test")
+@verb(recording_app, "test")
 def recording_test_command(
     source: Source,
     lane_width: LaneWidth,
@@ -52,8 +52,7 @@ def recording_test_command(
     centre: Centre = "yellow",
     workers: options.Workers = None,
     fail_on: options.FailOnFailure = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Test a network on the track of a recording: does it leave its lane there?
 
     Locates the recording, fits the twin and cuts roads out of the track. The network then drives these roads, in the
@@ -71,7 +70,7 @@ def recording_test_command(
 
     network = options.driver_named(driver, backend)
     check_driver(network, [])
-    settings = options.with_engine_without_ros(DriveSettings(siblings=(), driver=network), workers, None, None)
+    settings = DriveSettings(siblings=(), driver=network, **options.Driving(workers).without_ros())
     reading = Reading(camera=topic, steering=steering, factor=factor, whole=True)
     recording = LocationInputs(
         source=source, camera=camera, lane_width=lane_width, reading=reading, odometry=odometry, centre=centre
@@ -90,10 +89,10 @@ def recording_test_command(
     unmet = [f"{network} fails on {failures} of {judged} roads"] if fail_on and failures else []
     more = f"recording@{asked.located},bullet,softbody"
     then = ds_command("siblings", "compare", "--file", out / ROADS, "--driver", network, "--sims", more)
-    end(Result(document=answer.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then), as_json)
+    return Result(document=answer.document() | {"page": str(out / PAGE)}, show=show, unmet=unmet, next=then)
 
 
-@recording_app.command("locate")
+@verb(recording_app, "locate")
 def locate_command(
     source: Source,
     lane_width: LaneWidth,
@@ -104,8 +103,7 @@ def locate_command(
     factor: options.SteeringFactor = 1.0,
     odometry: Odometry = None,
     centre: Centre = "yellow",
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Find where the car was in every image of a recording, and the track it drove on.
 
     The track needs a coloured centre line between two white edge lines. A recording without them is refused.
@@ -135,17 +133,16 @@ def locate_command(
             print(f"Motion beside the images: {summary(about)}")
         print(page)
 
-    answer(Result(document=document, show=show, next=ds_command("recording", "roads", out)), as_json)
+    return Result(document=document, show=show, next=ds_command("recording", "roads", out))
 
 
-@recording_app.command("calibrate")
+@verb(recording_app, "calibrate")
 def calibrate_command(
     images: Annotated[list[Path], typer.Argument(metavar="IMAGE...", help="Photographs of a chessboard, or folders.")],
     squares: Annotated[str, typer.Option(help="Squares of the board along and across.")] = "8x6",
     size: Annotated[float, typer.Option(min=0.001, max=1.0, help="Side of a square, m.")] = 0.025,
     out: Annotated[Path, typer.Option(help="YAML file to write.")] = Path("camera.yaml"),
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Calibrate a camera with photographs of a chessboard, taken at the size of its recordings.
 
     Height and pitch above the floor stay unknown; `ds recording locate` estimates them from the lines.
@@ -176,10 +173,10 @@ def calibrate_command(
         print(f"{lens}, {calibration.boards} boards; corners of held-out ones are {error:.2f} px off")
         print(f"{out}: --camera of `ds recording`")
 
-    answer(Result(document=document, show=show, next=ds_command("recording", "locate", "--help")), as_json)
+    return Result(document=document, show=show, next=ds_command("recording", "locate", "--help"))
 
 
-@recording_app.command("roads")
+@verb(recording_app, "roads")
 def recording_roads_command(
     folder: Annotated[Path, typer.Argument(help="Folder that `ds recording locate` wrote.")],
     out: Annotated[Path, typer.Option(help="Road file to write.")] = Path("roads.json"),
@@ -188,8 +185,7 @@ def recording_roads_command(
         float | None,
         typer.Option(min=1.0, help="Distance between two starts, road metres; 20 if left out, less on short tracks."),
     ] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Cut the recorded track into roads to test.
 
     A metre of the roads is 1/16 m on the floor. `ds siblings compare --file ROADS --sims recording@FOLDER,...` drives
@@ -217,4 +213,4 @@ def recording_roads_command(
 
     sims = f"recording@{folder},bullet,softbody"
     following = ds_command("siblings", "compare", "--file", out, "--sims", sims)
-    answer(Result(document=document, show=show, next=following), as_json)
+    return Result(document=document, show=show, next=following)

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, answer, printed_to, say, say_next
+from ds_cli.output import Result, printed_to, say, say_next, verb
 
 if TYPE_CHECKING:
     from ds_base.left_out import LeftOut
@@ -78,10 +78,8 @@ def road_generate_command(
     _say_next("generate", "--seed", seed, "--count", count, "--max-angle", max_angle)
 
 
-@road_app.command("check")
-def road_check_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")], as_json: options.JsonFlag = False
-) -> None:
+@verb(road_app, "check")
+def road_check_command(file: Annotated[Path, typer.Argument(metavar="FILE", help="JSON list of roads.")]) -> Result:
     """Check every road of a file: validity, length, curvature and turns.
 
     Example: ds road check roads.json
@@ -107,7 +105,7 @@ def road_check_command(
 
     usable = document and all(row["valid"] for row in document)
     words = ("siblings", "compare", "--file", file) if usable else ("road", "generate")
-    answer(Result(document=document, show=show, next=ds_command(*words)), as_json)
+    return Result(document=document, show=show, next=ds_command(*words))
 
 
 @road_app.command("show")

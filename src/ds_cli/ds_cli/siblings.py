@@ -14,7 +14,7 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, end, number, say, stopped_in
+from ds_cli.output import Result, number, say, stopped_in, verb
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ TWIN = SimulatorName("donkey")
 siblings_app = typer.Typer()
 
 
-@siblings_app.command("compare")
+@verb(siblings_app, "compare")
 def siblings_compare_command(
     driver: options.DriverText = "dave2",
     backend: options.Backend = "auto",
@@ -56,11 +56,9 @@ def siblings_compare_command(
         Path | None,
         typer.Option(help="Folder for siblings.json, tables, pictures and drives; a stopped comparison is resumed."),
     ] = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+    *,
+    driving: options.DrivingAnywhere,
+) -> Result:
     """Drive the same roads on several simulators: which fail where, and what each sibling adds.
 
     For every simulator you see the share of roads that the driver completes, and how well road features alone predict
@@ -86,9 +84,7 @@ def siblings_compare_command(
         raise ConfigError(f"simulators {', '.join(names)}: expected at least two, as --sims a,b")
     if twin is not None and twin not in names:
         raise ConfigError(f"twin {twin} is not among the simulators {', '.join(names)}: add it to --sims")
-    settings = options.with_engine_without_ros(
-        DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster
-    )
+    settings = DriveSettings(siblings=tuple(names), driver=network, **driving.without_ros())
     chosen = roads_of(file, lane, count=roads, seed=seed, max_angle=max_angle)
     if out is not None:
         make_folder(out)
@@ -127,7 +123,7 @@ def siblings_compare_command(
 
     in_error = any(row["errors"] for row in document["simulators"].values())
     following = ds_command("test", driver) if out is None else ds_command("predict", out)
-    end(Result(document=document, show=show, error=in_error, next=following), as_json)
+    return Result(document=document, show=show, error=in_error, next=following)
 
 
 def _write(

@@ -11,13 +11,13 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer, say, stopped
+from ds_cli.output import Result, ScreenProgress, say, stopped, verb
 from ds_sim.registry import SimulatorName
 
 sim2real_app = typer.Typer()
 
 
-@sim2real_app.command("train")
+@verb(sim2real_app, "train")
 def train_command(
     real: Annotated[
         Path, typer.Option("--real", help="Photographs from the right lane: a Donkey Car tub, a bag, or a folder.")
@@ -35,8 +35,7 @@ def train_command(
         list[Path] | None,
         typer.Option(metavar="DIR", help="Data set whose roads must not be among the simulated ones; repeatable."),
     ] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Train a generator for one simulator's images.
 
     The generator makes simulated images look like your photographs. The simulated ones come from random roads that the
@@ -67,10 +66,10 @@ def train_command(
     }
     newest = max((out / EPOCHS).glob("*.safetensors"))
     following = ds_command("sim2real", "translate", "data", "--generator", newest, "--out", "translated")
-    answer(Result(document=document, show=lambda: print(out / EPOCHS), next=following), as_json)
+    return Result(document=document, show=lambda: print(out / EPOCHS), next=following)
 
 
-@sim2real_app.command("translate")
+@verb(sim2real_app, "translate")
 def translate_command(
     source: Annotated[Path, typer.Argument(metavar="SOURCE", help="Data set of simulated drives, bag, or tub.")],
     out: Annotated[Path, typer.Option(help="Folder to write; a translation that was stopped there is resumed.")],
@@ -81,8 +80,7 @@ def translate_command(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes for a data set; as many as processors if left out.")
     ] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Translate the images of a data set, bag or tub; the same format out.
 
     Example: ds sim2real translate data --generator generators --out data_real
@@ -101,4 +99,4 @@ def translate_command(
         count = sum(translate(source, out, one, ScreenProgress(), workers=workers) for one in translators)
     document = {"out": str(out), "translated": count}
     following = ds_command("train", "--data", out, "--out", "networks")
-    answer(Result(document=document, show=lambda: print(out), next=following), as_json)
+    return Result(document=document, show=lambda: print(out), next=following)

@@ -11,8 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.installation import ds_command
-from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, answer, say
+from ds_cli.output import Result, ScreenProgress, say, verb
 from ds_sim.conditions.text import format_3sf
 
 MISFIT = 2.0
@@ -20,7 +19,7 @@ MISFIT = 2.0
 twin_app = typer.Typer()
 
 
-@twin_app.command("fit")
+@verb(twin_app, "fit")
 def twin_fit_command(
     logs: Annotated[
         list[Path], typer.Argument(metavar="LOG...", help="Bags, Donkey Car tubs and located recordings of drives.")
@@ -32,8 +31,7 @@ def twin_fit_command(
         Path | None,
         typer.Option(help="What to start from: parameters, myconfig.py, or a RoboRacer car's YAML or URDF."),
     ] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Fit the digital twin's parameters to recorded drives.
 
     `--sim donkey@FILE` then drives with them.
@@ -87,4 +85,4 @@ def twin_fit_command(
         print(f"{out}\n{picture}")
 
     following = ds_command("drive", "--sim", f"donkey@{out}", "--driver", "autopilot")
-    answer(Result(document=document, show=show, next=following), as_json)
+    return Result(document=document, show=show, next=following)

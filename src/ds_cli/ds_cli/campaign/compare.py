@@ -3,25 +3,31 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from ds_base.installation import ds_command
+from ds_base.installation import as_typed, ds_command
+from ds_base.palette import FAIL, PASS
 from ds_cli import options
-from ds_cli.campaign.compare_results import check_writable, criteria_of, write_comparison
 from ds_cli.campaign.run import SIMULATORS
-from ds_cli.output import end, stopped_in
+from ds_cli.output import Result, stopped_in, verb
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.analysis import Origin
+    from ds_analysis.comparison.analysis import Comparison, Origin
     from ds_analysis.comparison.paired_drives import Network
     from ds_driver.networks.driver_name import DriverName
     from ds_orchestrator.campaign.folder import CampaignData
+    from ds_report.comparison_page import Grid
     from ds_studies.comparison.compare import GivenTests
 
 ROADS, SEED = 40, 40
@@ -101,7 +107,109 @@ def network_named(driver: DriverName, simulators: Sequence[SimulatorName]) -> Ne
     return Network(driver=driver, sha256=driver_sha256(driver))
 
 
-@app.command("compare")
+MOST_COLUMNS = 14
+"""Columns of a grid; chosen: they fit on a line of 120 characters."""
+
+
+def write_comparison(comparison: Comparison, out: Path, passing: options.ComparisonCriteria, following: str) -> Result:
+    """Write comparison.json, .md and .html, tables, the roads of tests that newly fail, and what a CI job shows.
+
+    `following` is what a user types next where no test newly fails.
+    """
+    from ds_analysis.comparison import tables
+    from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
+    from ds_analysis.comparison.ci_results import cases_of, junit_of
+    from ds_base.atomic_files import write_json, write_whole
+    from ds_base.table import write_tables
+    from ds_report.comparison_page import grids_of, write_comparison_page
+
+    worse = [row.simulator for row in comparison.simulators if row.verdict == "worse"]
+    unmet = passing.criteria.unmet(comparison.tally(), newly_failing=len(comparison.newly_failing), worse=worse)
+    road_files = write_roads(comparison, out / "worse")
+    document = {
+        "version": 1,
+        **tables.document_of(comparison, road_files),
+        "unmet": unmet,
+        "page": str(out / "comparison.html"),
+    }
+    write_json(out / "comparison.json", document)
+    write_whole(out / "comparison.md", tables.markdown_of(comparison, road_files, unmet))
+    write_tables(
+        [tables.simulator_table(comparison), tables.cell_table(comparison), tables.drive_table(comparison)],
+        out / "tables",
+    )
+    write_comparison_page(comparison, out / "comparison.html", road_files, unmet)
+    if passing.junit is not None:
+        name = f"{comparison.candidate.driver} against {comparison.reference.driver}"
+        write_whole(passing.junit, junit_of(name, cases_of(comparison)))
+    if passing.markdown is not None:
+        write_whole(passing.markdown, tables.markdown_of(comparison, road_files, unmet))
+
+    def show() -> None:
+        console = Console()
+        tables.simulator_table(comparison).show(console)
+        grids = [grid for grid in grids_of(comparison) if len(grid.columns) <= MOST_COLUMNS]
+        cells = tables.cell_table(comparison, most=tables.MOST_ROWS)
+        for grid in grids:
+            print(f"{grid.title}: tests that newly fail (+) and that are fixed (−), of all")
+            console.print(_difference_grid(grid))
+        if grids:
+            print(cells.notes[0])
+        elif cells.rows:
+            cells.show(console)
+        drives = tables.drive_table(comparison, most=tables.MOST_ROWS)
+        if drives.rows:
+            drives.show(console)
+        for command in again[: tables.MOST_ROWS]:
+            print(as_typed(command))
+        for line in (*sentences_of(comparison), *cautions_of(comparison)):
+            print(line)
+        print(answer_of(comparison))
+        print(out / "comparison.html")
+
+    again = [
+        tables.command_of(drive, comparison.candidate.driver, road_files[drive.test.name])
+        for drive in comparison.newly_failing
+        if drive.test.name in road_files
+    ]
+    return Result(
+        document=document, show=show, error=bool(comparison.left_out), unmet=unmet, next=[*again, following][0]
+    )
+
+
+def write_roads(comparison: Comparison, folder: Path) -> dict[str, str]:
+    """Write a road file for every test that newly fails, as `ds drive --road` takes it; test -> file."""
+    from ds_base.atomic_files import write_whole
+    from ds_road.files import road_object
+    from ds_sim.conditions.text import format_conditions
+
+    files = {}
+    for drive in comparison.newly_failing:
+        scenario = drive.test.scenario
+        if scenario is None:
+            continue
+        path = folder / f"{drive.test.name}.json"
+        entry = road_object(scenario.road) | {"seed": scenario.seed}
+        if conditions := format_conditions(scenario.conditions):
+            entry["conditions"] = conditions
+        write_whole(path, json.dumps([entry], allow_nan=False) + "\n")
+        files[drive.test.name] = str(path)
+    return files
+
+
+def _difference_grid(grid: Grid) -> Table:
+    """A map of differences for a terminal: `FAIL` where tests newly fail, `PASS` where they are fixed."""
+    table = Table(caption=f"{grid.across} →", box=SIMPLE, pad_edge=False, padding=(0, 1))
+    table.add_column(f"{grid.up} ↑", justify="right", no_wrap=True)
+    for label in grid.columns:
+        table.add_column(label, justify="center", min_width=7, no_wrap=True)
+    for label, cells in grid.rows:
+        styles = {"+": f"bold {FAIL}", "−": f"bold {PASS}", "": "dim"}
+        table.add_row(label, *(Text(cell.text or "·", style=styles.get(cell.text[:1], "")) for cell in cells))
+    return table
+
+
+@verb(app, "compare")
 def campaign_compare_command(
     first: Annotated[str, typer.Argument(metavar="A", help="Reference: a campaign or study, or a network.")],
     second: Annotated[
@@ -127,16 +235,11 @@ def campaign_compare_command(
     stop_early: Annotated[
         bool, typer.Option("--stop-early", help="For two networks: end as soon as the answer is sure.")
     ] = False,
-    fail_on: options.FailOn = None,
-    max_failures: options.MaxFailures = None,
-    junit: options.Junit = None,
-    markdown: options.Markdown = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
+    *,
+    passing: options.ComparisonCriteria,
+    driving: options.DrivingAnywhere,
     trust: options.Trust = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Compare two networks on the same tests: what got worse, what got better?
 
     A and B are two networks, which drive random roads; a campaign and a network, which drives the tests of the
@@ -157,8 +260,7 @@ def campaign_compare_command(
     if (second is None) == (driver is None):
         raise ComparisonError("expected one candidate, as in `ds compare A B` or `ds compare A --driver B`")
     candidate = second or str(driver)
-    criteria = criteria_of(fail_on, max_failures, has_reference=True)
-    check_writable(junit, markdown)
+    passing.check(passing.markdown)
     only_networks = {
         "--roads": roads is not None,
         "--seed": seed is not None,
@@ -186,7 +288,7 @@ def campaign_compare_command(
     else:
         sets, networks, origin, source = task()
         for k, tests in enumerate(sets):
-            settings = options.with_engine_without_ros(tests.settings, workers, engine, cluster)
+            settings = replace(tests.settings, **driving.without_ros())
             sets[k] = replace(tests, settings=settings, reference={} if again else tests.reference)
         make_folder(out)
         callbacks = Callbacks(listen=ScreenListener)
@@ -196,4 +298,4 @@ def campaign_compare_command(
             else:
                 comparison = compare(sets, *networks, origin=origin, source=source, out=out, callbacks=callbacks)
     following = ds_command("report" if is_campaign(candidate) else "test", candidate)
-    end(write_comparison(comparison, out, criteria, following, junit=junit, markdown=markdown), as_json)
+    return write_comparison(comparison, out, passing, following)

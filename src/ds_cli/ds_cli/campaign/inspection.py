@@ -17,14 +17,18 @@ from ds_base.installation import ds_command
 from ds_base.words import count
 from ds_cli import options
 from ds_cli.campaign.run import campaign_app
-from ds_cli.output import Result, answer, printed_to, say, say_next, warning
+from ds_cli.output import Result, printed_to, say, say_next, verb, warning
 from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 
 
-def status(folder: Path) -> Result:
-    """Report how far a campaign is, stage by stage."""
+@verb(campaign_app, "status")
+def campaign_status_command(folder: options.Folder) -> Result:
+    """Show how far a campaign is, stage by stage.
+
+    Example: ds campaign status out
+    """
     from ds_analysis.paper.campaign_contents import exclusion_counts, exclusion_lines
     from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
     from ds_orchestrator.campaign.selection import missing_bags
@@ -79,15 +83,6 @@ def status(folder: Path) -> Result:
     done = all(stage.state == "done" for stage in stages)
     following = ds_command("report", folder) if done else ds_command("campaign", "resume", folder)
     return Result(document=document, show=show, next=following)
-
-
-@campaign_app.command("status")
-def campaign_status_command(folder: options.Folder, as_json: options.JsonFlag = False) -> None:
-    """Show how far a campaign is, stage by stage.
-
-    Example: ds campaign status out
-    """
-    answer(status(folder), as_json)
 
 
 @campaign_app.command("roads")

@@ -15,12 +15,10 @@ import typer
 from ds_base.installation import ds_command
 from ds_base.words import count, duration
 from ds_cli import options
-from ds_cli.campaign.compare_results import check_writable, criteria_of
-from ds_cli.output import Result, end, say, stopped, warning
+from ds_cli.output import Result, say, stopped, verb, warning
 from ds_sim import registry
 
 if TYPE_CHECKING:
-    from ds_analysis.comparison.ci_results import Criteria
     from ds_orchestrator.campaign.config import CampaignConfig
     from ds_orchestrator.engines.cluster import ClusterOptions
     from ds_studies.whole_campaign import CampaignOutcome
@@ -83,17 +81,17 @@ def campaign(
     return Result(document=document, show=show, error=error, next=outcome.answer.command)
 
 
-def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None, videos: Path | None = None) -> Result:
+def judged(result: Result, folder: Path, passing: options.CampaignCriteria, videos: Path | None = None) -> Result:
     """Check a finished campaign against pass criteria; write its outcomes as JUnit XML, and videos of failures."""
-    if criteria == type(criteria)() and junit is None and videos is None:
+    if passing == options.CampaignCriteria() and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
     from ds_base.atomic_files import write_whole
     from ds_orchestrator.campaign.folder import read_folder
 
     data = read_folder(folder)
-    if junit is not None:
-        write_whole(junit, junit_of(str(data.config.driver), cases_of_campaign(data)))
+    if passing.junit is not None:
+        write_whole(passing.junit, junit_of(str(data.config.driver), cases_of_campaign(data)))
     if videos is not None:
         from ds_studies.failure_videos import FailedDrive, write_failure_videos
 
@@ -101,7 +99,7 @@ def judged(result: Result, folder: Path, criteria: Criteria, junit: Path | None,
         lost = [(tests[one.test_id], one.simulator) for one in data.verdicts if one.outcome.is_failure]
         failed = [FailedDrive(test.test_id, name, test.scenario) for test, name in lost]
         write_failure_videos(data.driver, failed, videos)
-    return replace(result, unmet=criteria.unmet(data.failures))
+    return replace(result, unmet=passing.criteria.unmet(data.failures))
 
 
 def _kept(out: Path, done: int) -> str:
@@ -122,7 +120,7 @@ def stored_config(folder: Path, trust: list[str] | None) -> CampaignConfig:
     return config
 
 
-@app.command("test")
+@verb(app, "test")
 def search_command(
     network: Annotated[
         str,
@@ -154,17 +152,14 @@ def search_command(
         Path | None,
         typer.Option(help="Campaign folder; NETWORK_test if left out. A test that was stopped there is resumed."),
     ] = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
+    *,
+    driving: options.Driving,
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the search: another one drives other roads.")
     ] = 1,
     dry_run: DryRun = False,
-    fail_on: options.FailOnFailure = None,
-    max_failures: options.MaxFailures = None,
-    junit: options.Junit = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+    passing: options.CampaignCriteria,
+) -> Result:
     """Search roads on which a network fails, and report where and why.
 
     A search makes roads on which the network drives badly on a sibling. All of them are then driven on every simulator.
@@ -181,8 +176,7 @@ def search_command(
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.start import check_driver
 
-    criteria = criteria_of(fail_on, max_failures, has_reference=False)
-    check_writable(junit)
+    passing.check()
     names = options.simulators_of(sims.removesuffix(",none"), default=sims == SIMULATORS)
     check_driver(options.driver_named(network), names)
     siblings, twin = (names[:-1], names[-1]) if len(names) > 1 and not sims.endswith(",none") else (names, None)
@@ -195,30 +189,26 @@ def search_command(
     if file.exists() and read_words(file) != text:
         raise ConfigError(f"{folder} holds another test: choose another --out")
     write_whole(file, text)
-    config = options.with_engine(read_config(file), workers or options.usual_workers(engine), engine or "local")
+    config = read_config(file).model_copy(update=driving.without_ros())
     if dry_run:
         following = ds_command("campaign", "run", file, "--out", folder, "--engine", config.engine)
-        end(_dry_run(config, folder, None, following), as_json)
+        return _dry_run(config, folder, None, following)
     else:
-        end(judged(campaign(config, folder, staged=True), folder, criteria, junit), as_json)
+        return judged(campaign(config, folder, staged=True), folder, passing)
 
 
-@campaign_app.command("run")
+@verb(campaign_app, "run")
 def campaign_run_command(
     config: Annotated[Path, typer.Argument(metavar="CONFIG.yaml", help="Configuration of the campaign.")],
     out: options.OutFolder,
     driver: Annotated[str | None, typer.Option(help="Network instead of the configuration's.")] = None,
     dry_run: DryRun = False,
-    fail_on: options.FailOnFailure = None,
-    max_failures: options.MaxFailures = None,
-    junit: options.Junit = None,
+    *,
+    passing: options.CampaignCriteria,
     videos: options.Videos = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
+    driving: options.DrivingAnywhere,
     attach: options.AttachFlag = False,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Run a campaign; resume it if the folder holds one with the same configuration.
 
     Example: ds campaign run my.yaml --out out --workers 2
@@ -226,46 +216,40 @@ def campaign_run_command(
     from ds_orchestrator.campaign.config import ConfigError, read_config
     from ds_orchestrator.engines.start import check_driver
 
-    criteria = criteria_of(fail_on, max_failures, has_reference=False)
-    check_writable(junit)
+    passing.check()
     if dry_run and attach:
         raise ConfigError("--dry-run starts the engine itself: leave out --attach")
-    changed = options.with_engine(read_config(config), workers, engine)
+    changed = read_config(config).model_copy(update=driving.chosen())
     if driver:
         network = options.driver_named(driver)
         check_driver(network, changed.simulators, attach=attach)
         changed = changed.model_copy(update={"driver": network})
     if dry_run:
         following = ds_command("campaign", "run", config, "--out", out)
-        end(_dry_run(changed, out, options.cluster_of(cluster), following), as_json)
+        return _dry_run(changed, out, driving.cluster_options(), following)
     else:
-        result = campaign(changed, out, attach=attach, cluster=options.cluster_of(cluster))
-        end(judged(result, out, criteria, junit, videos), as_json)
+        result = campaign(changed, out, attach=attach, cluster=driving.cluster_options())
+        return judged(result, out, passing, videos)
 
 
-@campaign_app.command("resume")
+@verb(campaign_app, "resume")
 def campaign_resume_command(
     folder: options.Folder,
-    fail_on: options.FailOnFailure = None,
-    max_failures: options.MaxFailures = None,
-    junit: options.Junit = None,
+    *,
+    passing: options.CampaignCriteria,
     videos: options.Videos = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
+    driving: options.DrivingAnywhere,
     attach: options.AttachFlag = False,
     trust: options.Trust = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Resume a campaign that was stopped; with any engine.
 
     Example: ds campaign resume out
     """
-    criteria = criteria_of(fail_on, max_failures, has_reference=False)
-    check_writable(junit)
-    changed = options.with_engine(stored_config(folder, trust), workers, engine)
-    result = campaign(changed, folder, attach=attach, cluster=options.cluster_of(cluster))
-    end(judged(result, folder, criteria, junit, videos), as_json)
+    passing.check()
+    changed = stored_config(folder, trust).model_copy(update=driving.chosen())
+    result = campaign(changed, folder, attach=attach, cluster=driving.cluster_options())
+    return judged(result, folder, passing, videos)
 
 
 def _dry_run(config: CampaignConfig, out: Path, cluster: ClusterOptions | None, following: str) -> Result:

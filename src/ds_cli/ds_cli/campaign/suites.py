@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -12,21 +13,19 @@ from rich.table import Table
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.campaign.compare import network_named
-from ds_cli.campaign.compare_results import check_writable, criteria_of, write_comparison
-from ds_cli.output import Result, answer, end, say, stopped_in
+from ds_cli.campaign.compare import network_named, write_comparison
+from ds_cli.output import Result, say, stopped_in, verb
 
 suite_app = typer.Typer()
 
 
-@suite_app.command("make")
+@verb(suite_app, "make")
 def suite_make_command(
     folder: options.Folder,
     out: Annotated[Path, typer.Option(metavar="SUITE.json", help="File to write.")] = Path("suite.json"),
     tests: Annotated[int, typer.Option(min=1, max=2000, help="Largest number of tests.")] = 30,
     force: Annotated[bool, typer.Option("--force", help="Overwrite the file.")] = False,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Freeze the most informative tests of a campaign: failing ones, boundary ones, and one of every cell.
 
     The file holds their roads with digests, seeds, conditions, and the outcomes of the campaign's network.
@@ -38,7 +37,7 @@ def suite_make_command(
     from ds_orchestrator.search.features import feature_of
     from ds_studies.suite.suite_file import SuiteError, suite_of, write_suite
 
-    check_writable(out)
+    options.check_writable(out)
     if out.exists() and not force:
         raise SuiteError(f"{out} exists already: choose another --out, or --force")
     data = read_folder(folder)
@@ -63,10 +62,10 @@ def suite_make_command(
         print(out)
 
     following = ds_command("suite", "run", out, suite.driver)
-    answer(Result(document=document, show=show, next=following), as_json)
+    return Result(document=document, show=show, next=following)
 
 
-@suite_app.command("run")
+@verb(suite_app, "run")
 def suite_run_command(
     suite: Annotated[Path, typer.Argument(metavar="SUITE.json", help="Suite of `ds suite make`.")],
     driver: options.DriverText,
@@ -77,21 +76,16 @@ def suite_run_command(
     stop_early: Annotated[
         bool, typer.Option("--stop-early", help="End as soon as --fail-on or --max-failures cannot be met any more.")
     ] = False,
-    fail_on: options.FailOn = None,
-    max_failures: options.MaxFailures = None,
-    junit: options.Junit = None,
-    markdown: options.Markdown = None,
+    *,
+    passing: options.ComparisonCriteria,
     videos: options.Videos = None,
     update: Annotated[
         Path | None,
         typer.Option(metavar="SUITE.json", help="Write the suite with this network's outcomes, to be expected now."),
     ] = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
+    driving: options.DrivingAnywhere,
     trust: options.Trust = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Drive a suite's tests with a network, and compare with the outcomes in the suite.
 
     It drives without ROS unless --engine says otherwise. Exit status: 0 done, 1 a drive ended in an error, 2 bad input,
@@ -109,12 +103,11 @@ def suite_run_command(
     from ds_studies.suite import suite_file
 
     network = options.driver_named(driver, backend)
-    criteria = criteria_of(fail_on, max_failures, has_reference=True)
-    if stop_early and (update is not None or (fail_on in (None, "worse") and max_failures is None)):
+    passing.check(passing.markdown, update)
+    if stop_early and (update is not None or (passing.fail_on in (None, "worse") and passing.max_failures is None)):
         raise suite_file.SuiteError(
             "--stop-early needs --fail-on failure or regression, or --max-failures, and no --update"
         )
-    check_writable(junit, markdown, update)
     tests = suite_file.read_suite(suite)
     for name in tests.simulators:
         received_simulator(name, confirmed=trust or [])
@@ -125,7 +118,7 @@ def suite_run_command(
         say("the simulators' code has changed since the suite was made: some outcomes may have changed with it")
         source += ", made with other code of the simulators"
     make_folder(out)
-    settings = options.with_engine_without_ros(suite_file.settings_of_suite(tests, network), workers, engine, cluster)
+    settings = replace(suite_file.settings_of_suite(tests, network), **driving.without_ros())
     of_simulator = {name: sum(name in one.outcomes for one in tests.tests) for name in tests.simulators}
     sizes = [*range(BATCH, len(tests.tests), BATCH)] if stop_early else []
     for last in [*sizes, len(tests.tests)]:
@@ -136,16 +129,16 @@ def suite_run_command(
             )
         # Whatever the outcomes of the remaining tests: so many of all fail already.
         failing = {name: (count, of_simulator[name]) for name, (count, _) in comparison.tally().items()}
-        if last in sizes and criteria.unmet(failing, newly_failing=len(comparison.newly_failing)):
+        if last in sizes and passing.criteria.unmet(failing, newly_failing=len(comparison.newly_failing)):
             say(f"ended after {last} of {len(tests.tests)} tests: a pass criterion cannot be met any more")
             break
     if update is not None and not comparison.left_out:
         suite_file.write_suite(suite_file.with_outcomes(tests, candidate, executions, code), update)
         say(f"{update} expects the outcomes of {network}")
     following = ds_command("test", network)
-    result = write_comparison(comparison, out, criteria, following, junit=junit, markdown=markdown)
+    result = write_comparison(comparison, out, passing, following)
     if videos is not None:
         lost = [one for one in comparison.drives if one.candidate.outcome.is_failure]
         failed = [FailedDrive(d.test.name, d.simulator, d.test.scenario) for d in lost if d.test.scenario is not None]
         write_failure_videos(network, failed, videos)
-    end(result, as_json)
+    return result

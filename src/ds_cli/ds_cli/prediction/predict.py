@@ -11,7 +11,7 @@ from rich.console import Console
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, answer, say
+from ds_cli.output import Result, say, verb
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:
@@ -55,15 +55,14 @@ def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result
     return Result(document=document, show=show, next=ds_command("maps", folder))
 
 
-@app.command("predict")
+@verb(app, "predict")
 def predict_command(
     folder: TestsFolder,
     twin: TwinName = None,
     tolerated: Tolerated = 0.1,
     every_table: Annotated[bool, typer.Option("--tables", help="Show every cell, and how predictors did.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Predict where a car, or a simulator that was never driven, fails.
 
     The prediction for a car uses the drives on every simulator, the twin among them, and the recorded drives of the
@@ -88,8 +87,7 @@ def predict_command(
 
     table = read_table(folder, twin=twin, most=MOST_ANALYSED)
     if reason := too_few(table if twin else table.as_population()):
-        answer(without_prediction(folder, table, reason), as_json)
-        return
+        return without_prediction(folder, table, reason)
     if out is not None:
         make_folder(out)
     document: dict[str, Any] = {}
@@ -146,4 +144,4 @@ def predict_command(
             if line:
                 print(line)
 
-    answer(Result(document=document, show=show, next=following), as_json)
+    return Result(document=document, show=show, next=following)

@@ -13,8 +13,7 @@ import typer
 from rich.console import Console
 
 from ds_base.installation import ds_command
-from ds_cli import options
-from ds_cli.output import Result, answer, say
+from ds_cli.output import Result, say, verb
 from ds_cli.prediction.predict import TestsFolder, Tolerated
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ def _open(tests: Sequence[str]) -> str:
     return f"{len(tests)} proposed drive{' is' if len(tests) == 1 else 's are'} not recorded yet: {shown}."
 
 
-@real_app.command("propose")
+@verb(real_app, "propose")
 def propose_command(
     folder: TestsFolder,
     drives: Annotated[int, typer.Option(min=1, help="Number of drives.")] = 6,
@@ -84,8 +83,7 @@ def propose_command(
     spread: Annotated[
         bool, typer.Option("--spread", help="Spread tests over predicted probabilities: tells more, certifies nothing.")
     ] = False,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Draw tests to drive on the car at random, and write roads to tape out and what to set.
 
     `ds real update` can bound the car's failures whenever you stop, because each call continues the same random order.
@@ -146,10 +144,10 @@ def propose_command(
         "drawn_drives_to_certify": sure,
         "folder": str(place),
     }
-    answer(Result(document=document, show=show, next=following), as_json)
+    return Result(document=document, show=show, next=following)
 
 
-@real_app.command("record")
+@verb(real_app, "record")
 def record_command(
     folder: TestsFolder,
     file: Annotated[
@@ -174,8 +172,7 @@ def record_command(
         bool, typer.Option("--drawn", help="Tests that were not proposed were drawn at random from all, not chosen.")
     ] = False,
     tolerated: Tolerated = 0.1,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Record outcomes of drives on the car, proposed or not, apart from simulated ones, and show what they change.
 
     A drive comes from a CSV with a row for each drive; from a rosbag2 recording, by its odometry from the start of the
@@ -229,19 +226,17 @@ def record_command(
         again = len({drive.test_id for drive in recorded} & {drive.test_id for drive in new})
         chosen = len({drive.test_id for drive in new} - {*proposed.tests})
         say(f"{len(new) - again} drives recorded in {path}, {again} known before, {chosen} of tests not proposed")
-        result = _updated(folder, tolerated=tolerated, out=None)
-    answer(result, as_json)
+        return _updated(folder, tolerated=tolerated, out=None)
 
 
-@real_app.command("update")
+@verb(real_app, "update")
 def update_command(
     folder: TestsFolder,
     tolerated: Tolerated = 0.1,
     out: Annotated[
         Path | None, typer.Option(help="Folder for update.json, before.png, after.png; DIR/real if left out.")
     ] = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Show predictions before and after the recorded drives, what they certify, and whether simulators have helped.
 
     Example: ds real update out
@@ -251,5 +246,4 @@ def update_command(
     if out is not None:
         make_folder(out)
     with locked(folder) if out is None else nullcontext():
-        result = _updated(folder, tolerated=tolerated, out=out)
-    answer(result, as_json)
+        return _updated(folder, tolerated=tolerated, out=out)

@@ -12,12 +12,12 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, end, say
+from ds_cli.output import Result, ScreenProgress, say, verb
 
 app = typer.Typer()
 
 
-@app.command("check")
+@verb(app, "check")
 def check_command(
     network: Annotated[
         str,
@@ -32,8 +32,7 @@ def check_command(
     seconds: Annotated[
         float, typer.Option("--time", min=1.0, help="Seconds for the whole check; a slow network gets fewer images.")
     ] = 120.0,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Show what a network sees, and say what is wrong with how it is connected.
 
     The autopilot drives, and the network answers the images without driving. Its answers tell how the file wants its
@@ -110,7 +109,7 @@ def check_command(
     document = {**check.document(), "picture": str(picture)}
     unmet = [] if not check.findings else [f"{network} needs another description or training"]
     following = ds_command("check" if unmet else "test", network)
-    end(Result(document=document, show=show, unmet=unmet, next=following), as_json)
+    return Result(document=document, show=show, unmet=unmet, next=following)
 
 
 def _ask(question: str, choices: list[str], best: str) -> str:

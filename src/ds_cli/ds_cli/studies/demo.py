@@ -9,7 +9,7 @@ from pathlib import Path
 import typer
 
 from ds_cli import options
-from ds_cli.output import ScreenProgress, end, say, stopped_in
+from ds_cli.output import Result, ScreenProgress, say, stopped_in, verb
 
 DEMO_WORKERS = 2
 """Graphs of the demo; chosen: with one, the twin drives alone at the end, on one core of two."""
@@ -17,13 +17,12 @@ DEMO_WORKERS = 2
 app = typer.Typer()
 
 
-@app.command("demo")
+@verb(app, "demo")
 def demo_command(
     out: options.OutFolder = Path("demo"),
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+    *,
+    driving: options.Driving,
+) -> Result:
     """See where a shipped network fails, why, and what to do next.
 
     Drives one road in clear air and in fog, finds what else breaks the network, runs a campaign under these conditions,
@@ -37,7 +36,7 @@ def demo_command(
     from ds_report.sensitivity_page import SensitivityPage
     from ds_studies import demo
 
-    workers = workers or DEMO_WORKERS
+    workers = driving.workers or DEMO_WORKERS
     make_folder(out)
     say("1 of 4: one road, in clear air and in fog")
     fog = demo.drive_into_fog(out)
@@ -51,7 +50,8 @@ def demo_command(
         sensitivity = demo.measure_sensitivity(fog, place, workers, progress=ScreenProgress(), watch=page.write)
     ranges = demo.searched(sensitivity)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
-    result = campaign(options.with_engine(demo.campaign_config(ranges, fog["siblings"]), workers, engine), out)
+    config = demo.campaign_config(ranges, fog["siblings"])
+    result = campaign(config.model_copy(update={"workers": workers, **driving.chosen()}), out)
     result.document["fog"], result.document["searched"] = fog, ranges
 
     answer = result.show
@@ -61,4 +61,4 @@ def demo_command(
         print(f"4 of 4: open {out / 'report.html'}, which begins with the answer")
         print(f"   with your own network: {ds_command('check', 'my_net.onnx')}")
 
-    end(replace(result, show=show), as_json)
+    return replace(result, show=show)

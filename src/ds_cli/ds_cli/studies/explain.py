@@ -15,13 +15,13 @@ from rich.console import Console
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, end, stopped_in
+from ds_cli.output import Result, stopped_in, verb
 from ds_sim.registry import SimulatorName
 
 app = typer.Typer()
 
 
-@app.command("explain")
+@verb(app, "explain")
 def explain_command(
     folder: options.Folder,
     test: Annotated[
@@ -37,12 +37,10 @@ def explain_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables and drives; a stopped experiment is resumed.")
     ] = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
+    *,
+    driving: options.DrivingAnywhere,
     trust: options.Trust = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+) -> Result:
     """Find out why tests of a campaign fail.
 
     The record of a test shows how the car left its lane, and what led there. If another simulator
@@ -64,7 +62,7 @@ def explain_command(
 
     if test is None and (sim is not None or against is not None):
         raise ConfigError("--sim and --against choose the simulators of one test: give --test, too")
-    if engine == "graph":
+    if driving.engine == "graph":
         raise ConfigError("--engine graph would start a node for every exchange: expected local or dask")
     data = read_folder(folder)
     if test is not None or groups:  # something is driven, and so made
@@ -75,9 +73,8 @@ def explain_command(
     )
     failed = {(e.test_id, e.simulator): e for e in data.executions}
     reasons = [reason_of(one.test, failed[one.test.test_id, one.fails]) for one in experiments]
-    without = "local" if engine == "auto" else engine
-    settings = replace(data.config.drive_settings(), driver=data.driver)
-    settings = options.with_engine_without_ros(settings, workers, without, cluster)
+    driving = replace(driving, engine="local") if driving.engine == "auto" else driving
+    settings = replace(data.config.drive_settings(), driver=data.driver, **driving.without_ros())
     with nullcontext(out) if out is not None else TemporaryDirectory(prefix="ds_explain_") as place:
         # A folder of drives belongs to its simulators, so that other experiments need another one.
         pairs = sorted(f"{one.test.test_id}-{one.fails}-{one.against}" for one in experiments)
@@ -111,4 +108,4 @@ def explain_command(
 
     following = ds_command("campaign", "roads", folder, "--failed", "--out", "failures.json")
     error = not all(one.repeats for one in explained)
-    end(Result(document=document, show=show, error=error, next=following), as_json)
+    return Result(document=document, show=show, error=error, next=following)

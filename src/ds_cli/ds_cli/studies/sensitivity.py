@@ -10,13 +10,13 @@ import typer
 
 from ds_base.installation import ds_command
 from ds_cli import options
-from ds_cli.output import Result, ScreenProgress, end, say, stopped_in
+from ds_cli.output import Result, ScreenProgress, say, stopped_in, verb
 from ds_sim.conditions.model import ConditionsError
 
 app = typer.Typer()
 
 
-@app.command("sensitivity")
+@verb(app, "sensitivity")
 def sensitivity_command(
     driver: options.DriverText = "dave2",
     backend: options.Backend = "auto",
@@ -41,11 +41,9 @@ def sensitivity_command(
     out: Annotated[
         Path | None, typer.Option(help="Folder for tables, picture and drives; a stopped analysis is resumed.")
     ] = None,
-    workers: options.Workers = None,
-    engine: options.EngineName = None,
-    cluster: options.Cluster = None,
-    as_json: options.JsonFlag = False,
-) -> None:
+    *,
+    driving: options.DrivingAnywhere,
+) -> Result:
     """Find how strong each operating condition must be for a driver to fail.
 
     Each condition, such as fog or worn lines, becomes stronger by bisection until the driver fails on the median road.
@@ -70,10 +68,7 @@ def sensitivity_command(
     if levels not in RESOLUTIONS:
         raise ConditionsError(f"--levels {levels} is not possible: expected {', '.join(map(str, RESOLUTIONS))}")
     factors = all_factors() if conditions is None else factors_named([c.strip() for c in conditions.split(",")])
-
-    settings = options.with_engine_without_ros(
-        DriveSettings(siblings=tuple(names), driver=network), workers, engine, cluster
-    )
+    settings = DriveSettings(siblings=tuple(names), driver=network, **driving.without_ros())
     folder = page = None
     if out is not None:
         make_folder(out)
@@ -105,4 +100,4 @@ def sensitivity_command(
             print(page.path)
 
     following = ds_command("test", network, *(("--sensitivity", out) if out else ()))
-    end(Result(document=document, show=show, error=bool(result.errors), next=following), as_json)
+    return Result(document=document, show=show, error=bool(result.errors), next=following)
