@@ -13,7 +13,7 @@ from ds_analysis.sensitivity.factors import LEVELS, Factor
 from ds_analysis.sensitivity.result import RoadResult
 from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.oracle import OracleLimits
+from ds_sim.oracle import FINISH_MARGIN
 from ds_sim.scenario import Scenario
 
 
@@ -85,7 +85,7 @@ def _needs_steering(road: Road) -> bool:
     lane = road.lane_centre
     length = float(np.hypot(*np.diff(lane, axis=0).T).sum())
     ahead = (lane[1] - lane[0]) / np.hypot(*(lane[1] - lane[0]))
-    straight = lane[0] + np.outer(np.arange(0.0, length - OracleLimits().finish_margin, 1.0), ahead)
+    straight = lane[0] + np.outer(np.arange(0.0, length - FINISH_MARGIN, 1.0), ahead)
     apart = shapely.distance(shapely.points(straight), shapely.LineString(lane))
     return bool(np.max(apart) > road.lane_width / 2)
 
