@@ -11,9 +11,8 @@ from numba.extending import register_jitable
 from numba.np.numpy_support import carray
 
 from ds_sim.simulator import FRAME_TIME
-from ds_sim_softbody import parts, wheel
-from ds_sim_softbody.parts import CAR, drive, lean, loads, steer
-from ds_sim_softbody.wheel import carry, hypot, roll, turn
+from ds_sim_softbody import parts
+from ds_sim_softbody.parts import CAR, carry, drive, hypot, lean, loads, roll, steer, turn
 
 types: Any = numba_types
 _step = types.ExternalFunction("cpSpaceStep", types.void(types.intp, types.float64))
@@ -43,7 +42,7 @@ def _advance_frame(car: Any, values_read: Any, steps: int, dt: float) -> tuple[f
 
 
 for _function in (
-    *(wheel.hypot, wheel._rounding, wheel.turn, wheel.carry, wheel.shift, wheel.roll, parts.steer, parts.drive),
+    *(parts.hypot, parts._rounding, parts.turn, parts.carry, parts.shift, parts.roll, parts.steer, parts.drive),
     *(parts.lean, parts.loads, parts.roll_reaction, parts.pitch_reaction, _advance_frame),
 ):
     register_jitable(_function)

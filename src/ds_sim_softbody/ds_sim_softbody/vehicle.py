@@ -14,8 +14,7 @@ from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import Command, SimulatorError, VehicleState
 from ds_sim_softbody.lattice import ENGINE_FUNCTIONS, CornerNodes, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
-from ds_sim_softbody.parts import CAR, Actuators, Attitude
-from ds_sim_softbody.wheel import Wheel, carry, shift
+from ds_sim_softbody.parts import CAR, Actuators, Attitude, Wheel, carry, shift
 
 
 def _wheel_at_rest(p: SoftbodyParameters, corner: CornerNodes, nodes: NDArray[np.float64], *, front: bool) -> Wheel:

@@ -15,9 +15,8 @@ from scipy.linalg import eigh
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_softbody.lattice import NODES, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
-from ds_sim_softbody.parts import Attitude, lean, loads
+from ds_sim_softbody.parts import Attitude, hypot, lean, loads
 from ds_sim_softbody.vehicle import SoftbodyVehicle
-from ds_sim_softbody.wheel import hypot
 
 P = SoftbodyParameters()
 PLAN = blueprint(P)

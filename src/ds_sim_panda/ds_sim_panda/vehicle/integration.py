@@ -22,7 +22,7 @@ from vehiclemodels.utils import steering_constraints as _steering
 from vehiclemodels.utils import tire_model as _tyres
 from vehiclemodels.utils import vehicle_dynamics_ks_cog as _kinematic
 
-from ds_sim_panda.vehicle import published as model
+from ds_sim_panda.vehicle import parameters as model
 
 KINEMATIC_BELOW = 0.1
 """Speed below which the published model is kinematic, m/s."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
-from ds_sim_panda.vehicle import published as model
+from ds_sim_panda.vehicle import parameters as model
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 
 SETTLING_FRAMES = 200

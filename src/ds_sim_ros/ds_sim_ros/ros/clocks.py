@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Advances another simulator by one frame of 1/20 s, in lock-step or in real time.
+"""Keeps the messages of another simulator, and advances it by one frame of 1/20 s, in lock-step or in real time.
 
 Both go by the stamps of the messages. Arrival would not do: an image may arrive before the answer of the step that it
 was taken after, and a simulator may publish several messages a frame.
@@ -7,12 +7,14 @@ was taken after, and a simulator may publish several messages a frame.
 
 from __future__ import annotations
 
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from ds_sim.simulator import FRAME_TIME, SimulatorError
-from ds_sim_ros.ros.inbox import Inbox, Received
 from ds_sim_ros.ros.services import Services
 from ds_sim_ros.settings import StepSettings
 
@@ -21,8 +23,57 @@ FRAME = round(FRAME_TIME * 1e9)
 QUIET = 0.1
 """Time without a message after which a simulator that stands still has sent all, s; chosen: a hundred times the way of
 a message on one machine."""
+MOST = 200
+"""Messages that are kept; chosen: a frame of a simulator that publishes 4000 times a second."""
 AtStart = Callable[[Any], bool]
 """Whether an odometry is that of the vehicle at the start."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A message, the stamp of its header, ns, and its arrival by the monotonic clock, s."""
+
+    stamp: int
+    arrived: float
+    message: Any
+
+
+class Inbox:
+    """Keeps the newest messages of one topic."""
+
+    def __init__(self) -> None:
+        self._messages: deque[Received] = deque(maxlen=MOST)
+        self._changed = threading.Condition()
+
+    def put(self, message: Any) -> None:
+        """Add a message; called by the node's thread."""
+        stamp = message.header.stamp
+        received = Received(stamp.sec * 10**9 + stamp.nanosec, time.monotonic(), message)
+        with self._changed:
+            self._messages.append(received)
+            self._changed.notify_all()
+
+    def clear(self) -> None:
+        """Forget all messages."""
+        with self._changed:
+            self._messages.clear()
+
+    @property
+    def newest(self) -> Received | None:
+        """The last message to arrive."""
+        with self._changed:
+            return self._messages[-1] if self._messages else None
+
+    def wait(self, stamp: int, deadline: float) -> Received | None:
+        """Return the first message with a stamp (ns) or a later one; None at a deadline of the monotonic clock, s."""
+
+        def found() -> Received | None:
+            return next((one for one in self._messages if one.stamp >= stamp), None)
+
+        with self._changed:
+            return self._changed.wait_for(found, max(0.0, deadline - time.monotonic()))
+
+
 Pair = tuple[Received, Received]
 """Odometry and image."""
 
