@@ -20,22 +20,32 @@ from typing import Any
 
 import numpy as np
 import onnx
+from numpy.typing import NDArray
+from safetensors import safe_open
+from safetensors.numpy import save_file
 
 from ds_analysis.paper.open_loop import OpenLoopAnswers, predict
+from ds_base.atomic_files import whole_file
+from ds_base.bounded_file import sha256_of
 from ds_cli.output import ScreenProgress
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids
 from ds_driver.networks.backends import BACKENDS
 from ds_driver.networks.description import file_of, read_description
 from ds_driver.networks.driver_name import DriverName
-from ds_driver.networks.weights import GENERATORS, SHIPPED, compress, generators_in, load_weights
-from ds_driver.sim2real.image_translation import shipped_set_of
+from ds_driver.networks.weights import GENERATORS, SCALE, SHIPPED, generators_in, load_weights, shipped_sets
+from ds_driver.sim2real.image_translation import open_set
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_road import Road
-from ds_sim.registry import STANDARD
+from ds_sim.registry import STANDARD, label_of
 from ds_sim.simulator import Outcome
 from ds_studies.same_roads import drive_same_roads
+
+LARGEST_INTEGER = 127
+"""Largest stored integer; the range is symmetric (Jacob et al. 2018, for weights)."""
+SMALLEST_LAYER = 1_000_000
+"""Fewest weights of a layer that is stored in 8 bits; chosen: smaller ones save less than 1 MB."""
 
 
 def main() -> None:
@@ -132,6 +142,33 @@ def _trained(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipped
         },
     }
     return [weights], f"{weights}@{arguments.backend}", card
+
+
+def compress(path: Path, out: Path) -> list[str]:
+    """Store the large layers of a weights file in half precision in 8 bits; return their names. `out` may be `path`."""
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata()
+        tensors: dict[str, NDArray[Any]] = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
+    large = [k for k, v in tensors.items() if v.ndim == 2 and v.dtype != np.int8 and v.size >= SMALLEST_LAYER]
+    for key in large:
+        values = tensors[key].astype(np.float32)
+        largest = np.abs(values).max(axis=1)
+        scales = np.where(largest > 0, largest / LARGEST_INTEGER, 1.0).astype(np.float32)
+        tensors[key] = np.rint(values / scales[:, None]).astype(np.int8)
+        tensors[key + SCALE] = scales
+    with whole_file(out) as partial:
+        save_file(tensors, partial, metadata=metadata)
+    return large
+
+
+def shipped_set_of(digests: Mapping[str, str]) -> str | None:
+    """Find the shipped set that holds generators, simulator -> SHA-256; None if none holds all."""
+    by_label = {label_of(simulator): digest for simulator, digest in digests.items()}
+    for name in shipped_sets():
+        files = open_set(name).files
+        if by_label.items() <= {label: sha256_of([file]) for label, file in files.items()}.items():
+            return name
+    return None
 
 
 def _described(arguments: argparse.Namespace, manifest: dict[str, Any]) -> Shipped:

@@ -75,7 +75,7 @@ class DaskProcesses:
         found = set()
         for process in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):  # it ended meanwhile
-                drives = b"ds_driver.closed_loop.drive_worker" in (process / "cmdline").read_bytes()
+                drives = b"ds_driver.closed_loop.worker_process" in (process / "cmdline").read_bytes()
                 if drives and mine in (process / "environ").read_bytes().split(b"\0"):
                     found.add(int(process.name))
         return found

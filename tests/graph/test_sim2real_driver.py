@@ -14,8 +14,8 @@ import torch
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
+from ds_driver.sim2real.image_translation import Translator
 from ds_driver.sim2real.networks import Generator
-from ds_driver.sim2real.translator import Translator
 from ds_road import Road
 from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.scenario import Scenario

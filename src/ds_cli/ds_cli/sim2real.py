@@ -87,9 +87,8 @@ def translate_command(
     """
     from ds_driver.networks.weights import shipped_sets
     from ds_driver.sim2real.generator import load_generator
-    from ds_driver.sim2real.image_translation import open_set
+    from ds_driver.sim2real.image_translation import Translator, open_set
     from ds_driver.sim2real.translation import translate
-    from ds_driver.sim2real.translator import Translator
 
     files = [generator]
     if generator.is_dir() or str(generator) in shipped_sets():

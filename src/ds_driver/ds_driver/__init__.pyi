@@ -14,9 +14,9 @@ from .networks.pilot import DriverError, Frame, Pilot, Prediction
 from .networks.torch_networks import make_network
 from .networks.weights import WeightsError, shipped_networks
 from .sim2real.generator import Sim2RealError, StoredGenerator, Window, load_generator
+from .sim2real.image_translation import Translator
 from .sim2real.preparation import prepare_domains
 from .sim2real.settings import PRESETS, Sim2RealSettings
-from .sim2real.translator import Translator
 from .training import TrainingError, TrainingPlan, train
 
 __all__ = [

@@ -26,10 +26,9 @@ from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import GENERATORS, architecture_in, generators_in, load_weights
 from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
-from ds_driver.sim2real.image_translation import shipped_set_of
+from ds_driver.sim2real.image_translation import Translator
 from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.translation import translate as translate_data
-from ds_driver.sim2real.translator import Translator
 from ds_driver.training import TrainingPlan, train
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
@@ -38,6 +37,7 @@ from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Outcome
 from ds_sim.video import compose, write_video
+from ship_network import shipped_set_of
 
 TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
 WINDOWS = {"bullet": Window(54, 160, 0, 320), "softbody": Window(80, 159, 20, 300)}

@@ -19,8 +19,9 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import FastDropout, disable_dropout, make_network, module_of, save_weights
-from ds_driver.networks.weights import Weights, WeightsError, compress, generators_in, load_weights, shipped_networks
+from ds_driver.networks.weights import Weights, WeightsError, generators_in, load_weights, shipped_networks
 from ds_sim.registry import STANDARD
+from ship_network import compress
 
 
 @pytest.mark.parametrize(("name", "parameters"), [("dave2", 2_882_619), ("chauffeur", 104_905), ("epoch", 26_239_009)])

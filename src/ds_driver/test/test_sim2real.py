@@ -23,8 +23,8 @@ from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, w
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.backends import cpu_capabilities
 from ds_driver.networks.images import Crop
+from ds_driver.networks.onnx_export import OnnxGraph, generator_to_onnx
 from ds_driver.networks.pilot import DriverError
-from ds_driver.sim2real import translator
 from ds_driver.sim2real.generator import (
     GeneratorShape,
     Sim2RealError,
@@ -34,7 +34,7 @@ from ds_driver.sim2real.generator import (
     load_generator,
     save_generator,
 )
-from ds_driver.sim2real.image_translation import open_set
+from ds_driver.sim2real.image_translation import Translator, open_set
 from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, LanePairs, align_lane, lane_shapes, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, Match, find_lines, lane_difference, match_windows, measure_lane
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, InstanceNorm, to_batch, to_images
@@ -52,7 +52,6 @@ from ds_driver.sim2real.preparation import (
 from ds_driver.sim2real.settings import PRESETS, Sim2RealSettings
 from ds_driver.sim2real.trainer import EPOCHS, learning_rate_share, train
 from ds_driver.sim2real.translation import translate
-from ds_driver.sim2real.translator import Translator, generator_to_onnx
 from ds_driver.training import CHECKPOINT, TrainingError
 from ds_road import generate
 from ds_sim.camera.encodings import jpeg
@@ -166,7 +165,7 @@ def test_four_pixels_at_once_have_the_bits_of_a_plain_convolution(
     images = np.random.default_rng(1).integers(0, 256, (2, *generator.shape.size, 3), dtype=np.uint8)
     images[0] = cv2.GaussianBlur(images[0], (0, 0), 4)
     at_once, graph = Translator(generator, backend), generator_to_onnx(generator)
-    monkeypatch.setattr(translator._Graph, "convolution_by_squares", translator._Graph.convolution)
+    monkeypatch.setattr(OnnxGraph, "convolution_by_squares", OnnxGraph.convolution)
     plain = Translator(generator, backend)
     assert b"DepthToSpace" in graph and b"DepthToSpace" not in generator_to_onnx(generator)
     for image in images:

@@ -1,10 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervises one process that drives roads: hands out drives, notices its death or a hang, and starts it again."""
+"""A process that drives roads, without ROS, and its supervisor, which notices its death or a hang, and starts it again.
+
+Over a `multiprocessing.connection.Connection`, a request is one JSON object (the key and a `DriveRequest`), an answer
+the key and the run of `ds_sim.run_codec`; the first says whether the driver was loaded. Nothing is pickled.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import json
+import mmap
 import os
+import signal
 import socket
 import struct
 import sys
@@ -12,18 +19,19 @@ import threading
 import time
 from concurrent.futures import Future
 from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 from ds_base.errors import RunError
 from ds_base.processes import ChildProcesses, last_line_of, python_environment
 from ds_base.running_clock import RunningClock
-from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
-from ds_driver.closed_loop.drive_worker import KEY, LARGEST_ANSWER, PhaseMemory
-from ds_driver.closed_loop.simulation import ALL_DRIVES, Phase
+from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
+from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.networks.driver_name import DriverName
-from ds_sim.run_codec import RunCodecError, decode_run
+from ds_sim.conditions.model import NotApplicableError
+from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Outcome, Reason
 
 START_TIME = 90.0
 """Limit for loading the driver, s."""
@@ -39,6 +47,11 @@ STARTS = 3
 """Consecutive starts that may fail; chosen: one may be chance."""
 _POLL = 0.2
 """Seconds between two looks at a process that is silent."""
+_LAYOUT = struct.Struct("<QqI")
+_KEY = struct.Struct("<q")
+"""Key of the drive, which an answer begins with; the encoded run follows."""
+_LARGEST_ANSWER = 2**30
+"""Bytes of an answer at most; chosen: a run of `ds_sim.run_codec.MAX_FRAMES` frames takes a third."""
 
 
 class WorkerError(RunError):
@@ -47,6 +60,33 @@ class WorkerError(RunError):
 
 class _Lost(Exception):
     """The process ended while it drove; the argument says how."""
+
+
+class _PhaseMemory:
+    """A few bytes that one process writes and another reads, which opens them with the `descriptor`."""
+
+    def __init__(self, file: int | None = None) -> None:
+        if file is None:
+            file = os.memfd_create("phase")
+            os.ftruncate(file, _LAYOUT.size)
+        self.descriptor = file
+        self._memory = mmap.mmap(file, _LAYOUT.size)
+        self._changes = 0
+
+    def note(self, phase: Phase, key: int) -> None:
+        """Write that a phase of a drive has begun."""
+        self._changes += 1
+        _LAYOUT.pack_into(self._memory, 0, self._changes, key, phase)
+
+    def read(self) -> tuple[int, int, Phase]:
+        """Return the number of phases so far, the key of the drive, and the phase."""
+        changes, key, phase = _LAYOUT.unpack_from(self._memory, 0)
+        return changes, key, Phase(phase)
+
+    def close(self) -> None:
+        """Release the memory."""
+        self._memory.close()
+        os.close(self.descriptor)
 
 
 class WorkerProcess:
@@ -140,10 +180,10 @@ class _Process:
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ours:  # it may stop in the middle of a message
             for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
                 ours.setsockopt(socket.SOL_SOCKET, option, struct.pack("ll", int(limits[Phase.IDLE]), 0))
-        self._memory = PhaseMemory()
+        self._memory = _PhaseMemory()
         descriptors = (theirs.fileno(), self._memory.descriptor)
         self.child = children.start(
-            [sys.executable, "-m", "ds_driver.closed_loop.drive_worker", *map(str, (*descriptors, driver))],
+            [sys.executable, "-m", __name__, *map(str, (*descriptors, driver))],
             environment=python_environment(),
             log=log,
             pass_fds=descriptors,
@@ -206,7 +246,7 @@ class _Process:
         while True:
             try:
                 if self._connection.poll(_POLL):
-                    self._receive(self._connection.recv_bytes(LARGEST_ANSWER))
+                    self._receive(self._connection.recv_bytes(_LARGEST_ANSWER))
                     continue
             except (EOFError, OSError, RunCodecError, struct.error, KeyError):  # it ended, or talks nonsense
                 self.child.kill()
@@ -237,8 +277,8 @@ class _Process:
         self._memory.close()
 
     def _receive(self, message: bytes) -> None:
-        (key,) = KEY.unpack_from(message)
-        run = decode_run(message[KEY.size :], self._drives[key][0].scenario)
+        (key,) = _KEY.unpack_from(message)
+        run = decode_run(message[_KEY.size :], self._drives[key][0].scenario)
         self._drives.pop(key)[1].set_result(run)
 
     def _blame(self, phase: Phase, key: int) -> None:
@@ -252,3 +292,54 @@ class _Process:
         for guilty in list(self._drives) if key == ALL_DRIVES else [key]:
             asked, answer = self._drives.pop(guilty)
             answer.set_result(asked.ended(outcome, message))
+
+
+def serve(connection: Connection, memory: _PhaseMemory, driver: DriverName) -> None:
+    """Drive whatever is requested until the other side closes the connection."""
+    try:
+        drives = InterleavedDrives(driver, memory.note)
+    except ValueError as error:
+        connection.send_bytes(json.dumps({"error": " ".join(str(error).split())}).encode())
+        return
+    ctypes.CDLL(None).malloc_trim(0)  # loading a network leaves 20 to 40 MB of free memory behind
+    connection.send_bytes(json.dumps({"largest_batch": drives.largest_batch}).encode())
+    while True:
+        if not len(drives):
+            memory.note(Phase.IDLE, ALL_DRIVES)
+        while not len(drives) or connection.poll():
+            try:
+                request = json.loads(connection.recv_bytes())
+            except EOFError:
+                return
+            _begin(connection, drives, request["key"], request_from_json(request))
+        for key, run in drives.step():
+            _answer(connection, key, run)
+
+
+def _begin(connection: Connection, drives: InterleavedDrives, key: int, request: DriveRequest) -> None:
+    try:
+        drives.begin(key, request)
+    except NotApplicableError as error:
+        _answer(connection, key, request.ended(Outcome.SIM_ERROR, str(error), Reason.NOT_APPLICABLE))
+    except Exception as error:  # a simulator of a user may raise anything: an error, never a failure of the driver
+        message = f"{type(error).__name__}: {error}".splitlines()[0]
+        _answer(connection, key, request.ended(Outcome.SIM_ERROR, message))
+
+
+def _answer(connection: Connection, key: int, run: RunRecord) -> None:
+    try:
+        encoded = encode_run(run)
+    except RunCodecError as error:  # a simulator whose numbers are not finite
+        encoded = encode_run(RunRecord(scenario=run.scenario, outcome=Outcome.SIM_ERROR, message=str(error)))
+    connection.send_bytes(_KEY.pack(key) + encoded)
+
+
+def main() -> None:
+    """Serve the connection and the memory whose descriptors are the first two arguments; the third is the driver."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which stops its workers
+    connection, memory, driver = sys.argv[1:]
+    serve(Connection(int(connection)), _PhaseMemory(int(memory)), DriverName.parse(driver))
+
+
+if __name__ == "__main__":
+    main()

@@ -12,9 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import deserialize, safe_open
-from safetensors.numpy import save_file
 
-from ds_base.atomic_files import whole_file
 from ds_base.bounded_file import read_regular, sha256_of
 from ds_base.bounded_json import load_json
 from ds_base.errors import InputError
@@ -42,10 +40,6 @@ _FLOAT32: dict[str, Callable[[bytes], NDArray[np.float32]]] = {
 """Number type in a file -> what reads it; those of 8 bits come with scales."""
 SCALE = ".scale"
 """End of the name of a tensor of scales."""
-_LARGEST_INTEGER = 127
-"""Largest stored integer; the range is symmetric (Jacob et al. 2018, for weights)."""
-SMALLEST_LAYER = 1_000_000
-"""Fewest weights of a layer that is stored in 8 bits; chosen: smaller ones save less than 1 MB."""
 
 
 class WeightsError(InputError):
@@ -170,7 +164,7 @@ def load_weights(name_or_path: str) -> Weights:
             raise WeightsError(f"weights {path.name} do not fit {name}: they belong to another network")
         with np.errstate(over="ignore"):  # float64 beyond float32 becomes infinity, which is refused below
             stored = {key: _FLOAT32[part["dtype"]](part["data"]).reshape(part["shape"]) for key, part in parts.items()}
-            tensors = expand(stored)
+            tensors = _expanded(stored)
     except WeightsError:
         raise
     except Exception as error:  # damaged files make the reader raise arbitrary errors
@@ -183,24 +177,7 @@ def load_weights(name_or_path: str) -> Weights:
     return Weights(name_or_path, NETWORKS[name], tensors)
 
 
-def compress(path: Path, out: Path) -> list[str]:
-    """Store the large layers of a weights file in half precision in 8 bits; return their names. `out` may be `path`."""
-    with safe_open(path, framework="numpy") as file:
-        metadata = file.metadata()
-        tensors: dict[str, NDArray[Any]] = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118
-    large = [k for k, v in tensors.items() if v.ndim == 2 and v.dtype != np.int8 and v.size >= SMALLEST_LAYER]
-    for key in large:
-        values = tensors[key].astype(np.float32)
-        largest = np.abs(values).max(axis=1)
-        scales = np.where(largest > 0, largest / _LARGEST_INTEGER, 1.0).astype(np.float32)
-        tensors[key] = np.rint(values / scales[:, None]).astype(np.int8)
-        tensors[key + SCALE] = scales
-    with whole_file(out) as partial:
-        save_file(tensors, partial, metadata=metadata)
-    return large
-
-
-def expand(tensors: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+def _expanded(tensors: Mapping[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
     """Multiply stored integers, already as float32, by their rows' scales; other tensors stay as they are."""
     return {
         key: value * tensors[key + SCALE][:, None] if key + SCALE in tensors else value

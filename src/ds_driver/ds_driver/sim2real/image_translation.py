@@ -14,13 +14,67 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.bounded_file import sha256_of
+from ds_driver.networks.backends import graph_runner
 from ds_driver.networks.images import Crop, checked
+from ds_driver.networks.onnx_export import generator_to_onnx
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame, Pilot, Prediction
 from ds_driver.networks.weights import GENERATORS, path_of_weights, shipped_sets
-from ds_driver.sim2real.generator import LARGEST_FILE, Sim2RealError, StoredGenerator, load_generator
-from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.generator import (
+    LARGEST_FILE,
+    Sim2RealError,
+    StoredGenerator,
+    generator_input,
+    load_generator,
+    resize,
+)
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.registry import SIMULATORS, label_of
+
+BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
+
+
+class Translator:
+    """Translates images: with the same bits alone and in any batch, and a grey level or so apart on other `BACKENDS`.
+
+    Raises:
+        Sim2RealError: the backend is unknown.
+        ds_driver.networks.backends.BackendError: the backend is not installed.
+    """
+
+    def __init__(self, generator: StoredGenerator, backend: str = "onnx", device: str = "cpu") -> None:
+        if backend not in BACKENDS:
+            raise Sim2RealError(f"unknown backend {backend!r}: expected one of {', '.join(BACKENDS)}")
+        self.generator = generator
+        self.backend = backend
+        if backend == "torch":
+            # PyTorch takes 2 s and 200 MB to import.
+            from ds_driver.sim2real.networks import generator_runner
+
+            self._runner = generator_runner(generator, device)
+        else:
+            self._runner = graph_runner(generator_to_onnx(generator), "the generator", backend)
+
+    def translate(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Translate a camera image, (160, 320, 3) uint8 RGB, to one of that shape that is not to be cropped again.
+
+        Raises:
+            Sim2RealError: the image has another size than the camera of the generator's simulator.
+        """
+        return self.translate_all([image])[0]
+
+    def translate_all(self, images: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
+        """Translate camera images, as many at once as the backend takes; see `translate`."""
+        for image in images:
+            if image.shape != (IMAGE_HEIGHT, IMAGE_WIDTH, 3):
+                raise Sim2RealError(
+                    f"image of shape {image.shape}, expected ({IMAGE_HEIGHT}, {IMAGE_WIDTH}, 3): the generator "
+                    "translates camera images of simulators"
+                )
+        window, shape, size = self.generator.window, self.generator.shape.size, self._runner.largest_batch
+        prepared = [generator_input(image, window, shape) for image in images]
+        parts = (np.stack(prepared[begin : begin + size]) for begin in range(0, len(prepared), size))
+        translated = (image for part in parts for image in self._runner.compute(part)[0].astype(np.uint8))
+        return [resize(image, (IMAGE_HEIGHT, IMAGE_WIDTH)) for image in translated]
 
 
 class GeneratorSet:
@@ -64,15 +118,6 @@ class GeneratorSet:
         """Digest of all files."""
         lines = "".join(f"{label} {_sha256(path)}\n" for label, path in self.files.items())
         return hashlib.sha256(lines.encode()).hexdigest()
-
-
-def shipped_set_of(digests: Mapping[str, str]) -> str | None:
-    """Return the shipped set that holds generators, simulator -> SHA-256; None if none holds all."""
-    for name, folder in shipped_sets().items():
-        files = _files_in(folder)
-        if all(label in files and _sha256(files[label]) == d for label, d in _by_label(digests).items()):
-            return name
-    return None
 
 
 def open_set(name: str) -> GeneratorSet:

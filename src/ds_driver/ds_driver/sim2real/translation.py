@@ -25,7 +25,7 @@ from ds_base.progress import Progress
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest
 from ds_driver.networks.images import ImageError, read_rgb, rgb_of_message
 from ds_driver.sim2real.generator import Sim2RealError, load_generator
-from ds_driver.sim2real.translator import Translator
+from ds_driver.sim2real.image_translation import Translator
 from ds_sim.camera.encodings import jpeg
 
 MARK = TRANSLATED
