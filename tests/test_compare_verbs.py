@@ -19,8 +19,7 @@ import typer
 from tests.campaign.engines import MadeUpEngine, use_engines
 from tests.command_line import ds
 
-from ds_analysis.sensitivity.factors import factors_named
-from ds_analysis.sensitivity.result import RoadResult, Sensitivity, Threshold
+from ds_analysis.sensitivity import RoadResult, Sensitivity, Threshold, factors_named
 from ds_base.folder_files import locked
 from ds_cli.campaign.run import judged
 from ds_cli.options import CampaignCriteria

@@ -20,7 +20,7 @@ from tests.campaign.engines import MadeUpEngine
 from ds_base.atomic_files import write_whole
 from ds_cli import application
 from ds_orchestrator.engines.start import ENGINES
-from ds_report import heatmap, html_report
+from ds_report import build
 
 CONFIG = """
 siblings: [donkey]
@@ -35,8 +35,8 @@ search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}
 def prepare(scratch: Path) -> None:
     """Let this process drive nothing and draw no pictures, and load what a campaign needs."""
     ENGINES["local"] = lambda *_: nullcontext(MadeUpEngine())
-    heatmap.write_maps = lambda *_: None
-    html_report.write_report = lambda out, *_, **__: write_whole(out / "report.html", "")  # type: ignore[assignment]
+    build.write_maps = lambda *_: None  # type: ignore[attr-defined]
+    build.write_report = lambda out, *_, **__: write_whole(out / "report.html", "")  # type: ignore[assignment]
     (scratch / "c.yaml").write_text(CONFIG)
     with redirect_stdout(None), redirect_stderr(None):
         run_campaign(scratch / "loading")

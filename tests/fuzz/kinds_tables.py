@@ -22,7 +22,7 @@ from ds_analysis.outcomes.sbft import read_competition
 from ds_analysis.outcomes.study import import_outcomes, read_study, write_study
 from ds_analysis.real.proposal import PROPOSAL, read_proposed
 from ds_analysis.real.records import FOLDER, RecordError, read_csv
-from ds_analysis.sensitivity.result import RESULT, read_ranges
+from ds_analysis.sensitivity import RESULT, read_ranges
 from ds_base.folder_files import StoreError
 from ds_base.table import Table, TableError, keep_tables, read_tables, styled
 from ds_orchestrator.engines.cluster import ClusterError, read_cluster

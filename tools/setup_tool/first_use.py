@@ -11,7 +11,7 @@ MODULES = (
     *("ds_driver.ros.closed_loop_node", "ds_sim.ros.simulator_node", "ds_driver.ros.driver_node", "onnxruntime"),
     *("ds_sim_bullet.simulator", "ds_sim_panda.simulator", "ds_sim_softbody.simulator", "ds_twin_donkey.simulator"),
     *("ds_sim_ros.simulator", "ds_studies.whole_campaign", "ds_orchestrator.graph.client", "ds_report.heatmap"),
-    *("ds_report.html_report", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
+    *("ds_report.build", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
 )
 CARS = (
     *(("ds_twin_donkey.vehicle", "DonkeyVehicle"), ("ds_sim_softbody.vehicle", "SoftbodyVehicle")),

@@ -47,11 +47,9 @@ from .prediction.car import CarPrediction, predict_car
 from .prediction.mixture import Drive, Prediction, predict
 from .prediction.predictors import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
 from .prediction.verdicts import CellVerdict, TestVerdict, Verdicts, judge
-from .sensitivity.factors import RESOLUTIONS, Factor, all_factors, factors_named
-from .sensitivity.result import Sensitivity, Threshold
-from .siblings.added_information import AddedInformation, Baseline
+from .sensitivity import RESOLUTIONS, Factor, Sensitivity, Threshold, all_factors, factors_named
 from .siblings.analysis import SiblingAnalysis, analyse, analysis_tables
-from .siblings.residuals import ResidualCorrelation
+from .siblings.beyond_features import AddedInformation, Baseline, ResidualCorrelation
 
 __all__ = [
     "AddedInformation",

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from made_executions import made_execution
 
+from ds_analysis import failures
 from ds_analysis.common.statistics import Array
-from ds_analysis.failures import reasons
-from ds_analysis.failures.reasons import groups_of, reason_of, reasons_of, where
+from ds_analysis.failures import groups_of, reason_of, reasons_of, where
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
@@ -121,7 +121,7 @@ def test_the_largest_group_comes_first_and_large_campaigns_are_sampled(monkeypat
     data = CampaignData(config=config, tests=tuple(tests), executions=tuple(executions))
     groups = groups_of(reasons_of(data))
     assert [where(group) for group in groups.values()] == ["8 on bullet", "1 on bullet"]
-    monkeypatch.setattr(reasons, "MOST_FAILURES", 3)
+    monkeypatch.setattr(failures, "MOST_FAILURES", 3)
     assert [reason.test_id for reason in reasons_of(data)] == [
         "bullet-0-0000",
         "bullet-0-0003",

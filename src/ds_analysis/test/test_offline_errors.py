@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from progress_lines import ProgressLines
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
 
-from ds_analysis.paper.campaign_evaluation import network_of
 from ds_analysis.paper.open_loop import OpenLoopError, predict
-from ds_analysis.paper.paper_tables import error_tables
+from ds_analysis.paper.paper_tables import error_tables, network_of
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_base.progress import SILENT
 from ds_driver.data.dataset import write_drive

@@ -31,9 +31,8 @@ def _offline_tables(
     images: int | None,
     trusted: Collection[str],
 ) -> list[Table]:
-    from ds_analysis.paper.campaign_evaluation import network_of
     from ds_analysis.paper.open_loop import OpenLoopError, predict
-    from ds_analysis.paper.paper_tables import error_tables
+    from ds_analysis.paper.paper_tables import error_tables, network_of
     from ds_analysis.paper.steering_error_stats import check_error_robustness, compare_errors
 
     answers = predict(data, driver, ScreenProgress(), images=images, trusted=trusted)
@@ -113,8 +112,8 @@ def evaluate_command(
     if of_campaign := [name for name, value in (("driver", driver), ("siblings", siblings), ("twin", twin)) if value]:
         raise typer.BadParameter(f"--{of_campaign[0]} is the campaign's: leave it out, or leave out {folder}")
     from ds_analysis.paper.campaign_contents import maps_of
-    from ds_analysis.paper.campaign_evaluation import evaluate_campaign
     from ds_analysis.paper.open_loop import OpenLoopError
+    from ds_analysis.paper.paper_tables import evaluate_campaign
     from ds_base.folder_files import locked, make_folder
     from ds_base.table import keep_tables
     from ds_driver.networks.driver_name import received_driver

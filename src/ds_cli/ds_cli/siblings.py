@@ -142,7 +142,7 @@ def _write(
     from ds_analysis.siblings.analysis import analysis_tables
     from ds_base.atomic_files import whole_file, write_json, write_whole
     from ds_base.table import write_tables
-    from ds_report.sibling_pictures import draw_failures, draw_matrix
+    from ds_report.sections import draw_failures, draw_matrix
     from ds_sim.camera.encodings import png
     from ds_sim.registry import colours_of
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from ds_analysis.paper.campaign_evaluation import network_of
 from ds_analysis.paper.open_loop import predict
+from ds_analysis.paper.paper_tables import network_of
 from ds_base.progress import SILENT
 from ds_driver.data.dataset import drive_path, keep_import, write_drive
 from ds_driver.networks.driver_name import DriverName

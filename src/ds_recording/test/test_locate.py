@@ -23,7 +23,7 @@ from ds_recording.located import COLUMNS, Located, read_located, write_located
 from ds_recording.odometry import AHEAD, TURN, Source
 from ds_recording.recording import Views, longest_stretch, read_views
 from ds_recording.smoother import Evidence
-from ds_report.recording_page import write_recording_page
+from ds_report.recording_pages import write_recording_page
 
 Array = NDArray[np.float64]
 WIDTH, RADIUS = 0.25, 0.9

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-from .build import write_all
+from .build import write_all, write_report
 from .findings import Findings, summarise
 from .heatmap import draw_map, write_maps
-from .html_report import write_report
-from .watch.campaign_reader import CampaignReader
+from .watch.campaign_state import CampaignReader
 from .watch.server import ServerError, serve
 
 __all__ = [

@@ -6,29 +6,39 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ds_analysis.common.outcome_table import MOST_ANALYSED, OutcomeTableError, table_of_campaign
+from ds_analysis.common.outcome_table import (
+    MOST_ANALYSED,
+    ROAD_FEATURES,
+    OutcomeTable,
+    OutcomeTableError,
+    table_of_campaign,
+)
 from ds_analysis.common.selection import most_frequent
 from ds_analysis.common.statistics import families_of
-from ds_analysis.failures.reasons import FailureReason, groups_of, reasons_of, where
+from ds_analysis.failures import FailureReason, groups_of, reasons_of, where
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.verdicts import ERROR_RATE, Verdicts, cell_table
 from ds_analysis.real.records import RecordError, read_drives
 from ds_analysis.siblings.analysis import analyse, analysis_tables
+from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_base.folder_files import StoreError
 from ds_base.installation import ds_command, missing_module
+from ds_base.palette import FAIL, PASS
 from ds_base.table import Table
 from ds_base.words import count
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_report.camera_pictures import worst_first
-from ds_report.heatmap import bounds_of, draw_map, draw_verdicts
+from ds_report.heatmap import Picture, bounds_of, draw_map, draw_verdicts
 from ds_report.pages import data_address
-from ds_report.sibling_pictures import draw_failures, draw_matrix
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MOST_GROUPS = 12
 """Groups that are shown; chosen: a screen. The last ones hold single failures."""
@@ -178,3 +188,48 @@ def failure_section(data: CampaignData) -> FailureSection | None:
         address = "" if cell is None else f"#cell={'-'.join(map(str, cell))}&test={worst.test_id}"
         shown.append(ShownGroup(len(group), where(group), worst, address))
     return FailureSection(sentences, shown)
+
+
+def draw_failures(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
+    """Draw the largest lateral position of at least one test, all judged, over a feature, (rows, columns, 3) RGB."""
+
+    def draw(figure: Figure) -> None:
+        values, limits = table.feature(feature), (0.0, 1.08 * float(table.limits.max()))
+        panels = figure.subplots(len(table.simulators), sharex=True, squeeze=False)[:, 0]
+        for axes, name in zip(panels, table.simulators, strict=True):
+            failed, lateral = table.failed(name), table.largest_lateral(name)
+            axes.plot(values[~failed], lateral[~failed], "o", color=PASS, fillstyle="none")
+            axes.plot(values[failed], lateral[failed], "o", color=FAIL)
+            title = f"{name}: fails on {int(failed.sum())} of {len(failed)} roads (discs)"
+            axes.set(title=title, ylabel="largest lateral position, m", ylim=limits)
+        panels[-1].set_xlabel(_with_unit(feature))
+
+    return draw_figure(WIDTH, 230 * len(table.simulators), draw, vector)
+
+
+def draw_matrix(table: OutcomeTable, feature: str, vector: Path | None = None) -> Picture:
+    """Draw which simulator fails on which road, roads sorted by a feature, as (rows, columns, 3) uint8 RGB."""
+
+    def draw(figure: Figure) -> None:
+        order = np.argsort(table.feature(feature), kind="stable")
+        axes = figure.subplots()
+        for row, name in enumerate(table.simulators):
+            failed = np.flatnonzero(table.failed(name)[order])
+            axes.barh(row, len(order), height=0.85, color=PASS)
+            axes.bar(failed, 0.85, 1.0, row - 0.425, align="edge", color=FAIL, edgecolor="white", linewidth=0.5)
+        shown = np.unique(np.round(np.linspace(0, len(order) - 1, 9)).astype(int))
+        axes.set_xticks(shown + 0.5, [f"{value:.2g}" for value in table.feature(feature)[order[shown]]])
+        axes.set_yticks(range(len(table.simulators)), map(short_name, table.simulators))
+        axes.set(xlim=(0, len(order)), ylim=(len(table.simulators) - 0.5, -0.5), xlabel=_with_unit(feature))
+        axes.set_title("Who fails where: a column for each road, orange where the driver fails")
+        axes.grid(visible=False)
+
+    return draw_figure(WIDTH, 104 + 30 * len(table.simulators), draw, vector)
+
+
+def _with_unit(feature: str) -> str:
+    if feature not in ROAD_FEATURES:
+        return f"{feature}, share of its range"
+    if "curvature" in feature:
+        return f"{feature}, 1/m"
+    return f"{feature}, m" if feature == "length" else feature

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_analysis.sensitivity.factors import LEVELS
-from ds_analysis.sensitivity.result import Sensitivity
+from ds_analysis.sensitivity import LEVELS, Sensitivity
 from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_report.camera_pictures import CameraPicture, camera_picture
 from ds_report.pages import write_page

@@ -18,7 +18,7 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapId
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
-from ds_report.html_report import write_report
+from ds_report.build import write_report
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import label_of

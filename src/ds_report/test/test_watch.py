@@ -32,8 +32,7 @@ from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_report.watch import server as watch_server
-from ds_report.watch.campaign_reader import CampaignReader
-from ds_report.watch.page_state import page_state
+from ds_report.watch.campaign_state import CampaignReader, page_state
 from ds_report.watch.server import ServerError, serve
 from ds_sim import BULLET, SimulatorName
 from ds_sim.conditions.model import Conditions

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ds_analysis.sensitivity.factors import factors_named
-from ds_analysis.sensitivity.result import Sensitivity, ranges_of
+from ds_analysis.sensitivity import Sensitivity, factors_named, ranges_of
 from ds_base.atomic_files import write_json
 from ds_base.bounded_json import read_json
 from ds_base.folder_files import make_folder

@@ -15,7 +15,7 @@ from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
-from ds_analysis.failures.reasons import Groups
+from ds_analysis.failures import Groups
 from ds_base.errors import RunError
 from ds_base.table import Column, Table, styled
 from ds_base.words import listed

@@ -38,8 +38,7 @@ from ds_recording.recording import read_views
 from ds_recording.sibling.recorded_drive import RecordedDrive, left_its_lane, near_photographs, read_drive, sections
 from ds_recording.sibling.simulator import SETTINGS
 from ds_recording.track import Track
-from ds_report.recording_page import write_recording_page
-from ds_report.track_page import write_track_page
+from ds_report.recording_pages import write_recording_page, write_track_page
 from ds_road import Road, write_roads
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario

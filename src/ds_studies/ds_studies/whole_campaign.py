@@ -8,8 +8,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from ds_analysis.paper.campaign_evaluation import read_correlations
 from ds_analysis.paper.correlation import Correlation
+from ds_analysis.paper.paper_tables import read_correlations
 from ds_base.folder_files import enter_folder, locked
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.executor import Listener, Stopped, StopSwitch

@@ -14,8 +14,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ds_analysis.sensitivity.factors import LEVELS, RESOLUTIONS, Factor, all_factors, factors_named
-from ds_analysis.sensitivity.result import RoadResult, Sensitivity, coverage, threshold_of
+from ds_analysis.sensitivity import (
+    LEVELS,
+    RESOLUTIONS,
+    Factor,
+    RoadResult,
+    Sensitivity,
+    all_factors,
+    coverage,
+    factors_named,
+    threshold_of,
+)
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Watch

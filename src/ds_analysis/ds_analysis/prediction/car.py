@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.prediction.betting import SiblingHelp, predicted_before, sibling_help
+from ds_analysis.prediction.betting import Bet, Certificate, SiblingHelp, certify, predicted_before, sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.verdicts import TOLERATED_RATE, Verdicts, judge
-from ds_analysis.real.certificate import Bet, Certificate, certify
 from ds_analysis.real.proposal import Proposed, candidates_of, open_drives, read_proposed
 from ds_analysis.real.records import RealDrive, RecordError, read_drives
 from ds_base.words import count, listed

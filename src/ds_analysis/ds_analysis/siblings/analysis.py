@@ -10,9 +10,16 @@ from typing import Any
 
 from ds_analysis.common.cross_validation import REPEATS
 from ds_analysis.common.outcome_table import RoadTable
-from ds_analysis.siblings.added_information import AddedInformation, Baseline, Score, baseline_of, information_about
-from ds_analysis.siblings.failure_patterns import KINDS, Departures, Nesting, departures_of, nestings
-from ds_analysis.siblings.residuals import ResidualCorrelation, residual_correlations
+from ds_analysis.failures import KINDS, Departures, Nesting, departures_of, nestings
+from ds_analysis.siblings.beyond_features import (
+    AddedInformation,
+    Baseline,
+    ResidualCorrelation,
+    Score,
+    baseline_of,
+    information_about,
+    residual_correlations,
+)
 from ds_base.table import Column, Table, styled
 from ds_base.words import listed
 from ds_sim.registry import SimulatorName

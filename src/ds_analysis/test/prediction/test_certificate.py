@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ds_analysis.common.statistics import Array, Bools, Indices
-from ds_analysis.real.certificate import Bet, certify, drives_until
+from ds_analysis.prediction.betting import Bet, certify, drives_until
 
 
 def bets_of(truth: Bools, predicted: Array, order: Indices, drawn: Bools) -> list[Bet]:

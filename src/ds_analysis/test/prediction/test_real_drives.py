@@ -15,10 +15,10 @@ from prediction_tables import table_of_margins
 from test_prediction_verbs import ROADS, write_comparison
 
 from ds_analysis.common.outcome_table import OutcomeTable, State
+from ds_analysis.prediction.betting import Bet, certify
 from ds_analysis.prediction.car import CarPrediction, drives_in_order
 from ds_analysis.prediction.experts import RateExpert
 from ds_analysis.prediction.mixture import Prediction
-from ds_analysis.real.certificate import Bet, certify
 from ds_analysis.real.proposal import BudgetError, Proposed, ProposedDrive, propose, read_proposed
 from ds_analysis.real.records import RealDrive, RecordError, added, read_csv, read_drives
 from ds_cli.application import run

@@ -8,8 +8,8 @@ import pytest
 
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import table_of_runs
+from ds_analysis.failures import KINDS, Departure, departure, departures_of
 from ds_analysis.siblings.analysis import analyse, analysis_tables
-from ds_analysis.siblings.failure_patterns import KINDS, Departure, departure, departures_of
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_road import Road
 from ds_sim.registry import SOFTBODY, SimulatorName, make_simulator

@@ -17,13 +17,12 @@ from sklearn.metrics import roc_auc_score
 from ds_analysis.common.cross_validation import auc_roc_by_ranks, predict_failures
 from ds_analysis.common.driven_road import GRID, DrivenRoad
 from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State
-from ds_analysis.siblings.added_information import AddedInformation, baseline_of, information_about
+from ds_analysis.failures import nestings
 from ds_analysis.siblings.analysis import SiblingAnalysis, analyse, analysis_tables
-from ds_analysis.siblings.failure_patterns import nestings
-from ds_analysis.siblings.residuals import residual_correlations
+from ds_analysis.siblings.beyond_features import AddedInformation, baseline_of, information_about, residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.executor import execution_of
-from ds_report.sibling_pictures import draw_failures, draw_matrix
+from ds_report.sections import draw_failures, draw_matrix
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions

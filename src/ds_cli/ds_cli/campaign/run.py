@@ -168,7 +168,7 @@ def search_command(
 
     Example: ds test my_net.yaml --out out
     """
-    from ds_analysis.sensitivity.result import read_ranges
+    from ds_analysis.sensitivity import read_ranges
     from ds_base.atomic_files import write_whole
     from ds_base.bounded_file import read_words
     from ds_base.folder_files import make_folder

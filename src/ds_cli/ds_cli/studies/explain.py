@@ -49,7 +49,7 @@ def explain_command(
 
     Example: ds explain out
     """
-    from ds_analysis.failures.reasons import groups_of, groups_table, reason_of, reasons_of, where
+    from ds_analysis.failures import groups_of, groups_table, reason_of, reasons_of, where
     from ds_base.atomic_files import write_json
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables

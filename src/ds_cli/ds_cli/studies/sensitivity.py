@@ -54,7 +54,7 @@ def sensitivity_command(
     """
     from rich.console import Console
 
-    from ds_analysis.sensitivity.factors import RESOLUTIONS, all_factors, factors_named
+    from ds_analysis.sensitivity import RESOLUTIONS, all_factors, factors_named
     from ds_base.atomic_files import write_json, write_whole
     from ds_base.folder_files import make_folder
     from ds_base.table import write_tables

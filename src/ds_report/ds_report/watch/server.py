@@ -22,8 +22,7 @@ from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_report.camera_pictures import translates
 from ds_report.pages import render
-from ds_report.watch.campaign_reader import CampaignReader
-from ds_report.watch.page_state import DrivePictures, drive_lines, page_state
+from ds_report.watch.campaign_state import CampaignReader, DrivePictures, drive_lines, page_state
 from ds_sim.registry import SimulatorName
 
 HOST = "127.0.0.1"

@@ -16,7 +16,7 @@ from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
 from ds_orchestrator.search.features import feature_of
-from ds_report.html_report import write_report
+from ds_report.build import write_report
 from ds_report.sections import AnswerSection, answer_section
 from ds_sim import SimulatorName
 

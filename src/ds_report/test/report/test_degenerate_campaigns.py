@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from report_campaigns import make_execution, road
 
-from ds_analysis.paper.campaign_evaluation import read_correlations
+from ds_analysis.paper.paper_tables import read_correlations
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.maps.feature_map import MapId, map_ids
 from ds_orchestrator.store.model import Origin, Test

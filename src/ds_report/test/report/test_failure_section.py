@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from report_campaigns import make_campaign
 
-from ds_analysis.failures.reasons import FailureReason
+from ds_analysis.failures import FailureReason
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign

@@ -27,9 +27,8 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
-from ds_report.build import write_all
+from ds_report.build import write_all, write_report
 from ds_report.findings import RoadOutcomes, best_split, road_outcomes, summarise, where_it_fails
-from ds_report.html_report import write_report
 from ds_report.page_data import page_data
 from ds_road import Road
 from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
@@ -452,7 +451,7 @@ def _maps_over_turns(folder: Path) -> dict[str, Any]:
 def test_the_page_of_a_large_campaign_shows_its_worst_tests_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ds_report.html_report.SHOWN_TESTS", 3)
+    monkeypatch.setattr("ds_report.build.SHOWN_TESTS", 3)
     config = CampaignConfig(
         siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")], twin=None, driver=AUTOPILOT
     )

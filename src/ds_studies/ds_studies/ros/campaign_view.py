@@ -5,10 +5,14 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 
+import numpy as np
+from builtin_interfaces.msg import Time
 from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
 from ds_interfaces.srv import GetMap, GetState, GetTest
 from nav_msgs.msg import OccupancyGrid
@@ -17,12 +21,159 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
+from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
+from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
+from ds_orchestrator.search.features import feature_of
+from ds_orchestrator.store.model import Execution, Test
+from ds_sim.gates.gate import Gate
+from ds_sim.registry import SimulatorName, label_of
+from ds_sim.ros.conversions import conditions_to_messages, road_to_message
 from ds_sim.ros.diagnostics import ERROR, OK, WARN, Diagnostics, Report
-from ds_studies.ros.campaign_messages import Grids, grids_of, stamped, test_response
-from ds_studies.ros.goals import Job
+
+FRAME = "feature_map"
+"""Frame of the grids: bins of the first feature along x, of the second along y; a cell is 1 m wide."""
+MOST_CELLS = 2**16
+"""Cells of a grid; chosen: a hundred times those of the paper's maps."""
+
+
+def outcome_message(
+    folder: str, test_id: str, simulator: SimulatorName, outcome: Execution | Gate | None
+) -> TestOutcome:
+    """Convert what became of a test of a goal's folder on a simulator; None: every attempt ended in an error."""
+    message = TestOutcome(campaign=folder, test_id=test_id, simulator=simulator)
+    if isinstance(outcome, Execution):
+        message.outcome.value = int(outcome.outcome)
+        message.message, message.bag = outcome.message, outcome.bag
+        message.fitness, message.max_lateral_position = outcome.fitness, outcome.max_lateral_position
+    elif isinstance(outcome, Gate):
+        message.excluded, message.message = True, outcome.message
+    else:
+        message.message = "every attempt ended in an error"
+    return message
+
+
+def test_response(data: CampaignData, folder: str, test_id: str, response: GetTest.Response) -> GetTest.Response:
+    """Fill in a test of a campaign, by the folder of its goal, and its outcomes."""
+    test = next((one for one in data.tests if one.test_id == test_id), None)
+    if test is None:
+        example = data.tests[0].test_id if data.tests else "none yet"
+        response.message = f"no test {test_id!r:.60}: expected one of {len(data.tests)}, such as {example}"
+        return response
+    response.found, response.road, response.seed = True, road_to_message(test.road), test.seed
+    response.conditions = conditions_to_messages(test.conditions)
+    outcomes: dict[SimulatorName, Execution | Gate] = {
+        name: gate for (one, name), gate in data.gates.items() if one == test_id and not gate.is_valid
+    }
+    outcomes |= {one.simulator: one for one in data.verdicts if one.test_id == test_id}
+    response.outcomes = [outcome_message(folder, test_id, name, one) for name, one in outcomes.items()]
+    return response
+
+
+@dataclass(frozen=True)
+class Grids:
+    """Maps of a campaign by name: failure probabilities in percent, tests of each cell; what all cells stand for."""
+
+    grids: Mapping[str, OccupancyGrid]
+    tests: Mapping[str, Sequence[int]]
+    legend: MapLegend
+
+
+def grids_of(data: CampaignData) -> Grids | None:
+    """Build the maps that are compared (unions, merged, twin), over the first two features; None without a test."""
+    maps = maps_of(data)
+    chosen = {label_of(one.name).replace(".", "_").replace("-", "_"): maps[one] for one in compared_ids(maps)}
+    cells = [cell[:2] for one in chosen.values() for cell in one.cells]
+    if not cells:
+        return None
+    columns, rows = (range(min(bins), max(bins) + 1) for bins in zip(*cells, strict=True))
+    if len(columns) * len(rows) > MOST_CELLS:
+        return None
+    grids, tests = {}, {}
+    for name, one in chosen.items():
+        grids[name], tests[name] = _grid(one, columns, rows)
+    across, up = (feature_of(name) for name in data.config.features[:2])
+    legend = MapLegend(
+        across=across.title, up=up.title, columns=[*map(across.label, columns)], rows=[*map(up.label, rows)]
+    )
+    return Grids(grids, tests, legend)
+
+
+def _grid(one: FeatureMap, columns: range, rows: range) -> tuple[OccupancyGrid, list[int]]:
+    """Place a map's cells on a grid, row by row from below."""
+    tests, failures = np.zeros((len(rows), len(columns)), np.int64), np.zeros((len(rows), len(columns)))
+    for cell, content in one.cells.items():
+        place = rows.index(cell[1]), columns.index(cell[0])
+        tests[place] += content.tests
+        failures[place] += content.tests * content.probability
+    percent = np.where(tests > 0, np.rint(100.0 * failures / np.maximum(tests, 1)), -1.0)
+    grid = OccupancyGrid()
+    grid.header.frame_id = FRAME
+    grid.info.resolution, grid.info.width, grid.info.height = 1.0, len(columns), len(rows)
+    grid.info.origin.position.x, grid.info.origin.position.y = float(columns[0]), float(rows[0])
+    grid.info.origin.orientation.w = 1.0
+    grid.data = percent.astype(np.int8).ravel().tolist()
+    return grid, tests.ravel().tolist()
+
+
+def stamped(grid: OccupancyGrid, stamp: Time) -> OccupancyGrid:
+    """Set the time of a grid."""
+    grid.header.stamp = grid.info.map_load_time = stamp
+    return grid
+
+
+class StateListener(TimedListener):
+    """Counts a goal's drives, and keeps their outcomes until they are published."""
+
+    def __init__(self, folder: str) -> None:
+        super().__init__()
+        self._searching = True
+        self._state = CampaignState(state=CampaignState.RUNNING, folder=folder, seconds_left=-1.0)
+        self.outcomes: SimpleQueue[TestOutcome] = SimpleQueue()
+
+    def stage(self, name: str) -> None:
+        """See `Listener.stage`."""
+        super().stage(name)
+        with self._lock:
+            self._state.stage = name
+
+    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
+        """See `Listener.expect`."""
+        super().expect(stages)
+        with self._lock:
+            self._state.expected = self.total
+
+    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
+        """See `Listener.finished`."""
+        super().finished(test, simulator, execution, fresh)
+        with self._lock:
+            self._state.done = self.done
+            self._state.failures += isinstance(execution, Execution) and execution.outcome.is_failure
+            self._state.errors += execution is None
+        self.outcomes.put(outcome_message(self._state.folder, test.test_id, simulator, execution))
+
+    def hear(self, line: str) -> None:
+        """Make a line of the product's loggers the state's message."""
+        with self._lock:
+            self._state.message = line
+
+    def end(self, state: int, message: str) -> None:
+        """Set how the goal ended."""
+        with self._lock:
+            self._state.state, self._state.message, self._eta = state, message, Eta()
+
+    @property
+    def state(self) -> CampaignState:
+        """Present state."""
+        with self._lock:
+            left = self.seconds_left()
+            self._state.seconds_left = -1.0 if left is None else left
+            fields = self._state.get_fields_and_field_types()
+            return CampaignState(**{name: getattr(self._state, name) for name in fields})
+
 
 MAPS_EVERY, MAPS_SHARE = 2.0, 20.0
 """Seconds between two drawings of the maps, at least so many times what one takes; chosen: drives are not slowed."""
@@ -37,7 +188,7 @@ class CampaignView:
 
     def __init__(self, node: Node, warning: Callable[[], str]) -> None:
         self._node, self._warning = node, warning
-        self._job: Job | None = None
+        self._listener: StateListener | None = None
         self._campaign: Path | None = None
         self._grids: Grids | None = None
         self._published, self._ended, self._lock = threading.Event(), threading.Event(), threading.Lock()
@@ -53,7 +204,7 @@ class CampaignView:
         threading.Thread(target=self._keep_drawing, name="maps", daemon=True).start()
         self.show()
 
-    def begin(self, job: Job, campaign: Path | None) -> None:
+    def begin(self, listener: StateListener, campaign: Path | None) -> None:
         """Show a goal from now on; no maps are drawn of given tests, which have no folder of a campaign."""
         # A late subscriber must not get what the publishers remember of the last goal. No publisher can forget: that of
         # outcomes is replaced, those of maps, which remember one, publish one without cells.
@@ -66,7 +217,7 @@ class CampaignView:
             publisher.publish(OccupancyGrid())
         self._legend.publish(MapLegend())
         with self._lock:
-            self._job, self._campaign, self._grids = job, campaign, None
+            self._listener, self._campaign, self._grids = listener, campaign, None
 
     def _make_outcomes(self) -> Publisher:
         remembered = QoSProfile(depth=REMEMBERED, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -79,14 +230,14 @@ class CampaignView:
     @property
     def state(self) -> CampaignState:
         """Present state."""
-        return CampaignState(seconds_left=-1.0) if self._job is None else self._job.listener.state
+        return CampaignState(seconds_left=-1.0) if self._listener is None else self._listener.state
 
     def show(self) -> None:
         """Publish what is new."""
         state = self.state
         met = self._outcomes.get_subscription_count() >= self._awaited or time.monotonic() > self._patience
-        while met and self._job is not None and not self._job.listener.outcomes.empty():
-            self._outcomes.publish(self._job.listener.outcomes.get())
+        while met and self._listener is not None and not self._listener.outcomes.empty():
+            self._outcomes.publish(self._listener.outcomes.get())
         self._state.publish(state)
         grids = self._grids
         if grids is not None and not self._published.is_set():
@@ -110,14 +261,14 @@ class CampaignView:
         pause, drawn = MAPS_EVERY, (0, -1, -1)
         while not self._ended.wait(pause):
             state, campaign = self.state, self._campaign
-            present = (id(self._job), state.done, state.state)
+            present = (id(self._listener), state.done, state.state)
             if campaign is None or present == drawn:
                 continue
             began, drawn = time.monotonic(), present
-            job, data = self._job, self._read()
+            listener, data = self._listener, self._read()
             grids = None if data is None else grids_of(data)
             with self._lock:
-                if data is not None and job is self._job:
+                if data is not None and listener is self._listener:
                     self._grids = grids
                     self._published.clear()
             pause = max(MAPS_EVERY, MAPS_SHARE * (time.monotonic() - began))

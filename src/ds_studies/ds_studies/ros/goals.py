@@ -3,87 +3,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection
 from contextlib import closing, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 from ds_interfaces.action import RunCampaign
-from ds_interfaces.msg import CampaignState, TestOutcome
 from rclpy.action.server import ServerGoalHandle
 
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 from ds_base.config_errors import read_keys
 from ds_base.installation import ds_command
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config, rebase_paths
-from ds_orchestrator.campaign.eta import Eta, TimedListener
 from ds_orchestrator.campaign.executor import StopSwitch
 from ds_orchestrator.campaign.folder import config_of, open_store, with_kept_engine
 from ds_orchestrator.engines.drive_tests import Callbacks, drive_tests
-from ds_orchestrator.store.model import Execution, Test
-from ds_sim.gates.gate import Gate
+from ds_orchestrator.store.model import Test
 from ds_sim.messages import road_from_message
-from ds_sim.registry import SimulatorName
 from ds_sim.ros.conversions import conditions_from_messages
 from ds_sim.ros.requests import GoalServer
 from ds_sim.scenario import Scenario
-from ds_studies.ros.campaign_messages import outcome_message
+from ds_studies.ros.campaign_view import StateListener, outcome_message
 from ds_studies.whole_campaign import check_trust, run_campaign
 
 ENGINES = tuple(getattr(RunCampaign.Goal, f"ENGINE_{name}") for name in ("ATTACH", "GRAPH", "LOCAL", "DASK", "AUTO"))
 """attach: nodes that run; the others start their own."""
-
-
-class StateListener(TimedListener):
-    """Counts a goal's drives, and keeps their outcomes until they are published."""
-
-    def __init__(self, folder: str) -> None:
-        super().__init__()
-        self._searching = True
-        self._state = CampaignState(state=CampaignState.RUNNING, folder=folder, seconds_left=-1.0)
-        self.outcomes: SimpleQueue[TestOutcome] = SimpleQueue()
-
-    def stage(self, name: str) -> None:
-        """See `Listener.stage`."""
-        super().stage(name)
-        with self._lock:
-            self._state.stage = name
-
-    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
-        """See `Listener.expect`."""
-        super().expect(stages)
-        with self._lock:
-            self._state.expected = self.total
-
-    def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
-        """See `Listener.finished`."""
-        super().finished(test, simulator, execution, fresh)
-        with self._lock:
-            self._state.done = self.done
-            self._state.failures += isinstance(execution, Execution) and execution.outcome.is_failure
-            self._state.errors += execution is None
-        self.outcomes.put(outcome_message(self._state.folder, test.test_id, simulator, execution))
-
-    def hear(self, line: str) -> None:
-        """Make a line of the product's loggers the state's message."""
-        with self._lock:
-            self._state.message = line
-
-    def end(self, state: int, message: str) -> None:
-        """Set how the goal ended."""
-        with self._lock:
-            self._state.state, self._state.message, self._eta = state, message, Eta()
-
-    @property
-    def state(self) -> CampaignState:
-        """Present state."""
-        with self._lock:
-            left = self.seconds_left()
-            self._state.seconds_left = -1.0 if left is None else left
-            fields = self._state.get_fields_and_field_types()
-            return CampaignState(**{name: getattr(self._state, name) for name in fields})
 
 
 Work = Callable[["Job", Collection[str]], None]

@@ -30,8 +30,8 @@ from ds_sim.ros.parameters import declare
 from ds_sim.ros.requests import GoalServer, RequestRefused
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Reason
-from ds_studies.ros.campaign_view import CampaignView
-from ds_studies.ros.goals import ENGINES, Job, StateListener, Work, drive_tests_goal, run_campaign_goal
+from ds_studies.ros.campaign_view import CampaignView, StateListener
+from ds_studies.ros.goals import ENGINES, Job, Work, drive_tests_goal, run_campaign_goal
 
 EVERY = 1.0
 """Seconds between two messages of state; chosen: what people follow."""
@@ -105,7 +105,7 @@ class OrchestratorNode(Node):
             self._check(goal.request.engine)
             folder, listener = self._folder(goal.request.folder), StateListener(goal.request.folder)
             self._job = Job(goal=goal, server=server, folder=folder, work=work, result=kind.Result(), listener=listener)
-            self._view.begin(self._job, folder if kind is RunCampaign else None)
+            self._view.begin(listener, folder if kind is RunCampaign else None)
             self._jobs.put(self._job)
 
         server = GoalServer(self, kind, name, begin, self._on_cancel)

@@ -10,8 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from ds_analysis.sensitivity.factors import LEVELS, Factor
-from ds_analysis.sensitivity.result import Sensitivity, Threshold, Verdict, threshold_of
+from ds_analysis.sensitivity import LEVELS, Factor, Sensitivity, Threshold, Verdict, threshold_of
 from ds_base.progress import SILENT, Progress, logger_of
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.networks.pilot import DriverError

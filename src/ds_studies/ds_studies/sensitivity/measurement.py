@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from ds_analysis.sensitivity.factors import LEVELS, Factor
-from ds_analysis.sensitivity.result import RoadResult
+from ds_analysis.sensitivity import LEVELS, Factor, RoadResult
 from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.oracle import FINISH_MARGIN
