@@ -33,11 +33,11 @@ from ds_sim_bullet.vehicle import BulletVehicle
 from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody.parameters import SoftbodyParameters
-from ds_sim_softbody.vehicle import SoftbodyVehicle
+from ds_sim_softbody.simulator import SoftbodyVehicle
 from ds_twin_donkey import dynamics
 from ds_twin_donkey.dynamics import CarModel
 from ds_twin_donkey.parameters import DonkeyParameters
-from ds_twin_donkey.vehicle import DonkeyVehicle
+from ds_twin_donkey.simulator import DonkeyVehicle
 
 COLOURS = {str(name): colour for name, colour in colours_of(STANDARD).items()}
 

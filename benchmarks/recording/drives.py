@@ -136,7 +136,7 @@ def parts_of(plan: Plan) -> tuple[SimulatorSpec, Vehicle, Scene]:
     vehicle: Vehicle
     scene: Scene
     if plan.simulator == "donkey":
-        from ds_twin_donkey.vehicle import DonkeyVehicle
+        from ds_twin_donkey.simulator import DonkeyVehicle
 
         vehicle = DonkeyVehicle(plan.car)
         scene = PaintedScene(camera_of(spec), spec.look)

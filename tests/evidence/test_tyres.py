@@ -21,10 +21,10 @@ from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.parts import Wheel, carry, roll
-from ds_sim_softbody.vehicle import SoftbodyVehicle
+from ds_sim_softbody.simulator import SoftbodyVehicle
 from ds_twin_donkey import dynamics
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
-from ds_twin_donkey.vehicle import DonkeyVehicle
+from ds_twin_donkey.simulator import DonkeyVehicle
 
 B, S, D = BulletParameters(), SoftbodyParameters(), DonkeyParameters()
 

@@ -14,7 +14,7 @@ MODULES = (
     *("ds_report.build", "sklearn.metrics", "plotly.graph_objects", "matplotlib.backends.backend_agg"),
 )
 CARS = (
-    *(("ds_twin_donkey.vehicle", "DonkeyVehicle"), ("ds_sim_softbody.vehicle", "SoftbodyVehicle")),
+    *(("ds_twin_donkey.simulator", "DonkeyVehicle"), ("ds_sim_softbody.simulator", "SoftbodyVehicle")),
     ("ds_sim_panda.vehicle.multi_body", "MultiBodyVehicle"),
 )
 """Numba compiles them, which takes 2 s, 2 s and 10 s, and keeps the results beside their source."""

@@ -16,7 +16,7 @@ from ds_sim.simulator import FRAME_TIME, Command, SimulatorError, VehicleState
 from ds_sim_softbody.lattice import NODES, Lattice, blueprint
 from ds_sim_softbody.parameters import GRAVITY, SoftbodyParameters
 from ds_sim_softbody.parts import Attitude, hypot, lean, loads
-from ds_sim_softbody.vehicle import SoftbodyVehicle
+from ds_sim_softbody.simulator import SoftbodyVehicle
 
 P = SoftbodyParameters()
 PLAN = blueprint(P)

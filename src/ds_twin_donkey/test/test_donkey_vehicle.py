@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, VehicleState
 from ds_twin_donkey.dynamics import CarState, rollout
 from ds_twin_donkey.parameters import GRAVITY, SCALE, DonkeyParameters
-from ds_twin_donkey.vehicle import DonkeyVehicle
+from ds_twin_donkey.simulator import DonkeyVehicle
 
 P = DonkeyParameters()
 X, Y, YAW, SPEED = (CarState._fields.index(n) for n in ("x", "y", "yaw", "speed"))

@@ -36,8 +36,7 @@ from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Observation, OutOfSightError, SimulatorSpec, VehicleState
 from ds_twin_donkey.parameter_file import read_parameters
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
-from ds_twin_donkey.simulator import DonkeySimulator
-from ds_twin_donkey.vehicle import DonkeyVehicle
+from ds_twin_donkey.simulator import DonkeySimulator, DonkeyVehicle
 
 Array = NDArray[Any]
 """Of single precision where time counts."""
