@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_regular
 from ds_recording.errors import RecordingError
-from ds_road import RoadError, tracks
+from ds_road import RoadError, importing
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -135,7 +135,7 @@ def write_track(path: Path, track: Track, half_width: float) -> None:
 def read_track(path: Path) -> Track:
     """Read a RoboRacer track file, closed if its ends are at most two steps apart; RecordingError if it is none."""
     try:
-        points, _ = tracks.read_track(read_regular(path, MAX_TRACK_FILE))
+        points, _ = importing.read_track(read_regular(path, MAX_TRACK_FILE))
     except (OSError, FileError, RoadError) as error:
         reason = getattr(error, "strerror", None) or error
         raise RecordingError(f"{path}: {reason!s:.200}: expected lines x_m,y_m,w_tr_right_m,w_tr_left_m") from None
