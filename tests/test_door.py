@@ -18,7 +18,7 @@ import pytest
 from ds_base.atomic_files import write_whole
 from ds_base.folder_files import StoreError, enter_folder, place_folder
 
-DOOR = {"atomic_files", "bounded_file", "bounded_json", "bounded_memory", "bounded_tables", "folder_files"}
+DOOR = {"atomic_files", "bounded_file", "bounded_tables", "folder_files"}
 DOOR_CALLS = {"read_table", "read_parquet", "read_csv"}
 """Functions of this project of the same names as those of libraries, which are called by their module."""
 OPENED = {"whole_file", "open_regular"}

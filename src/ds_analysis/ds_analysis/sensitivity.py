@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from ds_base.bounded_json import read_json
+from ds_base.bounded_file import read_json
 from ds_base.table import Column, Table, Value, styled
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import sees_translated

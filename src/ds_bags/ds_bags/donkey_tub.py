@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import BagError, plain_name, printable
-from ds_base.bounded_file import FileError, read_words
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import FileError, load_json, read_words
 from ds_base.errors import InputError
 
 MAX_FILE = 64 * 2**20

@@ -28,8 +28,7 @@ from ds_bags.layout import (
     printable,
     regular_file,
 )
-from ds_base.bounded_file import open_regular
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json, open_regular
 from ds_base.installation import ds_command
 from ds_road import Road, RoadError, road_from_json
 from ds_sim.conditions.text import parse_conditions

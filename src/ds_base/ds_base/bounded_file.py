@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads files that a stranger may have sent: regular ones of bounded size, never a FIFO, a device or a folder."""
+"""Reads files and JSON that a stranger may have sent: regular files of bounded size, never a FIFO, device or folder."""
 
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 import os
+import resource
 import stat
-from collections.abc import Iterable
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from ds_base.errors import InputError
 
 LARGEST_FILE = 16 * 2**20
 """Bytes of a file that is read at once; chosen: a hundred times the usual one."""
-
-
+LARGEST_INTEGER = 2**64
+"""Integers of JSON and YAML are smaller, so that each is a `float`, too."""
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 """Beginning of what Git writes in the place of a large file that it has not fetched."""
 
@@ -79,3 +84,60 @@ def sha256_of(files: Iterable[Path]) -> str:
             while block := file.read(2**20):
                 digest.update(block)
     return digest.hexdigest()
+
+
+def load_json(text: str | bytes) -> Any:
+    """Build the value of a JSON document; integers beyond 64 bits are infinite.
+
+    Raises:
+        FileError: not JSON, or nested too deep; one line.
+    """
+    try:
+        return json.loads(text, parse_int=_integer)
+    except FileError:
+        raise
+    except RecursionError:
+        raise FileError("not JSON (nested too deeply)") from None
+    except ValueError as error:
+        raise FileError(f"not JSON ({' '.join(str(error).split())[:150]})") from None
+
+
+def read_json(path: Path, largest: int = LARGEST_FILE) -> Any:
+    """Read a JSON file; arguments and errors as in `read_regular`, errors as in `load_json`, too."""
+    return load_json(read_regular(path, largest))
+
+
+def _integer(digits: str) -> int | float:
+    """An integer; infinity beyond 64 bits, as of a float of so many digits, which every reader refuses as no number."""
+    if len(digits) <= 20 and abs(int(digits)) < LARGEST_INTEGER:
+        return int(digits)
+    return -math.inf if digits[0] == "-" else math.inf
+
+
+_lock = threading.Lock()
+_inside = 0
+_before = (resource.RLIM_INFINITY, resource.RLIM_INFINITY)
+
+
+@contextmanager
+def limited_memory(size: int) -> Iterator[None]:
+    """Make allocations fail beyond the present address space plus so many bytes.
+
+    The limit applies to the whole process, other threads included; nested and concurrent uses keep the first limit.
+    """
+    global _inside, _before
+    with _lock:
+        _inside += 1
+        if _inside == 1:
+            _before = resource.getrlimit(resource.RLIMIT_AS)
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            wanted = pages * resource.getpagesize() + size
+            limits = [limit for limit in (*_before, wanted) if limit != resource.RLIM_INFINITY]
+            resource.setrlimit(resource.RLIMIT_AS, (min(limits), _before[1]))
+    try:
+        yield
+    finally:
+        with _lock:
+            _inside -= 1
+            if _inside == 0:
+                resource.setrlimit(resource.RLIMIT_AS, _before)

@@ -18,8 +18,7 @@ from typing import Any
 
 import yaml
 
-from ds_base.bounded_file import FileError, read_regular
-from ds_base.bounded_json import LARGEST_INTEGER
+from ds_base.bounded_file import LARGEST_INTEGER, FileError, read_regular
 
 _Loader: type[yaml.SafeLoader] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """The C library's parser is ten times faster; a wheel without it has the other."""

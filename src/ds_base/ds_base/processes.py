@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Child processes that never outlive this one, and pools of processes for independent jobs."""
+"""Child processes that never outlive this one, pools of processes for independent jobs, and the clock of waits."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
@@ -22,6 +23,8 @@ _PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None)
 USER_DOMAIN = "DS_USER_ROS_DOMAIN_ID"
 """Variable with the user's ROS domain, in the processes of a graph that has a domain of its own."""
+LONGEST_LOOK = 3.0
+"""Time between two looks at the clock beyond which this process stood still, s; chosen: a busy machine stays below."""
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -150,3 +153,23 @@ def _exit_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
+
+
+class RunningClock:
+    """Monotonic clock that stands still with its process: stopped by a signal, or in a paused container or machine.
+
+    Whoever waits for another process looks at it at least every `LONGEST_LOOK` s, and after a pause blames nobody for
+    what this process could not hear.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._looked, self._paused = time.monotonic(), 0.0
+
+    def now(self) -> float:
+        """Time of the clock, s; a pause counts as `LONGEST_LOOK`."""
+        with self._lock:
+            at = time.monotonic()
+            self._paused += max(0.0, at - self._looked - LONGEST_LOOK)
+            self._looked = at
+            return at - self._paused

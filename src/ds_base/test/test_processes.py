@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ctrl-C on a pool of processes: nothing is printed by its workers, and none is left."""
+"""Ctrl-C on a pool leaves nothing, and the clock of waits stands still with its process, and with nothing else."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import time
 from pathlib import Path
 
 import pytest
+
+from ds_base.processes import RunningClock
 
 PROGRAM = """
 import signal, sys, time
@@ -56,3 +58,36 @@ def test_ctrl_c_leaves_neither_a_traceback_nor_a_process(tmp_path: Path, working
     while running(stopped.pid):
         assert time.monotonic() < deadline
         time.sleep(0.05)
+
+
+LOOKS = """
+import time
+from ds_base import processes
+processes.LONGEST_LOOK = 0.5
+clock = processes.RunningClock()
+began = clock.now()
+print("began", flush=True)
+for _ in range(20):
+    time.sleep(0.05)
+    clock.now()
+print(clock.now() - began)
+"""
+
+
+@pytest.mark.parametrize("stopped", [0.0, 4.0])
+def test_the_time_of_a_stopped_process_does_not_count(stopped: float) -> None:
+    with subprocess.Popen([sys.executable, "-c", LOOKS], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(stopped)
+        process.send_signal(signal.SIGCONT)
+        passed = float(process.stdout.readline())
+    assert 1.0 <= passed < 3.5
+
+
+def test_looks_in_time_see_all_of_it() -> None:
+    clock = RunningClock()
+    began, monotonic = clock.now(), time.monotonic()
+    time.sleep(0.3)
+    assert clock.now() - began == pytest.approx(time.monotonic() - monotonic, abs=0.1)

@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from ds_base.bounded_json import read_json
+from ds_base.bounded_file import read_json
 from ds_base.installation import ds_command
 from ds_base.words import count
 from ds_cli import options

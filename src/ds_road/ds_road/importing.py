@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import splev, splprep
 
-from ds_base.bounded_file import FileError, read_regular
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import FileError, load_json, read_regular
 from ds_base.bounded_xml import parse_xml
 from ds_base.left_out import LeftOut
 from ds_base.progress import logger_of

@@ -18,8 +18,7 @@ import yaml
 
 from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_file import FileError, open_regular, read_words
-from ds_base.bounded_json import read_json
+from ds_base.bounded_file import FileError, open_regular, read_json, read_words
 from ds_base.errors import InputError
 from ds_base.folder_files import make_folder
 from ds_base.progress import SILENT, Progress, logger_of

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import ds_road
 from ds_analysis.common.driven_road import DrivenRoad, recorded_profile
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json
 from ds_base.errors import InputError
 from ds_base.folder_files import StoreError, read_file
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature, cell_of, feature_of

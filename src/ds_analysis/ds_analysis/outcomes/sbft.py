@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from ds_analysis.common.outcome_table import OutcomeTableError
-from ds_base.bounded_json import read_json
+from ds_base.bounded_file import read_json
 from ds_base.left_out import LeftOut
 from ds_road.geometry import arc_lengths
 

@@ -20,7 +20,7 @@ from ds_analysis.paper.correlation import (
     paired_differences,
 )
 from ds_analysis.paper.steering_error_stats import BINS, MERGED, RANGE, ErrorComparison, ErrorRobustnessCheck, densities
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json
 from ds_base.folder_files import StoreError, read_file
 from ds_base.installation import ds_command
 from ds_base.table import Column, Table, Value, styled

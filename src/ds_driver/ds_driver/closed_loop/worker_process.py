@@ -23,8 +23,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 from ds_base.errors import RunError
-from ds_base.processes import ChildProcesses, last_line_of, python_environment
-from ds_base.running_clock import RunningClock
+from ds_base.processes import ChildProcesses, RunningClock, last_line_of, python_environment
 from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
 from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
 from ds_driver.networks.driver_name import DriverName

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import deserialize, safe_open
 
-from ds_base.bounded_file import read_regular, sha256_of
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json, read_regular, sha256_of
 from ds_base.errors import InputError
 from ds_base.installation import install_command, wheel_version
 from ds_driver.networks.architectures import NETWORKS, Architecture, UnknownNetworkError

@@ -16,8 +16,7 @@ from safetensors import safe_open
 from safetensors.numpy import load, save
 
 from ds_base.atomic_files import write_whole
-from ds_base.bounded_file import read_regular
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json, read_regular
 from ds_base.errors import InputError
 
 EPSILON = 1e-5

@@ -17,8 +17,7 @@ from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
 from ds_base.atomic_files import write_json, write_whole
-from ds_base.bounded_file import read_regular
-from ds_base.bounded_json import read_json
+from ds_base.bounded_file import read_json, read_regular
 from ds_base.bounded_tables import read_parquet
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import get_args
 
 from ds_base.atomic_files import write_whole
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount

@@ -19,9 +19,8 @@ from typing import Any
 
 from ds_base.errors import RunError
 from ds_base.folder_files import enter_folder
-from ds_base.processes import check_semaphores
+from ds_base.processes import RunningClock, check_semaphores
 from ds_base.progress import logger_of
-from ds_base.running_clock import RunningClock
 from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines import dask_worker

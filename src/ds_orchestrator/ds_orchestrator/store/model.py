@@ -10,8 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.bounded_file import FileError
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import FileError, load_json
 from ds_orchestrator.search.features import DriveSeries
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.sqlite_file import SqliteFile

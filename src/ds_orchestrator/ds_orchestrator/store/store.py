@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import load_json
 from ds_base.folder_files import StoreError
 from ds_base.intervals import FailureCount
 from ds_orchestrator.store import rows

@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.bounded_file import FileError
-from ds_base.bounded_json import load_json
+from ds_base.bounded_file import FileError, load_json
 from ds_base.errors import InputError
 from ds_sim.camera.encodings import jpeg, png
 from ds_sim.simulator import Command, Observation, Outcome

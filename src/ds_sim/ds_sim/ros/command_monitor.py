@@ -9,7 +9,7 @@ import numpy as np
 from rclpy.clock import Clock
 from rclpy.node import Node
 
-from ds_base.running_clock import RunningClock
+from ds_base.processes import RunningClock
 from ds_sim.simulator import FRAME_TIME, Command, Reason
 
 WARN_AFTER = 10

@@ -12,7 +12,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.task import Future
 
-from ds_base.running_clock import RunningClock
+from ds_base.processes import RunningClock
 from ds_sim.ros.runtime import SPIN_TIME, make_executor
 
 ANSWER_TIME = 2.0
