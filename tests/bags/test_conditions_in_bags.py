@@ -14,9 +14,8 @@ from ds_bags.run_writer import facts_of, write_bag
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import DONKEY, make_simulator
-from ds_sim.resimulation import ResimulationError, resimulate
 from ds_sim.scenario import Scenario
-from ds_sim.session import RunRecord, Session
+from ds_sim.session import ResimulationError, RunRecord, Session, resimulate
 from ds_sim.simulator import Command
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])

@@ -26,8 +26,7 @@ from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
 from ds_sim.registry import DONKEY, make_simulator
-from ds_sim.resimulation import resimulate
-from ds_sim.session import RunRecord
+from ds_sim.session import RunRecord, resimulate
 
 RNG = np.random.default_rng(1)
 PICTURE = RNG.integers(0, 255, (30, 40, 3), dtype=np.uint8)

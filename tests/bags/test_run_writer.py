@@ -26,8 +26,7 @@ from ds_bags.run_writer import write_bag
 from ds_sim.camera.lens import optical_axes
 from ds_sim.messages import MessageBuilder
 from ds_sim.registry import DONKEY, SOFTBODY, make_simulator
-from ds_sim.resimulation import ResimulationError, resimulate
-from ds_sim.session import RunRecord
+from ds_sim.session import ResimulationError, RunRecord, resimulate
 from ds_sim.simulator import Outcome, VehicleState
 
 pytestmark = pytest.mark.graph

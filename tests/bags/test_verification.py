@@ -16,8 +16,7 @@ from ds_bags.layout import LEVELS, BagError, Level
 from ds_bags.run_writer import write_bag
 from ds_bags.verification import verify_bag
 from ds_sim import DONKEY, SOFTBODY
-from ds_sim.resimulation import difference_between
-from ds_sim.session import RunRecord
+from ds_sim.session import RunRecord, difference_between
 from ds_sim.simulator import Command
 
 pytestmark = pytest.mark.graph

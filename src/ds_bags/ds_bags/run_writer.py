@@ -21,8 +21,7 @@ from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
 from ds_sim.messages import ROAD_FRAME, START
 from ds_sim.registry import SimulatorName, spec_of
-from ds_sim.resimulation import resimulate
-from ds_sim.session import RunRecord
+from ds_sim.session import RunRecord, resimulate
 from ds_sim.simulator import Observation, SimulatorSpec
 
 _TOPICS = {
@@ -87,7 +86,7 @@ def write_bag(
 
     Raises:
         BagError: the folder cannot be written.
-        ds_sim.resimulation.ResimulationError: re-simulation differs from the recorded run, so there are no images.
+        ds_sim.session.ResimulationError: re-simulation differs from the recorded run, so there are no images.
 
     Examples:
         >>> from pathlib import Path

@@ -17,7 +17,7 @@ import numpy as np
 from ds_bags.layout import BagError, printable
 from ds_bags.reader import BagReader, RecordedRun, read_run, stamp_of
 from ds_sim.registry import SimulatorName
-from ds_sim.resimulation import ResimulationError, resimulate
+from ds_sim.session import ResimulationError, resimulate
 from ds_sim.simulator import Observation
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

@@ -31,7 +31,7 @@ def _write_video(
     """Render a bag's run; its images come from the re-simulation, as most bags hold none."""
     from ds_bags.reader import BagReader, read_run
     from ds_driver.networks.network_driver import translation_of
-    from ds_sim.resimulation import resimulate
+    from ds_sim.session import resimulate
     from ds_sim.video import write_video
 
     with BagReader(folder) as bag:

@@ -178,7 +178,7 @@ def drive_command(
     from ds_road import RoadError
     from ds_sim.conditions.text import parse_conditions
     from ds_sim.registry import own_road_of, spec_of
-    from ds_sim.resimulation import resimulate
+    from ds_sim.session import resimulate
     from ds_sim.video import check_path, write_video
 
     own_seed, own_conditions = _test_in(road)

@@ -6,7 +6,6 @@ from .camera.rendered_scene import PaintedScene
 from .camera.renderer import Camera
 from .camera.sensor import Sensor
 from .camera.spec import CameraSpec, Look
-from .conditions.actuation import COMMAND_CONDITIONS, Actuation
 from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, ConditionsError, NotApplicableError
 from .conditions.text import format_conditions, parse_conditions
 from .gates.gate import Gate, GateState, gate_of
@@ -26,11 +25,10 @@ from .registry import (
     received_simulator,
     spec_of,
 )
-from .resimulation import ResimulationError, resimulate
-from .road_simulator import RoadSimulator
+from .road_simulator import COMMAND_CONDITIONS, Actuation, RoadSimulator
 from .run_codec import RunCodecError, decode_run, encode_run
 from .scenario import Scenario
-from .session import RunRecord, Session
+from .session import ResimulationError, RunRecord, Session, resimulate
 from .simulator import (
     AutopilotGains,
     Command,

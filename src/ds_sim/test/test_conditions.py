@@ -11,10 +11,10 @@ from typing import Any
 import pytest
 
 from ds_road import Road
-from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import PHRASES, Side, conditions_in_words, format_conditions, from_json, parse_conditions
 from ds_sim.registry import make_simulator, simulator_of_process
+from ds_sim.road_simulator import Actuation
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, Outcome

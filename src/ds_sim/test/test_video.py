@@ -12,9 +12,8 @@ import pytest
 from ds_base.palette import SERIES, rgb
 from ds_road import Road
 from ds_sim.registry import DONKEY, make_simulator
-from ds_sim.resimulation import resimulate
 from ds_sim.scenario import Scenario
-from ds_sim.session import RunRecord, Session
+from ds_sim.session import RunRecord, Session, resimulate
 from ds_sim.simulator import Command
 from ds_sim.video import VideoError, check_path, write_video
 

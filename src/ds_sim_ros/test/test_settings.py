@@ -10,8 +10,8 @@ import pytest
 import yaml
 from ros_description import GOOD
 
-from ds_sim.conditions.actuation import COMMAND_CONDITIONS
 from ds_sim.registry import UnknownSimulatorError, UntrustedSimulatorError, make_simulator, received_simulator
+from ds_sim.road_simulator import COMMAND_CONDITIONS
 from ds_sim_ros.settings import RosSettingsError, read_settings
 from ds_sim_ros.simulator import NOT_REPEATABLE
 

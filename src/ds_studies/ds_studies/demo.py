@@ -27,8 +27,7 @@ from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import conditions_in_words
 from ds_sim.registry import SimulatorName, make_simulator, with_libraries
-from ds_sim.resimulation import resimulate
-from ds_sim.session import RunRecord
+from ds_sim.session import RunRecord, resimulate
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
 from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity

@@ -15,8 +15,8 @@ from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import translation_of
 from ds_sim.registry import SimulatorName, label_of, make_simulator
-from ds_sim.resimulation import resimulate
 from ds_sim.scenario import OfScenario, Scenario
+from ds_sim.session import resimulate
 from ds_sim.video import write_video
 
 LOG = logger_of(__name__)

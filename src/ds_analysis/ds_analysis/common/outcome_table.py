@@ -22,8 +22,7 @@ from ds_base.folder_files import StoreError, read_file
 from ds_orchestrator.search.features import DEFAULT_AXES, Cell, Feature, cell_of, feature_of
 from ds_road import Road
 from ds_road.geometry import direction_coverage
-from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.conditions.scales import share_of
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, share_of
 from ds_sim.registry import SimulatorName
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from scipy.special import softmax
 from ds_base.extension import ExtensionError, is_extension, load_extension
 from ds_orchestrator.search.features import Cell, cell_of
 from ds_road import MutationError, Road, Side, generate, mutate
-from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
-from ds_sim.conditions.scales import between, share_of
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, between, share_of
 from ds_sim.conditions.text import check_known
 from ds_sim.scenario import OfScenario, Scenario
 
@@ -29,7 +28,7 @@ many repeats in a row mean that there is hardly a new one."""
 
 @dataclass(frozen=True, kw_only=True)
 class SearchedCondition:
-    """One condition of a search. Steps and draws are uniform on the condition's scale (`ds_sim.conditions.scales`).
+    """One condition of a search. Steps and draws are uniform on the condition's scale (`ds_sim.conditions.model`).
 
     Attributes:
         name: of the condition.

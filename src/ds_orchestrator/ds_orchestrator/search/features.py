@@ -21,8 +21,7 @@ from ds_base.errors import InputError
 from ds_base.extension import installed, is_extension, load_extension, load_installed
 from ds_road import Road
 from ds_road.geometry import direction_coverage, largest_lane_curvature, minimum_radius
-from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.conditions.scales import between, share_of
+from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, between, share_of
 from ds_sim.conditions.text import format_3sf
 from ds_sim.gates.gate import LEAST_CONTRAST
 

@@ -8,7 +8,7 @@ condition covers, a stronger one covers too.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -21,7 +21,6 @@ from ds_sim.camera.optics import decode, encode, light_of
 from ds_sim.camera.spec import Colour, Look
 from ds_sim.camera.textures import TEXTURE_SIZE
 from ds_sim.conditions.model import Conditions
-from ds_sim.conditions.pieces import gaps, pieces
 
 RESOLUTION = 0.05
 """Size of a pixel of the finest raster, m; chosen: a line of 0.15 m is three pixels wide."""
@@ -55,6 +54,8 @@ NEW_ASPHALT = 0.05
 """Reflectance of new asphalt (American Concrete Pavement Association); patches have at most 0.6 of the road's."""
 _GRAIN_BLUR = 1.2
 """Standard deviation of the filter on the noise that makes worn paint blotchy, px of the ground; chosen: 6 cm."""
+GROUP = 6
+"""Pieces in a row of which a share is covered as of all; chosen: shadows then change within 12 m, the view ahead."""
 _CAP = 0.75
 """Length beyond half its thickness by which OpenCV's anti-aliased line extends at either end, px, as measured."""
 _SHIFT = 6
@@ -233,3 +234,46 @@ def _grain(rng: np.random.Generator) -> NDArray[np.float32]:
     wrapped = cv2.copyMakeBorder(noise, margin, margin, margin, margin, cv2.BORDER_WRAP)
     smooth = cv2.GaussianBlur(wrapped, (0, 0), _GRAIN_BLUR)[margin:-margin, margin:-margin]
     return np.asarray(np.clip(smooth / (2.0 * smooth.std()), -1.0, 1.0), np.float32)
+
+
+def pieces(
+    rng: np.random.Generator, regions: Iterable[tuple[float, float]], length: float, share: float
+) -> list[tuple[float, float]]:
+    """Choose pieces that cover a share of every region, exactly, and more of the same for a larger share.
+
+    The regions, (start, end) along a line, m, are in order and without gaps; `length` is that of a piece, m. What is
+    covered is returned in order, neighbours joined.
+    """
+    spans: list[tuple[float, float]] = []
+    for start, end in regions:
+        count = max(1, round((end - start) / length))
+        size = (end - start) / count
+        wanted = share * count
+        for rank, cell in enumerate(_spread(rng, count)):
+            part = min(max(wanted - rank, 0.0), 1.0)
+            if part > 0.0:
+                spans.append((start + cell * size, start + (cell + part) * size))
+    joined: list[tuple[float, float]] = []
+    for start, end in sorted(spans):
+        if joined and start - joined[-1][1] < 1e-9:
+            joined[-1] = (joined[-1][0], end)
+        else:
+            joined.append((start, end))
+    return joined
+
+
+def _spread(rng: np.random.Generator, count: int) -> list[int]:
+    """Random order of some cells in which every neighbourhood takes its turn, so that a share is spread out."""
+    groups = [rng.permutation(range(first, min(first + GROUP, count))).tolist() for first in range(0, count, GROUP)]
+    turns = rng.permutation(len(groups)).tolist()
+    return [groups[turn][place] for place in range(GROUP) for turn in turns if place < len(groups[turn])]
+
+
+def gaps(covered: list[tuple[float, float]], start: float, end: float) -> Iterator[tuple[float, float]]:
+    """What some pieces leave of a line from start to end."""
+    for low, high in covered:
+        if low > start + 1e-9:
+            yield start, low
+        start = high
+    if end > start + 1e-9:
+        yield start, end

@@ -24,9 +24,8 @@ from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog, RealTime
 from ds_sim.ros.diagnostics import ERROR, EVERY, OK, WARN, Diagnostics, Report
 from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
 from ds_sim.ros.neighbours import Neighbours, two_drivers
-from ds_sim.ros.parameters import declare
 from ds_sim.ros.requests import SYNC_MODES, GoalServer, LoadedRoad, RequestRefused, check_goal, no_road
-from ds_sim.ros.runtime import run_node, subscribe_to_commands, with_info
+from ds_sim.ros.runtime import declare, run_node, subscribe_to_commands, with_info
 from ds_sim.ros.standard_control import StandardControl
 from ds_sim.session import Session
 from ds_sim.simulator import Command, CommandError, Observation, Outcome, Reason

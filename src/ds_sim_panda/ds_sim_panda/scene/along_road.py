@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_sim.camera.surface import pieces
 from ds_sim.conditions.model import Conditions
-from ds_sim.conditions.pieces import pieces
 from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.meshes import Course
 from ds_sim_panda.scene.textures import upload
