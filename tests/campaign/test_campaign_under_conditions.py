@@ -15,7 +15,7 @@ from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.campaign.folder import ENGINE, CampaignData, open_store, read_campaign
-from ds_orchestrator.campaign.selection import roads_of
+from ds_orchestrator.campaign.status import roads_of
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates.gate import GateState, gate_of
 from ds_sim.registry import DONKEY, make_simulator

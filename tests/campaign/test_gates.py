@@ -25,8 +25,7 @@ from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.campaign.folder import read_campaign, store_of
 from ds_orchestrator.campaign.runner import Campaign
-from ds_orchestrator.campaign.selection import roads_of
-from ds_orchestrator.campaign.status import stages_of
+from ds_orchestrator.campaign.status import roads_of, stages_of
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions

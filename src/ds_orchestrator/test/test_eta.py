@@ -7,8 +7,11 @@ import heapq
 
 import pytest
 
-from ds_orchestrator.campaign.eta import Eta
+from ds_orchestrator.campaign.eta import TimedListener
+from ds_orchestrator.store.model import Origin, Test
+from ds_road import Road
 from ds_sim import SimulatorName
+from ds_sim.scenario import Scenario
 
 FAST, LONG, SLOW, TWIN = map(SimulatorName, ("fast", "long", "slow", "twin"))
 
@@ -19,28 +22,49 @@ STAGES = [{FAST: 40, SLOW: 40}, {FAST: 40, SLOW: 40, TWIN: 80}]
 WHOLE = 40 * 5.0 + 80 * 3.0
 
 
+SCENARIO = Scenario(Road([[0, 0], [0, 25], [0, 50], [0, 75]]), seed=1)
+
+
+class Left(TimedListener):
+    """Estimate with a clock that a test sets."""
+
+    def __init__(self, *stages: dict[SimulatorName, int]) -> None:
+        super().__init__(lambda: self.clock)
+        self.clock = 0.0
+        self.expect(stages)
+        self.stage("first")
+
+    def end(self, stage: int, simulator: SimulatorName, *, fresh: bool = True) -> None:
+        origin = Origin(SimulatorName("another") if stage else simulator, 0, 0)
+        self.finished(Test("t", SCENARIO, origin), simulator, None, fresh)
+
+    def at(self, clock: float, *drives: tuple[SimulatorName, float, float | None]) -> float | None:
+        self.clock = clock
+        return self.seconds_left(drives)
+
+
 def estimates(known: int = 0) -> list[tuple[float, float]]:
     """Pair the true seconds left at the end of each execution with the estimate, in order.
 
     Args:
         known: executions of the first stage on each simulator that a previous session finished.
     """
-    left, now, said = Eta(), 0.0, []
-    left.expect(STAGES)
+    left, said = Left(*STAGES), []
     for number, stage in enumerate(STAGES):
-        left.begin(now)
+        now = left.clock
+        left.stage("next")
         ends = []
         for name, count in stage.items():
             before = known if number == 0 else 0
             for _ in range(before):
-                left.finished(number, SimulatorName(name), now, fresh=False)
+                left.end(number, name, fresh=False)
             ends += [(now + TOOK[name] * (k + 1), name) for k in range(count - before)]
         heapq.heapify(ends)
         while ends:
-            now, name = heapq.heappop(ends)
-            left.finished(number, SimulatorName(name), now, fresh=True)
-            said.append((now, left.seconds(now) or 0.0))
-    return [(now - moment, seconds) for moment, seconds in said]
+            left.clock, name = heapq.heappop(ends)
+            left.end(number, name)
+            said.append((left.clock, left.seconds_left() or 0.0))
+    return [(left.clock - moment, seconds) for moment, seconds in said]
 
 
 @pytest.mark.parametrize("known", [0, 30])
@@ -57,27 +81,24 @@ def test_it_is_right_in_every_stage_and_after_a_resume(known: int) -> None:
 
 
 def test_it_follows_a_machine_that_becomes_slower_and_says_nothing_at_first() -> None:
-    left = Eta()
-    left.expect([{A: 200}])
-    left.begin(0.0)
-    left.finished(0, A, 0.0, fresh=False)
-    assert left.seconds(0.0) is None
-    now = 0.0
+    left = Left({A: 200})
+    left.end(0, A, fresh=False)
+    assert left.at(0.0) is None
     for took in [1.0] * 50 + [4.0] * 50:
-        now += took
-        left.finished(0, A, now, fresh=True)
-    assert left.seconds(now) == pytest.approx(99 * 4.0)
+        left.clock += took
+        left.end(0, A)
+    assert left.seconds_left() == pytest.approx(99 * 4.0)
+    left.driven()
+    assert left.seconds_left() is None and (left.done, left.total) == (101, 200)
 
 
 def test_a_first_long_drive_counts_while_it_is_under_way() -> None:
     """One simulator excludes a test at once; the other's first drive has taken 40 s and is at half of its road."""
-    left = Eta()
-    left.expect([{QUICK: 5, LONG: 5}, {TWIN: 10}])
-    left.begin(0.0)
-    assert left.seconds(8.0, [(LONG, 8.0, 0.05)]) is None  # the car still accelerates
-    assert left.seconds(40.0, [(LONG, 40.0, 0.5)]) == pytest.approx(5 * 80.0 - 40.0 + 10 * 80.0)
-    left.finished(0, QUICK, 0.0, fresh=True)
+    left = Left({QUICK: 5, LONG: 5}, {TWIN: 10})
+    assert left.at(8.0, (LONG, 8.0, 0.05)) is None  # the car still accelerates
+    assert left.at(40.0, (LONG, 40.0, 0.5)) == pytest.approx(5 * 80.0 - 40.0 + 10 * 80.0)
+    left.clock = 0.0
+    left.end(0, QUICK)
     # What is under way without feedback takes at least as long as it did so far.
-    assert (left.seconds(40.0, [(LONG, 40.0, None)]) or 0.0) >= 4 * 40.0
-    said = left.seconds(40.0, [(LONG, 40.0, 0.5)])
-    assert said == pytest.approx(5 * 80.0 - 40.0 + 10 * (0.0 + 80.0) / 2)
+    assert (left.at(40.0, (LONG, 40.0, None)) or 0.0) >= 4 * 40.0
+    assert left.at(40.0, (LONG, 40.0, 0.5)) == pytest.approx(5 * 80.0 - 40.0 + 10 * (0.0 + 80.0) / 2)

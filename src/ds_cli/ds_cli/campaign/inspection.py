@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
@@ -31,19 +32,18 @@ def campaign_status_command(folder: options.Folder) -> Result:
     """
     from ds_analysis.paper.campaign_contents import exclusion_counts, exclusion_lines
     from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
-    from ds_orchestrator.campaign.selection import missing_bags
-    from ds_orchestrator.campaign.status import driver_habits, stages_of_store
+    from ds_orchestrator.campaign.status import driver_habits, missing_bags, stages_of_store
 
     with closing(open_store(folder)) as store:
         data = CampaignData(config=config_of(store), gates=store.gates())
         stages = stages_of_store(store, data.config)
-        counted, searches, errors = store.outcome_counts(), store.searches(), store.errors()
+        counted, searches, errors = store.drive_counts(), store.searches(), store.errors()
         missing = missing_bags(folder, store.bags())
         habits = driver_habits(store)
-    config, executions = data.config, sum(counted.values())
-    counts: dict[str, dict[str, int]] = {name: {} for name in config.simulators}
-    for (simulator, outcome), number in counted.items():
-        counts[simulator][outcome] = number
+    config, executions = data.config, sum(row.executions for row in counted)
+    counts: dict[str, Counter[str]] = {name: Counter() for name in config.simulators}
+    for row in counted:
+        counts[row.simulator][row.outcome] += row.executions
     driving = [stage.expected for stage in stages if stage.failures is not None]
     drives = sum(n for n in driving if n is not None) if None not in driving else config.executions_at_most
     document: dict[str, Any] = {
@@ -107,7 +107,7 @@ def campaign_roads_command(
     Example: ds campaign roads out --failed --out failures.json
     """
     from ds_base.atomic_files import write_whole
-    from ds_orchestrator.campaign.selection import roads_of
+    from ds_orchestrator.campaign.status import roads_of
 
     roads = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)
     # One road per line, so that a line can be cut out and driven.

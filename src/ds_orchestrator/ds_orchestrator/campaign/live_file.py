@@ -19,7 +19,7 @@ from ds_base.atomic_files import write_whole
 from ds_base.folder_files import StoreError, read_file
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.eta import Eta, TimedListener
+from ds_orchestrator.campaign.eta import TimedListener
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
 from ds_orchestrator.store.model import Execution, Test
@@ -114,8 +114,8 @@ class LiveFile(TimedListener):
 
     def result(self, name: str) -> None:
         """Set the stage while results are computed."""
-        with self._lock:
-            self._stage, self._eta = name, Eta()
+        self._stage = name
+        self.driven()
 
     @contextmanager
     def driving(self, request: DriveRequest) -> Iterator[Watch]:

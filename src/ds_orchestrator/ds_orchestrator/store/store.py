@@ -11,7 +11,6 @@ from typing import Any
 
 from ds_base.bounded_file import load_json
 from ds_base.folder_files import StoreError
-from ds_base.intervals import FailureCount
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import Execution, Test, execution_of, row_of, test_of
 from ds_orchestrator.store.sqlite_file import SqliteFile
@@ -270,45 +269,27 @@ class Store:
         """Number of executions."""
         return int(self._file.ask("SELECT count(*) FROM executions")[0][0])
 
-    def failures_of_groups(self) -> dict[tuple[SimulatorName, int, SimulatorName], FailureCount]:
-        """Sibling and run of a search, and simulator -> failures among the executions of its tests there."""
-        counts: dict[tuple[SimulatorName, int, SimulatorName], FailureCount] = {}
-        for row in self._drive_counts():
-            key = row.sibling, row.run, row.simulator
-            failures, tests = counts.get(key, (0, 0))
-            failures += row.executions * Outcome[row.outcome].is_failure
-            counts[key] = FailureCount(failures, tests + row.executions)
-        return counts
-
-    def outcome_counts(self) -> Counter[tuple[str, str]]:
-        """Simulator and name of the outcome -> number of executions, in the order of `executions`."""
-        counts: Counter[tuple[str, str]] = Counter()
-        for row in self._drive_counts():
-            counts[row.simulator, row.outcome] += row.executions
-        return counts
-
-    def _drive_counts(self) -> list[rows.DriveCount]:
+    def drive_counts(self) -> list[rows.DriveCount]:
+        """Numbers of executions by search of their tests, simulator and outcome, in the order of `executions`."""
         return self._rows(
             rows.DriveCount,
             "(SELECT sibling, run, simulator, outcome, count(*) AS executions, min(test_id) AS first FROM executions "
             "JOIN tests USING (test_id) GROUP BY sibling, run, simulator, outcome) ORDER BY simulator, first",
         )
 
-    def count_excluded(self) -> dict[tuple[SimulatorName, int, SimulatorName], int]:
+    def count_excluded(self) -> Counter[tuple[SimulatorName, int, SimulatorName]]:
         """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
         records = self._file.ask(
             "SELECT sibling, run, simulator, count(*) FROM gates JOIN tests USING (test_id) WHERE state != ? "
             "GROUP BY sibling, run, simulator",
             (GateState.VALID.value,),
         )
-        return {
-            (SimulatorName(sibling), run, SimulatorName(simulator)): count for sibling, run, simulator, count in records
-        }
+        return Counter({(sibling, run, simulator): count for sibling, run, simulator, count in records})
 
-    def count_tests_by_sibling(self) -> dict[SimulatorName, int]:
+    def count_tests_by_sibling(self) -> Counter[SimulatorName]:
         """Sibling -> number of tests that its searches generated."""
         records = self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling")
-        return {SimulatorName(sibling): count for sibling, count in records}
+        return Counter(dict(records))
 
     def bags(self) -> list[str]:
         """Bags of all executions, in their order."""

@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
-from ds_orchestrator.campaign.eta import Eta, TimedListener
+from ds_orchestrator.campaign.eta import TimedListener
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
 from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
 from ds_orchestrator.search.features import feature_of
@@ -163,7 +163,8 @@ class StateListener(TimedListener):
     def end(self, state: int, message: str) -> None:
         """Set how the goal ended."""
         with self._lock:
-            self._state.state, self._state.message, self._eta = state, message, Eta()
+            self._state.state, self._state.message = state, message
+        self.driven()
 
     @property
     def state(self) -> CampaignState:
