@@ -30,7 +30,7 @@ from ds_sim.registry import STANDARD, colours_of, spec_of
 from ds_sim.simulator import FRAME_TIME, Command, Outcome
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
-from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+from ds_sim_panda.simulator import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 from ds_sim_softbody.parameters import SoftbodyParameters
 from ds_sim_softbody.simulator import SoftbodyVehicle

@@ -141,8 +141,7 @@ def parts_of(plan: Plan) -> tuple[SimulatorSpec, Vehicle, Scene]:
         vehicle = DonkeyVehicle(plan.car)
         scene = PaintedScene(camera_of(spec), spec.look)
     else:
-        from ds_sim_panda.scene.panda_scene import PandaScene
-        from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
+        from ds_sim_panda.simulator import MultiBodyVehicle, PandaScene
         from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 
         vehicle, scene = MultiBodyVehicle(MultiBodyParameters()), PandaScene(camera_of(spec))

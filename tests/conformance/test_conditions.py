@@ -27,7 +27,7 @@ from ds_sim.registry import make_simulator, spec_of
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_sim.testing import WINDING, digest, drive, reference_driver
-from ds_sim_panda.scene.panda_scene import PandaScene
+from ds_sim_panda.simulator import PandaScene
 
 PAINTED = ("bullet", "softbody", "donkey")
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])

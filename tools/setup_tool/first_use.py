@@ -15,7 +15,7 @@ MODULES = (
 )
 CARS = (
     *(("ds_twin_donkey.simulator", "DonkeyVehicle"), ("ds_sim_softbody.simulator", "SoftbodyVehicle")),
-    ("ds_sim_panda.vehicle.multi_body", "MultiBodyVehicle"),
+    ("ds_sim_panda.simulator", "MultiBodyVehicle"),
 )
 """Numba compiles them, which takes 2 s, 2 s and 10 s, and keeps the results beside their source."""
 

@@ -15,9 +15,9 @@ from panda_views import STRAIGHT, pose
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim_panda.scene import world
-from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import HORIZON, VISIBILITY
 from ds_sim_panda.scene.scenery import Things
+from ds_sim_panda.simulator import PandaScene
 
 PIXEL = 0.05
 """Size of a pixel on the ground, m."""

@@ -8,9 +8,9 @@ import pytest
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
+from ds_sim_panda.simulator import MultiBodyVehicle
 from ds_sim_panda.vehicle import parameters as published
 from ds_sim_panda.vehicle.integration import derivative
-from ds_sim_panda.vehicle.multi_body import MultiBodyVehicle
 from ds_sim_panda.vehicle.parameters import MultiBodyParameters
 
 P = MultiBodyParameters()

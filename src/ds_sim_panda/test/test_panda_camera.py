@@ -16,7 +16,7 @@ from panda_views import CAMERA, STRAIGHT, lane_pose, pose, project
 from ds_road import Road, generate
 from ds_sim.simulator import SimulatorError, VehicleState
 from ds_sim_panda.scene import world
-from ds_sim_panda.scene.panda_scene import PandaScene
+from ds_sim_panda.simulator import PandaScene
 
 WINDING = generate(np.random.default_rng(11), max_angle=150)
 RNG = np.random.default_rng(0)

@@ -15,7 +15,7 @@ from ds_sim.conditions.model import Conditions
 from ds_sim.registry import make_simulator
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Command
-from ds_sim_panda.scene.panda_scene import PandaScene
+from ds_sim_panda.simulator import PandaScene
 
 
 def test_a_tilted_turned_and_raised_camera_sees_what_it_should() -> None:

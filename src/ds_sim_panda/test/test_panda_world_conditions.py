@@ -15,9 +15,9 @@ from panda_views import CAMERA, STRAIGHT, pose, project
 from ds_sim.conditions.model import Conditions
 from ds_sim_panda.scene.along_road import repaired
 from ds_sim_panda.scene.meshes import course_of
-from ds_sim_panda.scene.panda_scene import PandaScene
 from ds_sim_panda.scene.parameters import VISIBILITY
 from ds_sim_panda.scene.scenery import Things
+from ds_sim_panda.simulator import PandaScene
 
 LINES = (125.0 - 3.925, 125.0, 125.0 + 3.925)
 """Middle of each line across the road, m."""

@@ -15,10 +15,9 @@ from ros_description import GOOD
 
 from ds_road import Road, RoadError
 from ds_sim.simulator import MAX_SPEED, Command, SimulatorError
-from ds_sim_ros.readings import OdometryReader, image_of
 from ds_sim_ros.roads import check_is_track, read_track, write_road
 from ds_sim_ros.settings import CommandSettings, RosSettings, RosSettingsError
-from ds_sim_ros.simulator import RosSimulator
+from ds_sim_ros.simulator import OdometryReader, RosSimulator, image_of
 
 TRACK = Road.from_road_points([(125.0, 20.0 + 5.0 * i) for i in range(21)])
 
