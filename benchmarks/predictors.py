@@ -35,7 +35,7 @@ from ds_analysis.outcomes.reading import read_table
 from ds_analysis.prediction.betting import sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.predictors import FEATURES, features_alone, merged
-from ds_analysis.prediction.verdicts import called
+from ds_analysis.prediction.verdicts import ERROR_RATE
 from ds_base.table import Table, Value, styled, write_tables
 from ds_cli.output import say
 
@@ -141,7 +141,7 @@ def score(hidden: OutcomeTable, failed: Bools) -> Scored:
                 errors[budget, name] = errors.get((budget, name), 0.0) + share
                 if name == MODEL:
                     left = ~np.isin(np.arange(len(truth)), order)
-                    safe, fails = (one[left] for one in called(predicted))
+                    safe, fails = predicted[left] <= ERROR_RATE, predicted[left] >= 1.0 - ERROR_RATE
                     wrong = failed[left]
                     _, low, high = before.updated(drives).failures(np.flatnonzero(left))
                     counts = [safe.sum(), (safe & wrong).sum(), fails.sum(), (fails & ~wrong).sum(), 1]

@@ -34,7 +34,6 @@ from ds_report.camera_pictures import (
     REPLAY_PICTURES,
     REPLAYS_OF_LARGE,
     camera_picture,
-    common_test,
     drive_pictures,
     plan_pictures,
     translates,
@@ -171,7 +170,8 @@ def write_report(
     The same campaign gives the same bytes. User-defined simulators that are not trusted have no pictures.
     """
     config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
-    place = common_test(tests, executions)
+    completed = Counter(e.test_id for e in executions if e.outcome is Outcome.COMPLETED)
+    place = max(tests, key=lambda test: completed[test.test_id], default=None)
     shown = _shown(data)
     on_page = page_data(shown, maps)
     paired = translates(config.driver)

@@ -1,14 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Camera pictures of a report: one place on every simulator, strips of informative drives, replays of failed ones.
-
-Drives are rendered again from the recorded path, without bag or physics. Roll, pitch and heave of the body are 0; noise
-is left out where no condition changes it.
-"""
+"""Camera pictures of a report: one place on every simulator; drives rendered again from paths, level, for replays."""
 
 from __future__ import annotations
 
 import base64
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -176,12 +171,6 @@ class PicturedDrive:
     times: tuple[float, ...] = ()
     strip: tuple[int, ...] = ()
     note: str = ""
-
-
-def common_test(tests: Sequence[Test], executions: Sequence[Execution]) -> Test | None:
-    """Find the test that was completed on most simulators; the first of several."""
-    completed = Counter(e.test_id for e in executions if e.outcome is Outcome.COMPLETED)
-    return max(tests, key=lambda test: completed[test.test_id], default=None)
 
 
 def translates(driver: DriverName) -> bool:

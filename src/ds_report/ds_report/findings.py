@@ -1,18 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Findings of a campaign in plain sentences, derived from its numbers by fixed rules.
 
-Where a driver fails is one threshold on bend radius, number of turns, or an operating condition (a decision stump). The
-rule was fixed before it was applied to any campaign:
-
-1. A road fails if it fails on the twin. Without a twin's outcomes, it fails if it fails on every sibling. A road under
-   the same conditions counts once.
-2. For the largest curvature of a road, its turns count, and every condition that varies between tests, every threshold
-   between two values splits the tests into easier and harder ones; a condition that is hard at both ends is split in
-   both directions. The split with the largest Youden index, the share of failing tests above minus that of passing
-   ones, is chosen (Youden, Cancer 1950, 3: 32-35); among equal ones curvature before turns before conditions, then the
-   harder threshold. Where conditions vary, the best split of the other kind, road or conditions, is named after it.
-3. A split is stated only if chance would hardly find one as good. Its percentages come from tests that did not choose
-   it (`ds_analysis.common.selection`).
+Where a driver fails is one threshold on bend radius, number of turns, or an operating condition, if chance would hardly
+find one as good (`ds_analysis.common.selection`); where conditions vary, then the best one of the other kind.
+docs/evaluation.md has the rules, which were fixed before they were applied to any campaign.
 """
 
 from __future__ import annotations
@@ -81,7 +72,7 @@ class RoadOutcomes:
 
 
 def road_outcomes(data: CampaignData) -> RoadOutcomes:
-    """Decide which roads of a campaign fail, by rule 1 of this module."""
+    """Decide which roads of a campaign fail: those that fail on the twin, or without its outcomes on every sibling."""
     data = data.distinct
     config = data.config
     done = data.failed
@@ -97,7 +88,11 @@ def road_outcomes(data: CampaignData) -> RoadOutcomes:
 
 
 def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None:
-    """Find the best split by rule 2 of this module, clear or not, on all axes or those of a kind; None without any."""
+    """Find the best split, clear or not, on all axes or those of a kind; None without any.
+
+    It has the largest Youden index (Cancer 1950, 3: 32-35); among equal ones curvature comes before turns before
+    conditions, then the harder threshold.
+    """
     axes = [one for one in _axes(outcomes) if kind in (None, kind_of(one[0]))] if outcomes.tests else []
     if not axes:
         return None

@@ -1,18 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First screen of a campaign's report: where the driver fails, which sibling to believe, what to do next.
-
-Rules, fixed before they were applied to any campaign:
-
-1. Where it fails: see `ds_report.findings`.
-2. Where siblings disagree, a sibling is to be believed if it agrees with the twin in more of these tests than chance
-   allows the best of the siblings (`ds_analysis.common.selection`). If siblings never disagree, or there is only one,
-   the failures of the twin tell what their agreement is worth. A scenario counts once.
-3. What to do next, the first that applies: finish the campaign; where all drives come out alike, other tests; without
-   a twin, drives of a car; otherwise train on the failures.
-4. Other tests. Everything passes: more winding roads; on winding roads already, find the conditions that break the
-   network. Everything fails: the same roads without conditions if there are any; else gentler roads; on gentle roads
-   already, look at one drive.
-"""
+"""First screen of a campaign's report: where the driver fails, which sibling to believe, what to do next."""
 
 from __future__ import annotations
 
@@ -73,7 +60,7 @@ Failures = Mapping[tuple[str, SimulatorName], bool]
 
 
 def _believe(data: CampaignData, failed: Failures) -> str:
-    """State where the siblings disagree, and which of them the twin agrees with, by rule 2 of this module."""
+    """State where siblings disagree, and which to believe: those that agree with the twin more often than by chance."""
     siblings, twin = data.config.siblings, data.config.twin
     tests = [test for test in data.tests if all((test.test_id, name) in failed for name in siblings)]
     if not tests:
@@ -125,7 +112,7 @@ def _of_agreement(
 
 
 def _next_step(data: CampaignData, folder: str) -> tuple[str, str]:
-    """What to do now and the command for it, by rule 3 of this module."""
+    """What to do now and the command for it: finish, other tests, drives of a car, or training on the failures."""
     config = data.config
     missing = config.executions_at_most - len(data.failed) - len(data.excluded)
     if not data.failed or (missing and not config.elites_only):

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell.
-
-Roads and drives are smooth, so that the second differences of their coordinates in whole centimetres are almost all 0
-or 1, and deflate needs about three bits for each.
-"""
+"""Data from which the report's script draws, as JSON values: maps, tests, and their lines packed cell by cell."""
 
 from __future__ import annotations
 
@@ -46,18 +42,16 @@ def pack(columns: Columns) -> str:
     """Pack columns of finite numbers as base64 text.
 
     Format: zlib over the lowest bytes of all numbers, then the second, third and highest ones. The numbers are uint32:
-    the second differences of one column after the other, in 1 / `UNITS`, n >= 0 as 2 n and n < 0 as -2 n - 1.
+    the second differences of one column after the other, in 1 / `UNITS`, n >= 0 as 2 n and n < 0 as -2 n - 1. Of smooth
+    lines these are almost all 0 or 1, and take about three bits.
     """
-    numbers = [_second_differences(column) for column in columns]
-    whole = np.concatenate(numbers) if numbers else np.empty(0, np.int64)
+    numbers = [np.empty(0, np.int64)]
+    for column in columns:
+        units = np.round(np.clip(UNITS * column, -_FARTHEST, _FARTHEST)).astype(np.int64)
+        numbers.append(np.diff(np.diff(units, prepend=0), prepend=0))
+    whole = np.concatenate(numbers)
     planes = np.where(whole >= 0, 2 * whole, -2 * whole - 1).astype("<u4").view(np.uint8).reshape(-1, 4).T
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
-
-
-def _second_differences(column: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Compute the second differences of a column, in units, with zeros before its first value."""
-    units = np.round(np.clip(UNITS * column, -_FARTHEST, _FARTHEST)).astype(np.int64)
-    return np.diff(np.diff(units, prepend=0), prepend=0)
 
 
 def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str, Any]:
@@ -232,10 +226,7 @@ def _run(execution: Execution | None) -> list[Any] | None:
 
 
 def _lines(config: CampaignConfig, tests: Sequence[Test], done: Mapping[tuple[str, SimulatorName], Execution]) -> str:
-    """Pack the lines of all tests of a cell, one test after the other.
-
-    These are x and y of the road's centre line and right edge, then of each drive x, y, lateral position and steering.
-    """
+    """Pack the lines of a cell's tests: the road's centre and right edge, each drive's x, y, lateral, and steering."""
     columns: list[NDArray[np.float64]] = []
     for test in tests:
         columns += [*test.road.points.T, *test.road.right_edge.T]

@@ -149,20 +149,11 @@ def further_map(axes: tuple[str, ...], maps: Mapping[MapId, FeatureMap]) -> Furt
     )
 
 
-class ShownGroup(NamedTuple):
-    """A group of failures, for a page: how many, where, the worst of them, and the address of its replay, or ""."""
-
-    failures: int
-    where: str
-    worst: FailureReason
-    address: str
-
-
 class FailureSection(NamedTuple):
     """Why tests failed: the largest group in words, and whether it clearly leads; all groups."""
 
     sentences: Sequence[str]
-    groups: Sequence[ShownGroup]
+    groups: Sequence[tuple[int, str, FailureReason, str]]  # how many, where, the worst, address of its replay, or ""
 
 
 def failure_section(data: CampaignData) -> FailureSection | None:
@@ -186,7 +177,7 @@ def failure_section(data: CampaignData) -> FailureSection | None:
         worst = min(group, key=lambda reason: rank[reason.test_id])
         cell = data.cells.get(worst.test_id)
         address = "" if cell is None else f"#cell={'-'.join(map(str, cell))}&test={worst.test_id}"
-        shown.append(ShownGroup(len(group), where(group), worst, address))
+        shown.append((len(group), where(group), worst, address))
     return FailureSection(sentences, shown)
 
 

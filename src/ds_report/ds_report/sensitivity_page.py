@@ -68,13 +68,10 @@ class SensitivityPage:
 
 
 def draw_sensitivity(result: Sensitivity, vector: Path | None = None) -> NDArray[np.uint8]:
-    """Draw a row for each factor in which something fails or cannot be judged, and name the others below.
+    """Draw a row for each factor in which something fails or cannot be judged, as (rows, columns, 3) uint8 RGB.
 
     A dot marks where the median road fails on a simulator, a line spans the roads, a cross marks where no driver can be
     judged. `vector` is as in `ds_base.figures.draw_figure`.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
     """
     colours = colours_of(result.simulators)
     withstood = {

@@ -195,14 +195,10 @@ class ExplanationError(RunError):
 def experiment_on(
     data: CampaignData, test_id: str, fails: SimulatorName | None = None, against: SimulatorName | None = None
 ) -> Experiment:
-    """Plan the exchanges for one test of a campaign.
+    """Plan the exchanges for one test of a campaign, between simulators on which it fails and completes.
 
-    Without `fails`, it is the first simulator on which the test fails; without `against`, the one that completes it
-    closest to the lane's middle.
-
-    Raises:
-        ConfigError: there is no such test, or it does not fail there, or no other simulator completes it.
-        ValueError: the parts of a simulator cannot be exchanged.
+    By default, these are the first that fails, and the one that completes closest to the lane's middle. `ConfigError`
+    if there are no such ones, `ValueError` if the parts of one cannot be exchanged.
     """
     tests = {test.test_id: test for test in data.tests}
     if test_id not in tests:

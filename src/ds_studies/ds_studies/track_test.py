@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a recording to an answer: locates it, fits the twin, cuts roads, drives them, and writes one page.
-
-Each step leaves its result in one folder, where a stopped call goes on. The same inputs give the same bytes.
-"""
+"""From a recording to one page: locates it, fits the twin, cuts and drives roads; a stopped call goes on."""
 
 from __future__ import annotations
 
@@ -116,11 +113,9 @@ def run_track_test(
     callbacks: Callbacks | None = None,
     progress: Callable[[], Progress] = lambda: SILENT,
 ) -> TrackAnswer:
-    """Do what is left to do, with the driver and simulators of the test, and write `answer.json` and the page.
+    """Do what is left to do, and write `answer.json` and the page; a `DsError` says which step cannot be done.
 
-    Raises:
-        TrackTestError: the folder holds the test of another recording, camera or lane.
-        ds_base.errors.DsError: a step cannot be done.
+    `TrackTestError` if the folder holds the test of another recording, camera or lane.
     """
     make_folder(test.out)
     _check_inputs(test)

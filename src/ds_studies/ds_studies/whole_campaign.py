@@ -121,23 +121,13 @@ def run_campaign(
 
 
 def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: Collection[str] = ()) -> Path:
-    """Write maps, pictures, tables and report of a campaign again; returns the report's path.
-
-    Raises:
-        ds_orchestrator.store.sqlite_file.StoreError: the folder holds no campaign, or cannot be used.
-        ds_base.folder_files.LockError: the campaign runs.
-    """
+    """Write a campaign's results again; returns the report's path. `StoreError` without one, `LockError` if it runs."""
     with closing(open_store(folder, writable=True)) as store, locked(folder):
         return write_all(folder, store, listener=listener, trusted=trusted)
 
 
 def check_trust(config: CampaignConfig, trusted: Collection[str]) -> None:
-    """Refuse a configuration from a campaign folder, which may have been received, that names unconfirmed code.
-
-    Raises:
-        ds_sim.registry.UntrustedSimulatorError: a simulator is neither shipped nor trusted.
-        ds_driver.networks.pilot.DriverError: the driver is code that is not trusted.
-    """
+    """Refuse a configuration, which may have been received, whose driver or simulators are code that is not trusted."""
     from ds_driver.networks.driver_name import received_driver
     from ds_sim.registry import received_simulator
 

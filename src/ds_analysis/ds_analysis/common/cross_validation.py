@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Predicts failures on roads from other roads: logistic models, chosen and fitted within a cross-validation.
-
-Everything that looks at outcomes (which feature, how much regularisation) is done on the roads of the training part
-alone, so a prediction never depends on the outcome that it predicts.
-"""
+"""Predicts failures on roads by logistic models that are chosen, as they are fitted, on the training roads alone."""
 
 from __future__ import annotations
 
@@ -91,13 +87,10 @@ def predict_failures(
 
 
 def predict_with(predictions: Predictions, failed: Bools, added: Array) -> Array:
-    """Add (roads, k) predictors to predictions: a logistic model with the predicted logits as its offset.
+    """Add (roads, k) predictors to predictions, by a logistic model with the logits as offset: (repeats, roads).
 
     Of each added predictor only its residual counts after a linear regression on the logits and on the predictors
     before it. So it can neither recalibrate the prediction, nor undo the penalty on one that it repeats.
-
-    Returns:
-        (repeats, roads) probabilities of failure, each from a model that did not see the road.
     """
     from statsmodels.genmod.families import Binomial
     from statsmodels.genmod.generalized_linear_model import GLM
@@ -125,10 +118,7 @@ def bounded(probability: Array, roads: int) -> Array:
 
 
 def folds_of(failed: Bools, families: Indices, seed: int) -> Iterator[tuple[Indices, Indices]]:
-    """Divide roads into `FOLDS` parts; yields training and test indices.
-
-    Families stay in one part, drawn at random; where there are none, the parts have about the same share of failures.
-    """
+    """Yield training and test indices of `FOLDS` parts: of whole families, or with about equal shares of failures."""
     from sklearn.model_selection import StratifiedKFold
 
     if not are_alone(families):

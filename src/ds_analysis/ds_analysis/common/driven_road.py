@@ -61,11 +61,6 @@ class DrivenRoad:
         )
 
 
-def recorded_profile(road: Road, trajectory: Array) -> Array:
-    """Lateral positions every `GRID` m of a stored trajectory (x, y, yaw, speed, lateral position)."""
-    return lateral_profile(places_along(road, trajectory), trajectory[:, 4], road.lane_width / 2)
-
-
 def places_along(road: Road, trajectory: Array) -> Array:
     """(frames,) arc length at which the centre of the lane is nearest to each frame of a stored trajectory, m."""
     start, ahead = road.lane_centre[:-1].T, np.diff(road.lane_centre, axis=0).T
@@ -77,10 +72,7 @@ def places_along(road: Road, trajectory: Array) -> Array:
 
 
 def lateral_profile(arc: Array, lateral: Array, half_lane: float) -> Array:
-    """Interpolate lateral positions, m, at the places `GRID`, 2 `GRID`, ... m along the lane, as far as the run went.
-
-    They are clipped at half the lane: how far a car goes after leaving it does not tell where it failed.
-    """
+    """Lateral positions, m, every `GRID` m along the lane as far as a run went, clipped to the lane's width."""
     if not len(arc):
         return np.empty(0)
     along = np.maximum.accumulate(arc)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import ds_road
-from ds_analysis.common.driven_road import DrivenRoad, recorded_profile
+from ds_analysis.common.driven_road import DrivenRoad, lateral_profile, places_along
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
 from ds_base.bounded_file import load_json
 from ds_base.errors import InputError
@@ -259,16 +259,8 @@ def table_of_runs(
 ) -> RoadTable:
     """Collect runs of the same tests in the same order on siblings; conditions of the tests are the default if None."""
     rows = list(zip(*runs.values(), strict=True))
-    shape = len(rows), len(runs)
-    lateral = [[run.max_lateral_position if run.outcome.is_verdict else 0.0 for run in row] for row in rows]
-    return RoadTable.of(
-        [row[0].road for row in rows],
-        np.array([[_state(run) for run in row] for row in rows], np.int8).reshape(shape),
-        np.array(lateral, np.float64).reshape(shape),
-        siblings=tuple(runs),
-        conditions=conditions,
-        drives=rows,
-    )
+    roads = [row[0].road for row in rows]
+    return RoadTable.of(roads, *_measured(rows, len(runs)), siblings=tuple(runs), conditions=conditions, drives=rows)
 
 
 def table_of_campaign(data: CampaignData, *, most: int | None = None) -> RoadTable:
@@ -280,27 +272,16 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> RoadTab
         OutcomeTableError: no test has a verdict yet.
     """
     data = data.distinct
-    names = tuple(data.config.simulators)
-    column = {name: k for k, name in enumerate(names)}
+    names = data.config.simulators
     tests = data.tests if most is None else _sample_of(data.tests, most)
-    row = {test.test_id: k for k, test in enumerate(tests)}
-    states = np.zeros((len(row), len(names)), np.int8)
-    lateral = np.zeros((len(row), len(names)))
-    drives = np.full(states.shape, None)
-    for test_id, simulator, *_ in data.errors:
-        if test_id in row and simulator in column:
-            states[row[test_id], column[simulator]] = State.ERROR
-    for test_id, simulator in data.excluded:
-        if test_id in row:
-            states[row[test_id], column[simulator]] = State.EXCLUDED
-    for one in data.executions:
-        if one.test_id not in row:
-            continue
-        at = row[one.test_id], column[one.simulator]
-        states[at] = _state(one)
-        if one.outcome.is_verdict:
-            lateral[at] = one.max_lateral_position
-            drives[at] = one
+    done = {(one.test_id, one.simulator): one for one in data.verdicts}
+    drives = [[done.get((test.test_id, name)) for name in names] for test in tests]
+    states, lateral = _measured(drives, len(names))
+    tried = {(test_id, simulator) for test_id, simulator, *_ in data.errors}
+    for row, column in np.argwhere(states == State.MISSING).tolist():
+        key = tests[row].test_id, names[column]
+        if key in data.excluded or key in tried:
+            states[row, column] = State.EXCLUDED if key in data.excluded else State.ERROR
     table = _with_verdicts(
         RoadTable.of(
             [test.road for test in tests],
@@ -312,7 +293,7 @@ def table_of_campaign(data: CampaignData, *, most: int | None = None) -> RoadTab
             conditions=[test.conditions for test in tests],
             axes=[feature_of(name) for name in data.config.features],
             cells=[data.cells.get(test.test_id) for test in tests],
-            drives=drives.tolist(),
+            drives=drives,
         )
     )
     return replace(table, left_out=len(data.tests) - len(tests))
@@ -375,9 +356,19 @@ def _with_verdicts(table: RoadTable) -> RoadTable:
     return table
 
 
-def _state(one: DrivenRoad | Execution) -> State:
-    if not one.outcome.is_verdict:
-        return State.ERROR
+def _measured(
+    drives: Sequence[Sequence[DrivenRoad | Execution | None]], simulators: int
+) -> tuple[NDArray[np.int8], Array]:
+    """(tests, simulators) states and largest lateral positions, m, of drives."""
+    states = [[_state(one) for one in row] for row in drives]
+    lateral = [[one.max_lateral_position if one and one.outcome.is_verdict else 0.0 for one in row] for row in drives]
+    shape = len(drives), simulators
+    return np.array(states, np.int8).reshape(shape), np.array(lateral, np.float64).reshape(shape)
+
+
+def _state(one: DrivenRoad | Execution | None) -> State:
+    if one is None or not one.outcome.is_verdict:
+        return State.MISSING if one is None else State.ERROR
     return State.FAILED if one.outcome.is_failure else State.COMPLETED
 
 
@@ -400,6 +391,6 @@ def _known_undriven(roads: Sequence[Road], conditions: Sequence[Conditions]) -> 
 
 def _profile(road: Road, one: DrivenRoad | Execution | None) -> Array:
     """Lateral positions along the lane; () if nobody recorded them."""
-    if one is None:
-        return np.empty(0)
-    return one.profile if isinstance(one, DrivenRoad) else recorded_profile(road, one.trajectory)
+    if one is None or isinstance(one, DrivenRoad):
+        return np.empty(0) if one is None else one.profile
+    return lateral_profile(places_along(road, one.trajectory), one.trajectory[:, 4], road.lane_width / 2)

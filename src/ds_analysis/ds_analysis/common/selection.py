@@ -1,17 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """For whoever chooses among many things, and then reports on the same data: is the choice chance, and how good is it?
 
-The unit is the family of tests (`ds_analysis.common.statistics.families_of`): mutants of a road have nearly its shape,
-and mostly end as it does. Rules, fixed before they were applied to any campaign:
-
-1. A split of tests at a threshold is stated only if its Youden index could hardly have been found by chance. Each
-   family is placed at its mean on every axis, and the families' outcomes, with their sizes, are permuted among these
-   places; p is the share of permutations, the observed one among them, whose largest index is as large.
-2. Failure shares beside it are measured on tests that did not choose it: each family is divided by the split that all
-   other families choose. Intervals are Korn and Graubard's (Survey Methodology 24, 1998), for tests in clusters; they
-   reach outwards as far as that of the chosen split, since the others' splits separate less well.
-3. The best of several candidates is named only if its lead survives random signs of the families' differences. p is
-   that of the largest lead over all candidates (Westfall and Young 1993).
+The unit is the family of tests, as mutants of a road mostly end as it does. docs/claims.md has the rules, which were
+fixed before they were applied to any campaign.
 """
 
 from __future__ import annotations
@@ -51,7 +42,10 @@ class Share:
 
     @classmethod
     def of(cls, failed: Bools, families: Indices) -> Share:
-        """Count (tests,) outcomes of (tests,) families; the interval takes whole families as drawn at random."""
+        """Count (tests,) outcomes of (tests,) families.
+
+        The interval is Korn and Graubard's for tests in clusters (Survey Methodology 24, 1998).
+        """
         tests, failures = len(failed), int(failed.sum())
         members = np.unique(families, return_inverse=True)[1]
         size, rate = float(members.max() + 1), failures / tests
@@ -80,8 +74,10 @@ class ChosenSplit:
     axis: int  # row of the values
     threshold: float  # value of the harder tests that is nearest to the others
     harder: Bools  # (tests,) whether a test has the threshold or more
-    p: float  # of rule 1
-    # Of rule 2: failures of the tests that other families call harder, and gentler; None where there are none.
+    # Share of permutations of the families' outcomes among their mean places, the observed one among them, whose
+    # largest Youden index is as large.
+    p: float
+    # Failures of the tests that the split of all other families calls harder, and gentler; None where there are none.
     apart: tuple[Share, Share] | None
 
     @property
@@ -127,7 +123,7 @@ def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random
 
 
 def _apart(failed: Bools, families: Indices, called_harder: Bools, harder: Bools) -> tuple[Share, Share]:
-    """Shares of tests that others divide; an interval reaches outwards as far as that of the split itself."""
+    """Shares of tests that others divide, less well; intervals reach outwards as far as those of the split itself."""
     sides = ((called_harder, harder), (~called_harder, ~harder))
     (one, chosen), (other, left) = ([Share.of(failed[part], families[part]) for part in both] for both in sides)
     return (
@@ -158,7 +154,9 @@ class _Ranked:
 
 
 def p_of_leads(leads: Array, families: Indices) -> Array:
-    """Compute p of each candidate's lead, by rule 3; two-sided if a lead and its negative are candidates.
+    """Compute p of each candidate's lead; two-sided if a lead and its negative are candidates.
+
+    It is the share of random signs of the families' leads of which the largest one is as large (Westfall, Young 1993).
 
     `leads`, (candidates, tests), say by how much each candidate leads; `families`, (tests,), are numbers from 0.
 
@@ -180,7 +178,7 @@ def p_of_difference(changes: Array, families: Indices) -> float:
 
 
 def most_frequent(labels: Sequence[Label], families: Indices) -> Label | None:
-    """The only label, or the most frequent one if it clearly leads the second by rule 3; else None.
+    """The only label, or the most frequent one if it clearly leads the second, by `p_of_leads`; else None.
 
     That is, two-sided, a valid test against all labels (Gutmann and Maymin, Annals of Statistics 15, 1987).
     """

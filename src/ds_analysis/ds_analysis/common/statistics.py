@@ -97,10 +97,7 @@ def ranks(predicted: Array) -> tuple[Indices, Indices]:
 
 
 def auc_prc(predicted: Array, truth: Array) -> float:
-    """Compute the AUC-PRC of (cells,) values of a map for the twin's rates.
-
-    Same bits as `sklearn.metrics.average_precision_score`, whose checks take most of a bootstrap's time.
-    """
+    """Compute the AUC-PRC of (cells,) values for the twin's rates; same bits as scikit-learn's average precision."""
     order, ends = ranks(predicted)
     hits = np.cumsum(truth[order] > 0.0)[ends].astype(np.float64)
     recall = np.append((hits / hits[-1])[::-1], 0.0)
@@ -184,16 +181,11 @@ def are_alone(families: Indices) -> bool:
     return len(np.unique(families)) == len(families)
 
 
-def parts_of(families: Indices, parts: int, seed: int) -> Indices:
-    """Divide families at random into parts, or into as many as there are families; (tests,) number of the part."""
-    distinct, member = np.unique(families, return_inverse=True)
-    order = np.random.default_rng(seed).permutation(len(distinct))
-    return np.asarray((order % min(parts, len(distinct)))[member])
-
-
 def splits_of(families: Indices, parts: int, seed: int) -> Iterator[tuple[Indices, Indices]]:
-    """Divide families as `parts_of` does; yields the tests of the other parts, for training, and those of each part."""
-    member = parts_of(families, parts, seed)
+    """Yield training and test indices of families that are divided at random into parts, at most one each family."""
+    distinct, family = np.unique(families, return_inverse=True)
+    order = np.random.default_rng(seed).permutation(len(distinct))
+    member = (order % min(parts, len(distinct)))[family]
     for part in np.unique(member):
         yield np.flatnonzero(member != part), np.flatnonzero(member == part)
 

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of the siblings' maps with the twin's failures (paper 3.6, 4.3.2: RQ2 and RQ3).
-
-The main numbers are the paper's: Pearson's r and AUC-PRC over the cells that both maps fill. Where the authors' package
-computes something else, or its computation can be questioned, `check_robustness` computes both.
-"""
+"""Comparison of the siblings' maps with the twin's failures, in the paper's way and in others (paper 3.6, 4.3.2)."""
 
 from __future__ import annotations
 

@@ -40,22 +40,15 @@ class PaperRow(NamedTuple):
     auc: float
 
 
-class PaperErrors(NamedTuple):
-    """Row of the table of RQ1: Wasserstein distance of the error densities, and p-value of the Wilcoxon test."""
-
-    distance: float
-    p: float
-
-
 def _rows(*rows: tuple[float, float, float]) -> dict[str, PaperRow]:
     return {who: PaperRow(*row) for who, row in zip(("DS1", "DS2", "DSS"), rows, strict=True)}
 
 
-def _errors(*rows: tuple[float, float]) -> dict[str, PaperErrors]:
-    return {who: PaperErrors(*row) for who, row in zip(("DS1", "DS2", "DSS"), rows, strict=True)}
+def _errors(*rows: tuple[float, float]) -> dict[str, tuple[float, float]]:
+    return dict(zip(("DS1", "DS2", "DSS"), rows, strict=True))
 
 
-RQ1: dict[tuple[str, Kind], dict[str, PaperErrors]] = {
+RQ1: dict[tuple[str, Kind], dict[str, tuple[float, float]]] = {
     ("dave2", "sim"): _errors((0.04669, 0.101), (0.02648, 0.020), (0.03776, 0.053)),
     ("dave2", "real"): _errors((0.03250, 0.011), (0.02187, 0.078), (0.00951, 0.088)),
     ("chauffeur", "sim"): _errors((0.03989, 0.023), (0.02641, 0.047), (0.01208, 0.394)),
@@ -63,6 +56,7 @@ RQ1: dict[tuple[str, Kind], dict[str, PaperErrors]] = {
     ("epoch", "sim"): _errors((0.06030, 0.011), (0.01634, 0.078), (0.02726, 0.053)),
     ("epoch", "real"): _errors((0.03374, 0.016), (0.02318, 0.078), (0.00989, 0.256)),
 }
+"""Of a network and a role: Wasserstein distance of the error densities, and p-value of the Wilcoxon test."""
 RQ2: dict[tuple[str, Kind], dict[str, PaperRow]] = {
     ("dave2", "sim"): _rows((0.650, 1e-11, 0.654), (0.583, 1e-8, 0.512), (0.710, 1e-13, 0.684)),
     ("dave2", "real"): _rows((0.391, 1e-4, 0.403), (0.377, 1e-4, 0.306), (0.457, 1e-5, 0.398)),
@@ -133,7 +127,7 @@ def correlation_tables(
             role, named = role_of(c.map.simulator, siblings), c.map.simulator or "merged"
             paper = paper_row(value, network, role)
             rows.append([role, named, c.cells, c.r, c.r_interval, c.p, c.auc, c.auc_interval])
-            rows[-1] += [paper.r, paper.p, paper.auc] if paper else [None] * 3
+            rows[-1] += paper or [None] * 3
             notes += [f"{role}: no r, {c.reason}."] * bool(c.reason)
             notes += [f"{role}: no AUC-PRC, {c.auc_reason}."] * bool(c.auc_reason)
         shares = {c.baseline for c in compared if c.baseline is not None}
@@ -213,11 +207,10 @@ def error_tables(
     rows: list[list[Value]] = []
     for c in comparisons:
         role = role_of(c.name, siblings)
-        paper = of_paper.get(role)
         alike = None if c.alike is None else "yes" if c.alike else "no"
         rows.append([role, "all siblings" if c.name == MERGED else c.name, c.images])
         rows[-1] += [c.mean_squared, c.distance, c.p, c.effect, c.power, c.enough and round(c.enough), alike]
-        rows[-1] += [paper.distance, paper.p] if paper else [None] * 2
+        rows[-1] += of_paper.get(role, (None, None))
     columns = [
         *styled("text", "vs DT", "simulator"),
         Column("images", "count"),

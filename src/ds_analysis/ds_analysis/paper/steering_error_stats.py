@@ -1,10 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Statistics of steering errors in open loop: sizes, densities, and similarity of two groups (paper 4.3.1, RQ1).
-
-`compare_errors` computes the paper's RQ1 as the authors' package does (its compute_offline_metrics);
-`check_error_robustness` varies its debatable choices: errors above 0.6 are dropped, the Wilcoxon test compares 15 pairs
-of densities whatever the number of images, and the power analysis counts every image twice.
-"""
+"""Statistics of steering errors in open loop: sizes, densities, and similarity of two groups (paper 4.3.1, RQ1)."""
 
 from __future__ import annotations
 
@@ -134,14 +129,17 @@ def shares(errors: Array) -> Array:
 def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComparison]:
     """Compare each sibling's absolute steering errors, and those of all siblings together, with the twin's.
 
-    Raises:
-        OpenLoopError: there is no sibling, one of the simulators has no errors, or all of its errors are too large.
+    As the authors' package does (its compute_offline_metrics). `OpenLoopError` without errors, or with too large ones.
     """
     return [_compare(name, errors, twin) for name, errors in _with_merged(siblings, twin).items()]
 
 
 def check_error_robustness(siblings: Mapping[str, Array], twin: Array) -> list[ErrorRobustnessCheck]:
-    """Compare errors in other ways; see `compare_errors`."""
+    """Compare errors in other ways.
+
+    `compare_errors` drops those above 0.6, tests 15 pairs of densities whatever the number of images, and counts each
+    image twice.
+    """
     groups, twin_shares, checks = _with_merged(siblings, twin), shares(twin), []
     for name, errors in groups.items():
         distance, p = _binned_distance(shares(errors), twin_shares), _wilcoxon(shares(errors), twin_shares)

@@ -114,15 +114,12 @@ _STAKES = np.array([0.2, 0.5, 0.95])
 
 @dataclass(frozen=True, kw_only=True)
 class Bet:
-    """One drive, whose test was drawn uniformly from those left, or chosen, and its probability of failure before.
-
-    `mean_predicted` is the mean of these over the tests left, its own among them.
-    """
+    """One drive, whose test was drawn uniformly from those left, or chosen, and its probability of failure before."""
 
     failed: bool
     drawn: bool
     predicted: float = 0.0
-    mean_predicted: float = 0.0
+    mean_predicted: float = 0.0  # over the tests left, its own among them
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.prediction.betting import Bet, Certificate, SiblingHelp, certify, predicted_before, sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.verdicts import TOLERATED_RATE, Verdicts, judge
-from ds_analysis.real.proposal import Proposed, candidates_of, open_drives, read_proposed
+from ds_analysis.real.proposal import Proposed, candidates_of, read_proposed
 from ds_analysis.real.records import RealDrive, RecordError, read_drives
 from ds_base.words import count, listed
 
@@ -55,7 +55,8 @@ class CarPrediction:
     @property
     def open(self) -> Sequence[str]:
         """Proposed tests that were not recorded."""
-        return open_drives(self.proposed, {drive.test_id for drive in self.drives})
+        driven = {drive.test_id for drive in self.drives}
+        return [test_id for test_id in self.proposed.tests if test_id not in driven]
 
     @cached_property
     def certificate(self) -> Certificate | None:

@@ -34,12 +34,9 @@ _STEPS, _LONGEST_STEP, _TOLERANCE = 30, 3.0, 1e-6
 
 
 def fit_logistic(design: Array, failed: Array, mean: Array, precision: Array) -> tuple[Array, Array, float]:
-    """Fit a logistic regression with independent normal priors by Newton's method.
+    """Fit a logistic regression on (tests, p) predictors with independent normal priors by Newton's method.
 
-    The (tests, p) predictors have a 1 among them where a level is wanted; mean and precision, (p,), are the priors'.
-
-    Returns:
-        Of the coefficients' posterior the (p,) mode and (p, p) covariance; the logarithm of the outcomes' evidence.
+    Returns of the coefficients' posterior the (p,) mode and (p, p) covariance, and the outcomes' log evidence.
     """
     mode = mean.copy()
     for _ in range(_STEPS):

@@ -14,7 +14,6 @@ from scipy.special import softmax
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.statistics import Array, Indices
 from ds_analysis.prediction.experts import Expert, Learnt, SiblingOutcomes, experts_of
-from ds_sim.registry import SimulatorName
 
 FEWEST_TESTS = 10
 """Tests with a verdict on some sibling that a prediction needs; chosen: fewer do not standardise a feature."""
@@ -166,9 +165,3 @@ def _prior_of(outcomes: SiblingOutcomes) -> Array:
             evidence = [expert.after(rows, outcomes.failed[rows, one].astype(np.float64)) for expert in experts]
             total += softmax(np.log(flat) + [learnt.log_evidence for learnt in evidence]) / SAMPLES
     return np.asarray(EXCHANGEABLE * total / total.sum() + (1.0 - EXCHANGEABLE) * flat)
-
-
-def outcomes_of(table: OutcomeTable, name: SimulatorName) -> list[Drive]:
-    """Return all verdicts of a simulator, as if they were a car's drives."""
-    failed = table.failed(name)
-    return [Drive(int(row), bool(failed[row])) for row in np.flatnonzero(table.known(name))]

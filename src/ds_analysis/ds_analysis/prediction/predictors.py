@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores predictors of a twin that was driven, none of which saw its outcomes.
-
-All have to beat the *features alone*: a logistic model of road features and conditions, fitted to the siblings'
-outcomes, that predicts each test from tests of other families, without driving it or a near copy of it.
-"""
+"""Scores predictors of a twin that was driven, none of which saw its outcomes; all have to beat the features alone."""
 
 from __future__ import annotations
 
@@ -33,7 +29,10 @@ from ds_sim.registry import SimulatorName
 
 
 def features_alone(table: OutcomeTable) -> Array:
-    """(tests,) probabilities of failure, from siblings' outcomes on tests of other families, or `OutcomeTableError`."""
+    """(tests,) probabilities of failure by a logistic model of siblings' outcomes on tests of other families.
+
+    `OutcomeTableError` if there are no other families.
+    """
     from sklearn import config_context
 
     known, failed = table.sibling_verdicts
@@ -178,10 +177,7 @@ def compare_predictors(table: OutcomeTable, prediction: Prediction) -> Predictor
 
 
 def _family_weights(families: Indices) -> Array:
-    """(`RESAMPLES` + 1, rows) how often each row counts in a bootstrap over families; the first is the sample.
-
-    See Davison and Hinkley, Bootstrap Methods and their Application, 1997, section 3.8.
-    """
+    """(`RESAMPLES` + 1, rows) weights in a bootstrap over families, the sample first (Davison, Hinkley 1997, 3.8)."""
     distinct, member = np.unique(families, return_inverse=True)
     rng = np.random.default_rng(_SEED)
     drawn = rng.multinomial(len(distinct), np.full(len(distinct), 1.0 / len(distinct)), size=RESAMPLES)

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable
-from ds_analysis.common.statistics import Array, Bools
+from ds_analysis.common.statistics import Array
 from ds_analysis.prediction.mixture import Prediction
 from ds_base.table import Column, Table, styled
 from ds_orchestrator.search.features import Feature
@@ -142,11 +142,6 @@ def verdict_of(probability: float) -> Verdict:
     if probability >= 1.0 - ERROR_RATE:
         return "fails"
     return "safe" if probability <= ERROR_RATE else "disputed"
-
-
-def called(probabilities: Array) -> tuple[Bools, Bools]:
-    """(tests,) which tests are called safe, and which failing; the others are disputed."""
-    return probabilities <= ERROR_RATE, probabilities >= 1.0 - ERROR_RATE
 
 
 def _bounds(cells: Mapping[tuple[int, ...], Sequence[int]]) -> list[tuple[int, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path, PurePath
@@ -194,8 +194,3 @@ def _proposed(table: OutcomeTable, prediction: Prediction, row: int, scale: floa
             name: words.get(State(table.states[row, table.column(name)]), "not driven") for name in table.siblings
         },
     )
-
-
-def open_drives(proposed: Proposed, driven: Collection[str]) -> Sequence[str]:
-    """Proposed tests that the car has not driven."""
-    return [test_id for test_id in proposed.tests if test_id not in driven]

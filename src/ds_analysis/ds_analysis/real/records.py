@@ -115,15 +115,11 @@ def drive_of(values: Mapping[str, str], limits: Mapping[str, float], scale: floa
         raise RecordError(f"when is {values['when']!r:.40}, expected a date such as 2026-03-01") from None
     lateral = _lateral(values["max_lateral_position"], scale)
     half_lane = limits[test_id]
-    if lateral is not None and outcome == "completed" and lateral > half_lane:
-        raise RecordError(
-            f"completed with a lateral position of {lateral / scale:g} m: the lane's edge is at {half_lane / scale:g} m"
-        )
-    if lateral is not None and outcome == "out_of_bounds" and lateral < half_lane:
-        raise RecordError(
-            f"out of bounds with a lateral position of {lateral / scale:g} m: the lane's edge is at "
-            f"{half_lane / scale:g} m"
-        )
+    if lateral is not None:
+        contradicts = {"completed": lateral > half_lane, "out_of_bounds": lateral < half_lane}
+        if contradicts.get(outcome):
+            where = f"a lateral position of {lateral / scale:g} m: the lane's edge is at {half_lane / scale:g} m"
+            raise RecordError(f"{outcome.replace('_', ' ')} with {where}")
     return RealDrive(
         test_id=test_id,
         failed=OUTCOMES[outcome],
@@ -173,10 +169,7 @@ def _said(drive: RealDrive) -> str:
 
 
 def read_drives(folder: Path) -> list[RealDrive]:
-    """Read the real drives of a folder, if any: the car's rows of a study, then what was recorded.
-
-    `RecordError` if the file is damaged, or a recorded drive contradicts the study.
-    """
+    """Read the real drives of a folder, if any: the car's rows of a study, then those recorded, which agree with it."""
     if not is_study(folder):
         return read_recorded(folder)
     from ds_analysis.outcomes.study import read_study

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -166,8 +167,9 @@ def describe_network(
             return best_reading(pilot.described_as(one), tried)[1]
         key = one.model_dump_json()
         if key not in agreements:
-            agreements[key] = _agreement_over_drives(pilot.described_as(one), tried)
-        return agreements[key]
+            with suppress(DriverError):
+                agreements[key] = agreement(steering_of(pilot.described_as(one), tried), tried)
+        return agreements.setdefault(key, NOTHING)
 
     chosen = pilot.description
     if not search:
@@ -242,13 +244,6 @@ def describe_network(
     elif not described.inputs:
         lines += [f"  # throttle: {{output: {k}}}  # if that is its throttle" for k in _others(pilot, tried, steering)]
     return "\n".join(lines) + "\n"
-
-
-def _agreement_over_drives(pilot: DescribedNetworkPilot, drives: Sequence[AutopilotDrives]) -> Agreement:
-    try:
-        return agreement(steering_of(pilot, drives), drives)
-    except DriverError:
-        return NOTHING
 
 
 def load(file: Path, forms: Sequence[DescribedNetwork]) -> DescribedNetworkPilot:

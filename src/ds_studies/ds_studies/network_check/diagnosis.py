@@ -278,14 +278,11 @@ def ranked(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]) 
     for values in inputs(pilot.description.input).values():
         candidates = [changed(one, value) for one in candidates for value in values]
     for images in (few, tried):
-        fits = sorted((best_reading(pilot.described_as(one), images) for one in candidates), key=_worst_last)
+        fits = [best_reading(pilot.described_as(one), images) for one in candidates]
+        # Of equal ones, that with the likeliest scale comes first, and then the first.
+        fits.sort(key=lambda one: (-round(abs(one[1].correlation), 3), LIKELY.index(scale_kind(one[1].slope))))
         candidates = [one for one, _ in fits[:FINALISTS]]
     return fits
-
-
-def _worst_last(one: Fitted) -> tuple[float, int]:
-    # Of equal ones, that with the likeliest scale comes first, and then the first.
-    return -round(abs(one[1].correlation), 3), LIKELY.index(scale_kind(one[1].slope))
 
 
 def best_reading(pilot: DescribedNetworkPilot, recordings: Sequence[AutopilotDrives]) -> Fitted:

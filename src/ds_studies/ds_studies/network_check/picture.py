@@ -34,11 +34,7 @@ def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
 
 
 def draw_check(check: NetworkCheck, recordings: Sequence[AutopilotDrives]) -> NDArray[np.uint8]:
-    """Draw a row for each simulator: its camera, what the network sees of that, and both steering commands.
-
-    Returns:
-        (rows, columns, 3) uint8 RGB.
-    """
+    """Draw for each simulator its camera, what the network sees, and both steerings, as (rows, columns, 3) RGB."""
     pilot = load_pilot(check.driver)
 
     def draw(figure: Figure) -> None:

@@ -30,7 +30,6 @@ from ds_studies.sensitivity.measurement import (
     Fails,
     candidate_roads,
     choose_roads,
-    is_applicable,
     measure,
 )
 
@@ -54,13 +53,7 @@ class Drives:
         return lambda who, number, conditions: self.fails(simulator, replace(roads[number], conditions=conditions), who)
 
     def fails(self, simulator: SimulatorName, scenario: Scenario, who: str) -> bool:
-        """Whether the driver fails, or for `GATE` whether no driver can be judged.
-
-        Raises:
-            DriverError: every attempt ended in an error, which is no result.
-            ds_orchestrator.campaign.executor.CampaignError: the simulator gave no outcome for several tests in a row.
-            ds_orchestrator.campaign.executor.Stopped: `stop` was called.
-        """
+        """Whether the driver fails, or for `GATE` whether no driver can be judged; `DriverError` without a result."""
         road_id, seed = scenario.road.road_id, scenario.seed
         name = "-".join(filter(None, (road_id, str(seed), format_conditions(scenario.conditions))))
         test, error = Test(name, scenario), f"{simulator}, road {road_id}, seed {seed}: "
@@ -173,7 +166,7 @@ def _measure(
 
     for position, factor in enumerate(result.factors):
         for name, of in result.roads.items():
-            applicable = is_applicable(factor, spec_of(name).conditions)
+            applicable = set(factor.conditions(LEVELS).changed) <= set(spec_of(name).conditions)
             measured = applicable and len(of) == result.needed
             verdict: Verdict = "pending" if measured else "fails by default" if applicable else "not applicable"
             thresholds[position, name] = Threshold(simulator=name, factor=factor, verdict=verdict)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -120,8 +120,3 @@ def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -
             one = replace(one, fails=None, excluded=one.fails)
         results.append(one)
     return tuple(results)
-
-
-def is_applicable(factor: Factor, realised: Sequence[str]) -> bool:
-    """Whether a simulator that realises some conditions realises a factor."""
-    return set(factor.conditions(LEVELS).changed) <= set(realised)

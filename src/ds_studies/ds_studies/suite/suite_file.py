@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Regression suites: the tests of a campaign that tell most, with the outcomes of its network, in a file.
-
-A suite is data: it names simulators and drivers, and runs no code of its own.
-"""
+"""Regression suites: the tests of a campaign that tell most, with its network's outcomes, in a file without code."""
 
 from __future__ import annotations
 
