@@ -16,7 +16,7 @@ from benchmarks.explanation import made_name
 from tests.command_line import ds
 from typer.testing import CliRunner
 
-from ds_cli.studies.explain import app
+from ds_cli.studies.causes import app
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds drive`: runs one drive, through the graph of nodes or in a process without ROS, and writes its bag and video."""
+"""`ds drive`, `ds serve`: one drive with its bag and video, by nodes or without ROS; a simulator for others' clients."""
 
 from __future__ import annotations
 
+import asyncio
 import os
 import tempfile
 import time
@@ -14,7 +15,7 @@ import typer
 from ds_base.installation import ds_command
 from ds_base.words import duration
 from ds_cli import options
-from ds_cli.output import Interrupted, Result, say, verb, warning
+from ds_cli.output import Interrupted, Result, say, say_next, verb, warning
 from ds_sim.conditions.model import ConditionsError
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
@@ -263,3 +264,47 @@ def drive_command(
     following = ds_command("test", "dave2" if attach or is_autopilot else whose)
     error = run.outcome.is_error
     return Result(document=document, show=show, error=error, unmet=unmet, next=following)
+
+
+serve_app = typer.Typer()
+
+
+@serve_app.command("donkey")
+def serve_donkey_command(
+    sim: options.Simulator = SimulatorName("donkey"),
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 for any free one.")] = 9091,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on. Clients are not authenticated: keep to this machine.")
+    ] = "127.0.0.1",
+    road: Annotated[
+        Path | None, typer.Option(help="JSON list of roads, driven one after the other; a random one if left out.")
+    ] = None,
+    seed: options.Seed = 0,
+    max_angle: options.MaxAngle = 270,
+    lane: options.Lane = None,
+    conditions: Annotated[
+        str,
+        typer.Option(help="Operating conditions, such as line_contrast=0.4.", autocompletion=options.complete_value),
+    ] = "",
+) -> None:
+    """Serve a simulator to clients of the Donkey simulator, such as gym-donkeycar's environments.
+
+    The simulator makes one frame for each control, as fast as the client sends them. The address is printed when
+    clients can connect. Serves until it is stopped.
+
+    Example: ds serve donkey --sim panda --port 9091
+    """
+    from ds_cli.roads import one_road, roads_of
+    from ds_sim.conditions.text import parse_conditions
+    from ds_sim.donkey_protocol.server import DonkeyServer
+    from ds_sim.scenario import Scenario
+
+    roads = [one_road(None, seed, max_angle, lane)] if road is None else roads_of(road, lane)
+    chosen_conditions = parse_conditions(conditions)
+    server = DonkeyServer(sim, [Scenario(one, chosen_conditions, seed=seed) for one in roads])
+
+    def listening(chosen: int) -> None:
+        print(f"serving {sim} on {host}:{chosen}", flush=True)
+        say_next(ds_command("drive", "--sim", sim, "--driver", "autopilot"))
+
+    asyncio.run(server.serve(host, port, listening))

@@ -37,14 +37,14 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
         Verb("test", "campaign.run", "Search roads on which a network fails, and report where and why."),
         Verb(
             "sensitivity",
-            "studies.sensitivity",
+            "studies.causes",
             "Find how strong each operating condition must be for a driver to fail.",
         ),
         Verb("compare", "campaign.compare", "Compare two networks on the same tests: what got worse, what got better?"),
         Verb("report", "campaign.inspection", "Rebuild the report of a campaign, or write one of imported outcomes."),
     ),
     "Campaigns and suites": (
-        Verb("demo", "studies.demo", "See where a shipped network fails, why, and what to do next."),
+        Verb("demo", "campaign.run", "See where a shipped network fails, why, and what to do next."),
         Verb(
             "campaign",
             "campaign.inspection",
@@ -53,7 +53,7 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
         ),
         Verb("watch", "campaign.inspection", "Show a campaign in the browser while it runs."),
         Verb("suite", "campaign.suites", "Freeze tests into a regression suite, and run it.", ("make", "run")),
-        Verb("explain", "studies.explain", "Find out why tests of a campaign fail."),
+        Verb("explain", "studies.causes", "Find out why tests of a campaign fail."),
         Verb("maps", "maps", "Show a campaign's feature maps, or those of imported outcomes, as coloured grids."),
     ),
     "The real car": (
@@ -76,10 +76,10 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
             "Test a network on a recording of your car: its track, a twin and a sibling.",
             ("test", "locate", "calibrate", "roads"),
         ),
-        Verb("twin", "twin", "Fit the digital twin to recorded drives.", ("fit",)),
+        Verb("twin", "recordings", "Fit the digital twin to recorded drives.", ("fit",)),
         Verb(
             "sim2real",
-            "sim2real",
+            "networks",
             "Make simulated images look like photographs of a real track.",
             ("train", "translate"),
         ),
@@ -103,7 +103,7 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
             "Inspect, re-simulate and repair rosbag2 recordings.",
             ("info", "recover", "redrive", "drive"),
         ),
-        Verb("serve", "serving", "Serve a simulator to clients of the Donkey simulator.", ("donkey",)),
+        Verb("serve", "drives", "Serve a simulator to clients of the Donkey simulator.", ("donkey",)),
         Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
         Verb("evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."),
     ),
