@@ -108,8 +108,17 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
         *checks,
         Check("environment", True, str(python.parent.parent), ""),
         *check_ros(root, places),
-        *check_libraries(pins, places),
-        *check_extras(extras, places),
+        *(check_library(name, places[name], _INSTALL, pinned=pinned) for name, pinned in pins.items()),
+        *(
+            check_library(
+                name,
+                places[name],
+                f".venv/bin/python -m pip install --no-deps -r requirements/{file}.txt",
+                pinned=extras[name],
+                absent=f", for {purpose}",
+            )
+            for name, (file, purpose) in EXTRAS.items()
+        ),
         check_renderer(),
         *check_parts(python),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),
@@ -137,16 +146,12 @@ def diagnose_wheel(*, imports: bool = False) -> list[Check] | None:
     checks = [
         _check("Python", sys.version_info >= (3, 11), series, f"{series}: 3.11 or later is needed", _apt("python3"))
     ]
-    for name in needed:
-        version, problem = places[name]
-        checks.append(_check(name, not problem, version, problem, f"python -m pip install {WHEEL}"))
-    for name, group in extras.items():
-        version, problem = places[name]
-        absent = f"not installed; optional: python -m pip install '{WHEEL}[{group}]'"
-        checks.append(Check(f"{name} (optional)", True, absent if problem else version, ""))
+    checks += [check_library(name, places[name], f"python -m pip install {WHEEL}") for name in needed]
+    installs = {name: f": python -m pip install '{WHEEL}[{group}]'" for name, group in extras.items()}
+    checks += [check_library(name, places[name], "", absent=absent) for name, absent in installs.items()]
     version, problem = places["rclpy"]
-    nodes = "not installed; optional: nodes need ROS 2 and a built checkout (make setup)"
-    checks.append(Check("ROS 2 (optional)", True, nodes if problem else f"rclpy {version}", ""))
+    nodes = ": nodes need ROS 2 and a built checkout (make setup)"
+    checks.append(check_library("ROS 2", (version and f"rclpy {version}", problem), "", absent=nodes))
     weights = check_weights(Path(__file__).parents[1] / "ds_driver/models/dave2.safetensors")
     if weights.fix:
         weights = weights._replace(fix="python -m pip install --force-reinstall --no-deps WHEEL.whl")
@@ -195,28 +200,17 @@ def check_ros(root: Path, modules: Mapping[str, tuple[str, str]]) -> list[Check]
     ]
 
 
-def check_libraries(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]) -> list[Check]:
-    """Check that each library is there and has the pinned version, given what `look_up` found."""
-    checks = []
-    for name, pinned in pins.items():
-        version, problem = modules[name]
-        if not problem and version.partition("+")[0] != pinned:
-            problem = f"{version} is installed, {pinned} is pinned"
-        checks.append(_check(name, not problem, version, problem, _INSTALL))
-    return checks
+def check_library(name: str, place: tuple[str, str], fix: str, *, pinned: str = "", absent: str = "") -> Check:
+    """Check that a library is there, given what `look_up` found, and has its pinned version, if any.
 
-
-def check_extras(pins: Mapping[str, str], modules: Mapping[str, tuple[str, str]]) -> list[Check]:
-    """Check the optional libraries: they may be absent, but not of another version."""
-    checks = []
-    for name, pinned in pins.items():
-        version, problem = modules[name]
-        file, purpose = EXTRAS[name]
-        fits = bool(problem) or version.split("-")[0] == pinned
-        detail = f"not installed; optional, for {purpose}" if problem else version
-        fix = f".venv/bin/python -m pip install --no-deps -r requirements/{file}.txt"
-        checks.append(_check(f"{name} (optional)", fits, detail, f"{version} is installed, {pinned} is pinned", fix))
-    return checks
+    An optional one may be missing: `absent` says what for.
+    """
+    version, problem = place
+    if not problem and pinned and re.split("[+-]", version)[0] != pinned:
+        problem = f"{version} is installed, {pinned} is pinned"
+    elif problem and absent:
+        version, problem = f"not installed; optional{absent}", ""
+    return _check(f"{name} (optional)" if absent else name, not problem, version, problem, fix)
 
 
 def check_renderer(load: Callable[[str], object] = ctypes.CDLL) -> Check:

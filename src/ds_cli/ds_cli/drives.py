@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds drive`, `ds serve`: one drive with its bag and video, by nodes or without ROS; a simulator for others' clients."""
+"""`ds drive`, `ds serve`: one drive with its bag and video, by nodes or without ROS; a simulator for other clients."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _run_on_nodes(
     sim: SimulatorName, driver: DriverName, scenario: Scenario, namespace: str, *, attach: bool, wait: float
 ) -> RunRecord:
     """Drive on nodes that are started, or on running ones, whose own conditions count where none are named."""
-    from ds_cli.progress import DriveProgress
+    from ds_cli.progress import drive_progress
     from ds_orchestrator.graph.session import running_graph
 
     if attach:
@@ -91,10 +91,10 @@ def _run_on_nodes(
             attach=attach,
             wait=wait if attach else START_WAIT,
         ) as client,
-        DriveProgress(f"{sim} drives") as progress,
+        drive_progress(f"{sim} drives") as watch,
     ):
         own = attach and scenario.conditions.is_default
-        return client.execute(sim, scenario, conditions_of_node=own, watch=progress.update)
+        return client.execute(sim, scenario, conditions_of_node=own, watch=watch)
 
 
 def _test_in(road: Path | None) -> tuple[int, object]:

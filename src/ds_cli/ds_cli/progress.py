@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ds_base.words import duration
 from ds_cli.output import say
+from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.eta import TimedListener
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.store.model import Execution, Test
@@ -87,36 +89,25 @@ def _outcome(execution: Execution | Gate | None) -> str:
     return execution.outcome.name.lower() if execution else "error"
 
 
-class DriveProgress:
-    """Shows how far a drive is along its road: a bar on a terminal, a line now and then elsewhere."""
+@contextmanager
+def drive_progress(description: str) -> Iterator[Watch]:
+    """Show how far a drive is along its road: a bar on a terminal, a line now and then elsewhere; yields its watch."""
+    console, said = Console(stderr=True), time.monotonic()
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f}%"),
+        TextColumn("{task.fields[state]}"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+        task = progress.add_task(description, total=1.0, state="")
 
-    def __init__(self, description: str) -> None:
-        console = Console(stderr=True)
-        self._live = console.is_terminal
-        self._description = description
-        self._said = time.monotonic()
-        self._progress = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.percentage:3.0f}%"),
-            TextColumn("{task.fields[state]}"),
-            console=console,
-            disable=not self._live,
-            transient=True,
-        )
-        self._task = self._progress.add_task(description, total=1.0, state="")
+        def watch(step: int, driven: float, lateral_position: float) -> None:
+            nonlocal said
+            state = f"frame {step}, {lateral_position:+.2f} m off the lane's centre"
+            progress.update(task, completed=driven, state=state)
+            if not console.is_terminal and time.monotonic() - said >= EVERY:
+                said = time.monotonic()
+                say(f"{description}: {driven:.0%}, {state}")
 
-    def __enter__(self) -> DriveProgress:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def update(self, step: int, driven: float, lateral_position: float) -> None:
-        """Show a feedback of the simulator; see `ds_orchestrator.campaign.engine.Watch`."""
-        state = f"frame {step}, {lateral_position:+.2f} m off the lane's centre"
-        self._progress.update(self._task, completed=driven, state=state)
-        if not self._live and time.monotonic() - self._said >= EVERY:
-            self._said = time.monotonic()
-            say(f"{self._description}: {driven:.0%}, {state}")
+        yield watch

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,9 +17,7 @@ from ds_cli import options
 from ds_cli.output import Result, printed_to, say, say_next, verb
 
 if TYPE_CHECKING:
-    from ds_base.left_out import LeftOut
     from ds_road import Road, Side
-    from ds_road.importing import ImportedRoad
 
 road_app = typer.Typer()
 
@@ -188,12 +186,7 @@ def road_import_command(
 
     Example: ds road import track.xodr > roads.json
     """
-    from ds_base.left_out import LeftOut
-    from ds_road.importing import import_roads
-
-    left_out = LeftOut("roads", strict)
-    roads = ((file, import_roads(file, left_out, lane_width=lane_width, lane=lane, scale=scale)) for file in files)
-    _print_roads(left_out, roads, ("import", *files, *_chosen(lane_width, lane, scale)))
+    _print_imported(("import", *files), files, lane_width, lane, scale, strict)
 
 
 @road_app.command("cut")
@@ -210,29 +203,26 @@ def road_cut_command(
 
     Example: ds road cut track.csv --length 200 --every 100 > sections.json
     """
+    words = ("cut", *files, "--length", length, "--every", every)
+    _print_imported(words, files, lane_width, lane, scale, strict, sections=(length, every))
+
+
+def _print_imported(
+    words: Sequence[object],
+    files: Sequence[Path],
+    lane_width: float | None,
+    lane: Side | None,
+    scale: float,
+    strict: bool,
+    sections: tuple[float, float] | None = None,
+) -> None:
+    """Print roads of files, or sections of so much length at such distances, and what was left out."""
     from ds_base.left_out import LeftOut
     from ds_road.importing import import_roads
 
-    left_out = LeftOut("roads", strict)
-    roads = (
-        (file, import_roads(file, left_out, lane_width=lane_width, lane=lane, scale=scale, sections=(length, every)))
-        for file in files
-    )
-    words = ("cut", *files, "--length", length, "--every", every, *_chosen(lane_width, lane, scale))
-    _print_roads(left_out, roads, words)
-
-
-def _chosen(lane_width: float | None, lane: Side | None, scale: float) -> list[object]:
-    values = {"--lane-width": lane_width, "--lane": lane, "--scale": None if scale == 1.0 else scale}
-    return [word for option, value in values.items() if value is not None for word in (option, value)]
-
-
-def _print_roads(
-    left_out: LeftOut, roads: Iterable[tuple[Path, Sequence[ImportedRoad]]], words: Sequence[object]
-) -> None:
-    document = []
-    for file, imported in roads:
-        for one in imported:
+    left_out, document = LeftOut("roads", strict), []
+    for file in files:
+        for one in import_roads(file, left_out, lane_width=lane_width, lane=lane, scale=scale, sections=sections):
             document.append(one.to_json())
             if any(one.moved):
                 say(f"{file}: {one.name} moved by ({one.moved[0]:g}, {one.moved[1]:g}) m into the box")
@@ -243,7 +233,8 @@ def _print_roads(
     if left_out.items:
         say(left_out.line())
     print(json.dumps(document))
-    _say_next(*words)
+    values = {"--lane-width": lane_width, "--lane": lane, "--scale": None if scale == 1.0 else scale}
+    _say_next(*words, *(word for option, value in values.items() if value is not None for word in (option, value)))
 
 
 def _say_next(*words: object) -> None:
