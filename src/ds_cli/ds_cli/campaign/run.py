@@ -300,11 +300,7 @@ DEMO_WORKERS = 2
 
 
 @verb(app, "demo")
-def demo_command(
-    out: options.OutFolder = Path("demo"),
-    *,
-    driving: options.Driving,
-) -> Result:
+def demo_command(out: options.OutFolder = Path("demo"), *, driving: options.Driving) -> Result:
     """See where a shipped network fails, why, and what to do next.
 
     Drives one road in clear air and in fog, finds what else breaks the network, runs a campaign under these conditions,
@@ -313,8 +309,6 @@ def demo_command(
     Example: ds demo --out demo
     """
     from ds_base.folder_files import make_folder
-    from ds_base.installation import ds_command
-    from ds_cli.campaign.run import campaign
     from ds_report.sensitivity_page import SensitivityPage
     from ds_studies import demo
 
@@ -336,10 +330,8 @@ def demo_command(
     result = campaign(config.model_copy(update={"workers": workers, **driving.chosen()}), out)
     result.document["fog"], result.document["searched"] = fog, ranges
 
-    answer = result.show
-
     def show() -> None:
-        answer()
+        result.show()
         print(f"4 of 4: open {out / 'report.html'}, which begins with the answer")
         print(f"   with your own network: {ds_command('check', 'my_net.onnx')}")
 
