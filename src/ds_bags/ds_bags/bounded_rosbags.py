@@ -51,11 +51,7 @@ _DECOMPRESSORS: dict[str, Callable[[], Any]] = {
 def opened(data: bytes, codec: str, size: int | None = None) -> bytes:
     """Decompress one part of a bag, by `zstd`, `lz4`, `bz2` or "", within the budget of the current pass.
 
-    The file may declare a size in bytes.
-
-    Raises:
-        TooLargeError: more bytes come out than may be opened.
-        ValueError: an unknown codec, another size than declared, or half of it.
+    Beyond that is a TooLargeError; another codec, or other bytes than the declared `size`, are a ValueError.
     """
     opening = current_opening()
     if codec == "":
@@ -132,12 +128,7 @@ def _types(parse: Callable[..., dict[str, Any]], text: str, *name: str) -> dict[
 
 
 def check_types(types: dict[str, Any]) -> None:
-    """Check message types before code is made of them.
-
-    Raises:
-        TooLargeError: more fields than the limit.
-        ValueError: a name that is no identifier, or an array without elements.
-    """
+    """Refuse types with names that are no identifiers, empty arrays or too many fields, before code is made of them."""
     fields_count = 0
     for name, (constants, fields) in types.items():
         names = [name, *(desc[1] for desc in _described(fields) if desc[0] == Nodetype.NAME)]
@@ -158,11 +149,7 @@ def check_types(types: dict[str, Any]) -> None:
 
 
 def check_ros1_types(types: dict[str, Any]) -> None:
-    """Check that no sequence of a ROS 1 bag has elements of no bytes, of which a message may claim billions.
-
-    Raises:
-        ValueError: one has, or a type contains itself.
-    """
+    """Refuse sequences of elements of no bytes, of which a message of ROS 1 may claim billions."""
     sizes: dict[str, bool] = {}
 
     def takes_room(name: str, path: tuple[str, ...] = ()) -> bool:

@@ -26,10 +26,7 @@ def headers_are_shared(bag: BagReader, connections: Sequence[Any], needed: str =
     """Decide the clock of a recording: headers, if those of all topics have stamps of one clock, else logging.
 
     Stamps of 0, as of nodes that set none, are no stamps; simulated time and wall time have nothing in common. Of the
-    connections the images come first; without the `needed` topic they are worth nothing.
-
-    Raises:
-        BagError: the needed topic has nothing in common with the images on either clock.
+    connections the images come first; the `needed` topic has a clock in common with them, or there is a BagError.
     """
     stamps: dict[str, list[int]] = {}
     logs: dict[str, list[int]] = {}

@@ -40,11 +40,7 @@ def records(file: Path) -> Iterator[tuple[tuple[int, Topic] | Message | Metadata
     """Iterate over numbered topics, messages, metadata and footer of a file in their order, those of chunks included.
 
     A message comes only after its topic; times fit a ROS stamp. With each record comes how many bytes of the file have
-    been read with it.
-
-    Raises:
-        DamagedFileError: the rest of the file makes no sense.
-        TooLargeError: its chunks open to more than the limit.
+    been read with it. A DamagedFileError says that the rest makes no sense.
     """
     size = regular_file(file).stat().st_size
     opening = Opening(size)
@@ -125,10 +121,7 @@ def rewrite_bag(
     """Copy a bag of one MCAP file, whole or not at all; the same input gives the same bytes.
 
     Functions change the messages of their types, those of other types are left out or kept, and facts are added to the
-    custom data. Returns the number of changed messages.
-
-    Raises:
-        BagError: the bag is damaged, has several files, or `out` exists.
+    custom data. Returns the number of changed messages; a BagError if the bag is damaged or `out` exists.
     """
     with BagReader(source) as bag:
         if len(bag.files) != 1 or bag.files[0].suffix != ".mcap":

@@ -34,22 +34,16 @@ class TubError(InputError):
 class TubRecord:
     """One moment of a tub.
 
-    Attributes:
-        index: of the record in the tub.
-        seconds: wall clock.
-        image: file in the tub's folder `images`, or None if the record has none.
-        steering: command to the car, -1 full left to +1 full right, or None. The sign is Donkey Car's (donkeycar,
-            parts/actuator.py, PWMSteering.LEFT_ANGLE) and this project's.
-        throttle: command to the car, at most 1, negative backwards, or None.
-        fields: all values of the record.
+    Steering is the command to the car, -1 full left to +1 full right: the sign is Donkey Car's (donkeycar,
+    parts/actuator.py, PWMSteering.LEFT_ANGLE) and this project's.
     """
 
-    index: int
-    seconds: float
-    image: Path | None
+    index: int  # in the tub
+    seconds: float  # wall clock
+    image: Path | None  # in the tub's folder `images`
     steering: float | None
-    throttle: float | None
-    fields: dict[str, Any]
+    throttle: float | None  # command to the car, at most 1, negative backwards
+    fields: dict[str, Any]  # all values of the record
 
 
 @dataclass(frozen=True, kw_only=True)

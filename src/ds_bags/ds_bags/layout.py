@@ -49,13 +49,7 @@ def plain_name(name: object) -> str:
 
 @contextmanager
 def new_folder(folder: Path) -> Iterator[Path]:
-    """Make a folder that appears whole or not at all, beside others that may be in the making.
-
-    Yields a path of the same name in a new hidden folder beside it, to make the folder at; it is moved at the end.
-
-    Raises:
-        BagError: the folder exists.
-    """
+    """Yield a path to make a folder at, which appears whole at the end, or not at all; a BagError if it exists."""
     if os.path.lexists(folder):
         raise BagError(f"{folder} exists already: choose another --out")
     make_parents(folder)

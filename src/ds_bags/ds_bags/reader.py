@@ -271,14 +271,7 @@ class RecordedRun:
 
 
 def states_and_commands(bag: BagReader) -> Iterator[tuple[bool, int, Any]]:
-    """Iterate over the states and commands of this project's runs, as they were recorded.
-
-    Yields:
-        Whether it is a command, its stamp in ns, and the message.
-
-    Raises:
-        BagError: the file is damaged, or a message has no stamp.
-    """
+    """Iterate over states and commands of this project's runs: whether it is a command, its stamp, ns, and message."""
     for connection, _, message in bag.decoded([*bag.of_type(STATE), *bag.of_type(DRIVE)]):
         yield connection.msgtype == DRIVE, stamp_of(message), message
 
@@ -386,11 +379,7 @@ def _seed(text: str) -> int:
 
 
 def stamp_of(message: Any) -> int:
-    """Return the stamp in the header of a message, ns.
-
-    Raises:
-        BagError: the message has no header, or its stamp is outside the range of ROS time.
-    """
+    """Return the stamp in the header of a message, ns; a BagError if it has none of ROS time."""
     try:
         stamp = message.header.stamp
         time = int(stamp.sec) * 10**9 + int(stamp.nanosec)

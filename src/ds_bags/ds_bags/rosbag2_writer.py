@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes rosbag2 folders as ROS 2 Jazzy does: one MCAP file and `metadata.yaml`, version 9.
 
-MCAP profile `ros2`, messages as `cdr`, schemas as `ros2msg` text. Each channel carries its QoS and the hash of its
-type. A metadata record `rosbag2` repeats the folder's metadata, so readers need the file alone. A record
-`digital_siblings` at the beginning describes the recording, so it survives when the writer is killed.
+A metadata record `rosbag2` repeats the folder's metadata, so readers need the file alone. A record `digital_siblings`
+at the beginning describes the recording, so it survives when the writer is killed.
 """
 
 from __future__ import annotations
@@ -34,21 +33,14 @@ _NEVER = {"sec": 9223372036, "nsec": 854775807}
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """Topic of a bag.
-
-    Attributes:
-        definition: text of the type and of every type nested in it.
-        digest: RIHS01 hash of the type.
-        qos: QoS profile of the publisher, a YAML list of one.
-        encoding: format of the definition, `ros2msg` or `ros2idl`.
-    """
+    """Topic of a bag."""
 
     name: str
     message_type: str
-    definition: str
-    digest: str
-    qos: str
-    encoding: str = "ros2msg"
+    definition: str  # text of the type and of every type nested in it
+    digest: str  # RIHS01 hash of the type
+    qos: str  # profile of the publisher, a YAML list of one
+    encoding: str = "ros2msg"  # of the definition, or `ros2idl`
 
 
 class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
@@ -77,13 +69,10 @@ def topic_of(typestore: Typestore, name: str, message_type: str, *, depth: int, 
 
 
 class Rosbag2Writer:
-    """Writes one bag. `close` completes it; without that, `ds_bags.copying` restores what was flushed.
+    """Writes one bag into a new folder, after the facts `about` it that are known at the start.
 
-    As a context manager, it closes the file at the end, completed or not.
-
-    Args:
-        folder: folder of the bag, created here; must not exist.
-        about: facts known at the start; written to the file before the first message.
+    `close` completes it; without that, `ds_bags.copying` restores what was flushed. As a context manager, it closes the
+    file at the end, completed or not.
     """
 
     def __init__(self, folder: Path, about: Mapping[str, str]) -> None:
@@ -103,11 +92,7 @@ class Rosbag2Writer:
         self._pending = 0
 
     def channel(self, topic: Topic) -> int:
-        """Declare a topic and return its number for `write`.
-
-        Raises:
-            BagError: the bag would have more topics than this project's readers accept.
-        """
+        """Declare a topic and return its number for `write`; a BagError beyond what this project's readers accept."""
         if len(self._topics) >= MAX_TOPICS:
             raise BagError(f"{self._folder.name} would have more than {MAX_TOPICS} topics: record fewer")
         if topic.message_type not in self._schemas:

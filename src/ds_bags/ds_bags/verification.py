@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Re-simulates a recorded run and compares it bit by bit: states, and images if the bag has them.
-
-`ds bag redrive` on the command line: applies the recorded commands to the recorded simulator, on the same road and with
-the same seed. No driver takes part.
-"""
+"""Re-simulates a recorded run from its commands, and compares states, and images if the bag has them, bit by bit."""
 
 from __future__ import annotations
 

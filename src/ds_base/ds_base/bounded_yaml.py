@@ -27,17 +27,11 @@ _CONTROL = re.compile(r"[^\t\n\r -~\x85\xa0-\ud7ff\ue000-\ufffd\U00010000-\U0010
 
 @dataclass(frozen=True, kw_only=True)
 class YamlLimits:
-    """Bounds of one document.
+    """Bounds of one document."""
 
-    Attributes:
-        size: bytes of the text, and characters of all scalars with aliases expanded.
-        nodes: mappings, sequences and scalars, with aliases expanded.
-        depth: mappings and sequences inside each other.
-    """
-
-    size: int = 2**20
-    nodes: int = 200_000
-    depth: int = 50
+    size: int = 2**20  # bytes of the text, and characters of all scalars with aliases expanded
+    nodes: int = 200_000  # mappings, sequences and scalars, with aliases expanded
+    depth: int = 50  # mappings and sequences inside each other
 
 
 DEFAULT_LIMITS = YamlLimits()

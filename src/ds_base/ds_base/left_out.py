@@ -13,19 +13,12 @@ NAMED = 3
 
 @dataclass
 class LeftOut:
-    """Collects items that cannot be read.
+    """Collects items that cannot be read."""
 
-    Attributes:
-        kind: plural noun, such as "roads".
-        strict: raise the first error instead of leaving its item out.
-        total: number of items so far, good ones included.
-        items: name and reason of each that is left out.
-    """
-
-    kind: str
-    strict: bool = False
-    total: int = 0
-    items: list[tuple[str, str]] = field(default_factory=list)
+    kind: str  # plural noun, such as "roads"
+    strict: bool = False  # raise the first error instead of leaving its item out
+    total: int = 0  # items so far, good ones included
+    items: list[tuple[str, str]] = field(default_factory=list)  # name and reason of each that is left out
 
     def add(self, name: str, error: DsError | str, kind: type[DsError] = DsError) -> None:
         """Leave an item out, or raise its error if none may be left out."""

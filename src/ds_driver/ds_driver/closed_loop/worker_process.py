@@ -110,11 +110,7 @@ class WorkerProcess:
         self._next = 0
 
     def start(self) -> int:
-        """Start the process unless it runs; return the number of drives that it answers at once.
-
-        Raises:
-            WorkerError: it does not start, or cannot load the driver.
-        """
+        """Start the process unless it runs; return how many drives it answers at once. A WorkerError if it does not."""
         with self._lock:
             return self._running().largest_batch
 

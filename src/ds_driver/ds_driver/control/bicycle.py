@@ -68,15 +68,7 @@ def pursuit_curvature(path: NDArray[np.float64], lookahead: float) -> float:
     """Curvature of the arc from the rear axle to a path's first point at a distance, `lookahead` in m: pure pursuit.
 
     The path is (n, 2) points, m ahead and to the left of the middle of the rear axle; a shorter one is pursued to its
-    end.
-
-    Returns:
-        1/m, left positive; 0 for a point on the axle itself.
-
-    Examples:
-        >>> import numpy as np
-        >>> pursuit_curvature(np.array([[3.0, 0.0], [5.0, 1.0]]), lookahead=4.0) > 0.0
-        True
+    end. The curvature is in 1/m, left positive; 0 for a point on the axle itself.
     """
     points = [(float(ahead), float(left)) for ahead, left in path]
     (x, y), (a, b) = points[-1], (0.0, 0.0)

@@ -27,13 +27,7 @@ class Habit(NamedTuple):
 
 
 def command_habits(steering: NDArray[np.float64], speed: NDArray[np.float64]) -> tuple[Habit, ...]:
-    """Find what is unusual in the steering of drives, (frames,) clipped to [-1, 1], and in their speeds, m/s.
-
-    Examples:
-        >>> import numpy as np
-        >>> [habit.kind for habit in command_habits(np.ones(100), np.full(101, 6.0))]
-        ['saturated', 'constant']
-    """
+    """Find what is unusual in the steering of drives, (frames,) clipped to [-1, 1], and in their speeds, m/s."""
     if len(steering) < FEWEST:
         return ()
     habits = []

@@ -35,11 +35,7 @@ within 0.3 m/s after six seconds, with an overshoot of 0.5 m/s at most."""
 
 @dataclass(frozen=True, slots=True)
 class MotionRequest:
-    """Request of a driver of any stack: steering, -1 full left to +1 full right, and a speed, m/s, or a throttle.
-
-    Raises:
-        MotionError: a value is not finite or requests reversing, or not exactly one of speed and throttle is given.
-    """
+    """Request of a driver of any stack: steering, -1 full left to +1 full right, and a speed, m/s, or a throttle."""
 
     steering: float
     speed: float | None = None
@@ -107,24 +103,16 @@ def _speed(motion: MotionRequest) -> float:
 
 @dataclass(frozen=True)
 class MessageKind:
-    """Type of message used by other stacks to drive.
-
-    Attributes:
-        topic: usual topic, relative.
-        stamp: attribute path from the message to its stamp; "" if it has none.
-        fields: attribute paths from the message to its two numbers.
-        decode: converts these numbers to a motion, as `encode` does the other way.
-        needs_throttle: whether it carries a throttle instead of a speed.
-    """
+    """Type of message used by other stacks to drive."""
 
     package: str
     type_name: str
-    topic: str
-    stamp: str
-    fields: tuple[str, str]
-    decode: Callable[[float, float, Geometry], MotionRequest]
+    topic: str  # usual one, relative
+    stamp: str  # attribute path from the message to its stamp; "" if it has none
+    fields: tuple[str, str]  # attribute paths from the message to its two numbers
+    decode: Callable[[float, float, Geometry], MotionRequest]  # of these numbers
     encode: Callable[[MotionRequest, Geometry], tuple[float, float]]
-    needs_throttle: bool = False
+    needs_throttle: bool = False  # instead of a speed
 
     @property
     def message_class(self) -> Any:

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Collects driving data labelled by the autopilot (paper 3.2.1, 4.2.2): each road in both directions.
-
-The roads are random, or given, as the failed tests of a campaign, with the conditions of their tests.
-"""
+"""Collects driving data labelled by the autopilot (paper 3.2.1, 4.2.2): each road in both directions."""
 
 from __future__ import annotations
 
@@ -86,15 +83,10 @@ class GivenRoad(NamedTuple):
 
 
 def given_roads(file: Path, *, mutants: int, seed: int) -> list[GivenRoad]:
-    """Read roads, as `ds campaign roads --failed` writes them, and put mutants beside each, made as the search does.
+    """Read roads, as `ds campaign roads --failed` writes them, each followed by mutants, made as the search does.
 
-    Returns:
-        Each road followed by its mutants, under the conditions of its test; none twice under the same conditions.
-
-    Raises:
-        DatasetError: the file holds no road, or conditions that are not a text.
-        ds_road.RoadError: a road is invalid, or has no valid mutant.
-        ds_sim.conditions.model.ConditionsError: conditions cannot be.
+    They are under the conditions of their tests, none twice under the same. A file without roads is a DatasetError, an
+    invalid road or one without valid mutants a RoadError.
     """
     roads_by_id: dict[str, GivenRoad] = {}
     for index, raw in enumerate(read_raw_roads(file)):

@@ -224,11 +224,7 @@ def write_manifest(folder: Path, about: dict[str, object]) -> None:
 
 
 def translated_by(data: Path, names: Collection[str]) -> dict[str, str]:
-    """Return which generators translated a data set: simulator -> SHA-256; empty if its images are plain.
-
-    Raises:
-        DatasetError: some simulators' images are translated and others' are not, or a mark is damaged.
-    """
+    """Return which generators translated a data set: simulator -> SHA-256; empty if plain, a DatasetError if mixed."""
     recorded = imported_names(data)
     digests = ((name, _digest(data / name / IMPORTED)) for name in sorted(names) if name in recorded)
     translated = {name: digest for name, digest in digests if digest}
@@ -258,12 +254,7 @@ def _digest(mark: Path) -> str:
 
 
 def crops_of(data: Path, names: Iterable[str], *, trusted: Collection[str] = ()) -> dict[str, Crop]:
-    """Return the crop for each name in a data set: that of the simulator, or none for recordings.
-
-    Raises:
-        ds_sim.registry.UnknownSimulatorError: a name denotes neither a simulator nor recordings.
-        ds_sim.registry.UntrustedSimulatorError: a name denotes code that is neither shipped nor trusted.
-    """
+    """Return the crop for each name in a data set: that of the simulator, which is shipped or trusted, or none."""
     recorded = imported_names(data)
     return {
         name: Crop() if name in recorded else Crop.of(spec_of(received_simulator(name, confirmed=trusted)))

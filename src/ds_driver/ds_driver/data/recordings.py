@@ -306,13 +306,9 @@ class Imported:
 def import_recordings(
     recordings: list[Recording], out: Path, name: str, progress: Progress, left_out: LeftOut | None = None
 ) -> Imported:
-    """Write recordings into a data set under a name of their own, as images of (160, 320, 3) RGB.
+    """Write recordings into a data set under a name of their own, as images of (160, 320, 3) RGB, which stay uncropped.
 
-    Training does not crop them. Images that cannot be read are `left_out`; the first one is an error if that is None.
-
-    Raises:
-        DatasetError: the name is taken, an image is damaged, or nothing has a label.
-        ds_bags.layout.BagError: a recording is damaged.
+    Images that cannot be read are `left_out`; the first one is a DatasetError if that is None.
     """
     if name in simulators() or name != label_of(name) or not name.strip("."):
         raise DatasetError(

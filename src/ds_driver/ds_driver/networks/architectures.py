@@ -71,19 +71,12 @@ ELU, RELU, FLATTEN = Elementwise("Elu"), Elementwise("Relu"), Elementwise("Flatt
 
 @dataclass(frozen=True, slots=True)
 class Architecture:
-    """Network from an image, (n, 3, 160, 320) YUV in 0 to 255, to steering, (n, 1), -1 full left to +1 full right.
+    """Network from an image, (n, 3, 160, 320) YUV in 0 to 255, to steering, (n, 1), -1 full left to +1 full right."""
 
-    Attributes:
-        title: name in the literature; also the name of the ONNX graph.
-        features: layers that see the image, scaled to -1 to 1.
-        steering: layers after them.
-        initialise_for_relu: whether convolutions start with He's weights instead of PyTorch's default.
-    """
-
-    title: str
-    features: tuple[Layer, ...]
-    steering: tuple[Layer, ...]
-    initialise_for_relu: bool = False
+    title: str  # in the literature; also the name of the ONNX graph
+    features: tuple[Layer, ...]  # which see the image, scaled to -1 to 1
+    steering: tuple[Layer, ...]  # after them
+    initialise_for_relu: bool = False  # whether convolutions start with He's weights instead of PyTorch's default
 
     def layers(self) -> Iterator[tuple[str, Layer]]:
         """Yield all layers in order, each with the prefix of its tensors in a weights file."""

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs networks on one thread, with ONNX Runtime, OpenVINO or PyTorch (`torch_networks`), and names these backends.
-
-A driver's name may end in `@torch`, `@onnx`, `@openvino`, `@openvino-bf16`, or `@cuda` (PyTorch on a GPU):
-`dave2@openvino`. All compute in single precision except `openvino-bf16`.
-"""
+"""Runs networks on one thread, in single precision unless asked for bfloat16: ONNX Runtime, OpenVINO and PyTorch."""
 
 from __future__ import annotations
 
@@ -37,34 +33,21 @@ class BackendError(DriverError):
 
 @dataclass(frozen=True)
 class NetworkInput:
-    """Input of a network file.
-
-    Attributes:
-        name: "" if it has none.
-        shape: with None for a free size; None if the file does not state it.
-        type: NumPy name of its data type; "" if the file does not state it.
-    """
+    """Input of a network file; fields that the file does not state are empty."""
 
     name: str = ""
-    shape: tuple[int | None, ...] | None = None
-    type: str = ""
+    shape: tuple[int | None, ...] | None = None  # with None for a free size
+    type: str = ""  # NumPy's name
 
 
 @dataclass(frozen=True)
 class Runner:
-    """Loaded network.
-
-    Attributes:
-        compute: maps its inputs, in their order, to all outputs; with a batch of one, or up to `largest_batch`.
-        outputs: names of the outputs, if the file has any.
-        inputs: its inputs; () if the file does not state them.
-        largest_batch: images in one input for which each result has the bits that it has alone.
-    """
+    """Loaded network; `compute` maps its inputs, in their order, to all outputs, as far as the file states them."""
 
     compute: Callable[..., list[NDArray[np.float32]]]
-    outputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()  # names
     inputs: tuple[NetworkInput, ...] = ()
-    largest_batch: int = 1
+    largest_batch: int = 1  # images in one input for which each result has the bits that it has alone
 
 
 def default_backend() -> str:
@@ -85,12 +68,9 @@ def shape_and_type(*inputs: NDArray[Any]) -> str:
 
 
 def check_onnx(content: bytes, where: str) -> None:
-    """Refuse an ONNX file that is damaged or has external data.
+    """Refuse, by a BackendError, an ONNX file that is damaged or has external data.
 
-    Runtimes look for external data relative to the working directory, and the network's hash would not cover it.
-
-    Raises:
-        BackendError: not an ONNX graph, or one with external data.
+    Runtimes look for that relative to the working directory, and the network's hash would not cover it.
     """
     import onnx
     from google.protobuf.message import DecodeError, Message
@@ -115,11 +95,7 @@ def check_onnx(content: bytes, where: str) -> None:
 
 
 def onnx_runner(content: bytes, where: str) -> Runner:
-    """Run an ONNX graph with ONNX Runtime; check a foreign file with `check_onnx` first.
-
-    Raises:
-        BackendError: the file is damaged.
-    """
+    """Run an ONNX graph with ONNX Runtime, a foreign one after `check_onnx`; a BackendError if it cannot be loaded."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
@@ -157,10 +133,8 @@ def openvino_runner(
 ) -> Runner:
     """Run an ONNX, TensorFlow Lite or TorchScript file with `openvino` or `openvino-bf16`; check foreign ONNX first.
 
-    With `batches`, the network has one input and one output, and treats the images of a batch independently.
-
-    Raises:
-        BackendError: OpenVINO is not installed, cannot read the file, or the processor has no such arithmetic.
+    With `batches`, the network has one input and one output, and treats the images of a batch independently. Without
+    OpenVINO, the processor's bfloat16, or a file that it reads there is a BackendError.
     """
     try:
         import openvino

@@ -43,12 +43,7 @@ _Given = dict[int, tuple[GivenInput, tuple[int, ...]]]
 
 
 class DescribedNetworkPilot(Pilot):
-    """Drives with a network file on a backend, from the path of its description, or as `described` in its place.
-
-    Raises:
-        DriverError: the description or the file cannot be used.
-        BackendError: the backend cannot run the network.
-    """
+    """Drives with a network file as its description at `path` says, or `described` in its place; or a DriverError."""
 
     def __init__(
         self, path: Path, backend: str = "auto", device: str = "cpu", described: DescribedNetwork | None = None
@@ -261,10 +256,7 @@ class _RunMemory:
         }
 
     def inputs(self, pixels: NDArray[Any], place: int, speed: float) -> list[NDArray[Any]]:
-        """Remember the pixels of a frame, and return all inputs in order, of which the image is at `place`.
-
-        Before the first frame all images are like the first one.
-        """
+        """Remember the pixels of a frame, and return all inputs in order; the image is at `place`."""
         spec = self._spec
         self._images.append(pixels)
         back = [min(k * spec.stride, len(self._images) - 1) for k in range(spec.frames)]

@@ -38,34 +38,24 @@ class Rows(Keys, allow_inf_nan=False):
 
 
 PerChannel = float | Annotated[list[float], Field(min_length=3, max_length=3)]
+Shape = Annotated[list[Annotated[int, Field(ge=1, le=MOST_NUMBERS)]], Field(min_length=1, max_length=6)]
 
 
 class InputSpec(Keys, allow_inf_nan=False):
-    """Image that a network expects.
+    """Image that a network expects."""
 
-    Attributes:
-        size: rows and columns.
-        layout: channels before the rows, or after the columns.
-        crop: `simulator` crops as for the paper's networks, `none` not at all, or rows out of 160.
-        subtract: subtracted from pixel values (0 to 255), one number or one per channel.
-        divide: divisor applied after that, one number or one per channel.
-        frames: number of images that it sees at once; before the first one, all are like it.
-        stride: frames from one of them to the next.
-        stacked: as `channels` of one image, or over `time`, an axis of its own before the others.
-    """
-
-    size: tuple[Annotated[int, Field(ge=1, le=4096)], Annotated[int, Field(ge=1, le=4096)]]
+    size: tuple[Annotated[int, Field(ge=1, le=4096)], Annotated[int, Field(ge=1, le=4096)]]  # rows and columns
     colour: Literal["rgb", "bgr", "yuv", "grey"] = "rgb"
-    layout: Literal["nchw", "nhwc"] = "nchw"
-    crop: Literal["simulator", "none"] | Rows = "none"
+    layout: Literal["nchw", "nhwc"] = "nchw"  # channels before the rows, or after the columns
+    crop: Literal["simulator", "none"] | Rows = "none"  # `simulator`: as for the paper's networks
     resize: Literal["linear", "area", "nearest"] = "linear"
     type: Literal["float32", "uint8"] = "float32"
-    subtract: PerChannel = 0.0
-    divide: PerChannel = 1.0
-    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
-    stride: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    subtract: PerChannel = 0.0  # from pixel values, 0 to 255
+    divide: PerChannel = 1.0  # after that
+    frames: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1  # images seen at once; before the first, all are like it
+    stride: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1  # frames from one of them to the next
     order: Literal["oldest_first", "newest_first"] = "oldest_first"
-    stacked: Literal["channels", "time"] = "channels"
+    stacked: Literal["channels", "time"] = "channels"  # of one image, or over an axis of its own before the others
 
     @model_validator(mode="after")
     def _makes_sense(self) -> InputSpec:
@@ -96,27 +86,19 @@ class InputSpec(Keys, allow_inf_nan=False):
 class OutputSpec(Keys, allow_inf_nan=False):
     """Location and scaling of one value among the outputs.
 
-    Attributes:
-        output: name or position.
-        index: into the flattened output.
-        scale: factor on the value; negative to flip the sign.
-        offset: added after scaling.
-        bins: centres of the first and the last bin of an output of scores, without `index`; the value is the centre of
-            the bin with the highest one (Donkey Car's `linear_unbin`).
-        expectation: of bins whose scores are probabilities, take the expected value instead.
-        unit: of steering after scale and offset, right positive: a share of full steering, an angle of the wheels, or
-            the curvature of the arc in 1/m.
-        ratio: angle of a steering wheel per angle of the wheels, where the steering wheel's is given.
+    Of an output of scores for `bins` it is the centre of the bin with the highest one (Donkey Car's `linear_unbin`).
+    Steering after scale and offset, right positive, is a share of full steering, an angle of the wheels, or the
+    curvature of the arc in 1/m.
     """
 
-    output: Annotated[int, Field(ge=0)] | str = 0
-    index: Annotated[int, Field(ge=0)] = 0
+    output: Annotated[int, Field(ge=0)] | str = 0  # name or position
+    index: Annotated[int, Field(ge=0)] = 0  # into the flattened output
     scale: float = 1.0
-    offset: float = 0.0
-    bins: tuple[float, float] | None = None
-    expectation: bool = False
+    offset: float = 0.0  # added after scaling
+    bins: tuple[float, float] | None = None  # centres of the first and of the last
+    expectation: bool = False  # the expected value of bins whose scores are probabilities
     unit: Literal["share", "degrees", "radians", "curvature"] = "share"
-    ratio: Annotated[float, Field(gt=0.0)] = 1.0
+    ratio: Annotated[float, Field(gt=0.0)] = 1.0  # angle of a steering wheel, if that is given, per angle of the wheels
 
     @model_validator(mode="after")
     def _makes_sense(self) -> OutputSpec:
@@ -149,23 +131,16 @@ class OutputSpec(Keys, allow_inf_nan=False):
 class PathSpec(Keys, allow_inf_nan=False):
     """Points on the ground that a network wants to pass, or one; pure pursuit steers towards them.
 
-    Attributes:
-        output: name or position.
-        index: of the first number in the flattened output.
-        points: number of points, the nearest first, of two numbers that follow each other.
-        axes: directions of these two from the origin.
-        scale: m for each unit.
-        ahead: distance of the origin ahead of the middle of the rear axle, m.
-        lookahead: distance at which several points are pursued, m.
+    Each point, the nearest first, is two numbers that follow each other, in the directions of `axes` from the origin.
     """
 
-    output: Annotated[int, Field(ge=0)] | str = 0
-    index: Annotated[int, Field(ge=0)] = 0
+    output: Annotated[int, Field(ge=0)] | str = 0  # name or position
+    index: Annotated[int, Field(ge=0)] = 0  # of the first number in the flattened output
     points: Annotated[int, Field(ge=1, le=1024)] = 1
     axes: tuple[Literal["forward", "left", "right"], Literal["forward", "left", "right"]] = ("forward", "left")
-    scale: Annotated[float, Field(gt=0.0)] = 1.0
-    ahead: float = 0.0
-    lookahead: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None
+    scale: Annotated[float, Field(gt=0.0)] = 1.0  # m for each unit
+    ahead: float = 0.0  # distance of the origin ahead of the middle of the rear axle, m
+    lookahead: Annotated[float, Field(gt=0.0, le=1000.0)] | None = None  # where several points are pursued, m
 
     @model_validator(mode="after")
     def _makes_sense(self) -> PathSpec:
@@ -217,25 +192,18 @@ class Outputs(Keys, allow_inf_nan=False):
 class GivenInput(Keys, allow_inf_nan=False):
     """One input of a network beside the image; exactly one of `state`, `value` and `constant` says what it is.
 
-    Attributes:
-        state: name or position of the output that comes back in the next frame.
-        value: `speed` of the vehicle in m/s; or what the network answered in the `last` frames, the oldest first: its
-            `steering`, or its `commands`, pairs of steering and throttle (Donkey Car's `mem_in`).
-        constant: the same numbers in every frame, or one for all: a route's command, a behaviour, an IMU at rest.
-        start: every number of it before the first frame.
-        scale: factor on a speed.
-        shape: with a batch of one; needed for a state whose shape the file does not say.
+    A value is the speed of the vehicle in m/s; or what the network answered in the `last` frames, the oldest first: its
+    steering, or its commands, pairs of steering and throttle (Donkey Car's `mem_in`). A constant may be a route's
+    command, a behaviour, or an IMU at rest.
     """
 
-    state: Annotated[int, Field(ge=0)] | str | None = None
+    state: Annotated[int, Field(ge=0)] | str | None = None  # name or position of the output that comes back
     value: Literal["speed", "steering", "commands"] | None = None
     constant: float | Annotated[list[float], Field(min_length=1, max_length=1024)] | None = None
     last: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
-    start: float = 0.0
-    scale: float = 1.0
-    shape: Annotated[list[Annotated[int, Field(ge=1, le=MOST_NUMBERS)]], Field(min_length=1, max_length=6)] | None = (
-        None
-    )
+    start: float = 0.0  # every number of it before the first frame
+    scale: float = 1.0  # factor on a speed
+    shape: Shape | None = None  # with a batch of one; needed for a state whose shape the file does not say
 
     @model_validator(mode="after")
     def _makes_sense(self) -> GivenInput:
@@ -255,11 +223,7 @@ class GivenInput(Keys, allow_inf_nan=False):
         return self.value != "speed" and self.constant is None
 
     def shape_in(self, file: Sequence[int | None] | None) -> tuple[int, ...]:
-        """Return its shape: the described one, else the file's, whose free sizes are 1, else one row of numbers.
-
-        Raises:
-            ValueError: it cannot be known, is too large, or does not hold the values.
-        """
+        """Return the described shape, else the file's with 1 for free sizes, else a row; a ValueError if none fits."""
         numbers = None
         if self.value is not None:
             numbers = self.last * (2 if self.value == "commands" else 1)

@@ -108,10 +108,8 @@ def checked(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def rgb_of(data: Pixels, *, encoding: str, height: int, width: int, step: int, big_endian: bool = False) -> Pixels:
     """Convert the (n,) bytes of a `sensor_msgs/Image` to (height, width, 3) uint8 RGB; of 16 bits the upper 8.
 
-    Rows are `step` bytes apart, and without padding if that is 0.
-
-    Raises:
-        ImageError: the encoding is unknown, or the size does not match the data or the encoding.
+    Rows are `step` bytes apart, without padding if that is 0. An unknown encoding, or sizes that do not match the data
+    or the encoding, are an ImageError.
     """
     if encoding in _SIXTEEN_BITS:
         data = data[0 if big_endian else 1 :: 2]
@@ -149,11 +147,7 @@ def rgb_of_message(message: Any) -> Pixels:
 
 
 def rgb_of_file(data: bytes) -> Pixels:
-    """Decode a JPEG or PNG file to (height, width, 3) uint8 RGB.
-
-    Raises:
-        ImageError: the file is damaged, in another format, or has more than `MAX_PIXELS` pixels.
-    """
+    """Decode a JPEG or PNG to (height, width, 3) uint8 RGB; an ImageError if damaged, or of more than `MAX_PIXELS`."""
     size = _declared_size(data)
     if size is not None and size[0] * size[1] > MAX_PIXELS:
         raise ImageError(f"an image of {size[0]} x {size[1]} px: the limit is {MAX_PIXELS} pixels")
@@ -208,11 +202,8 @@ def part_for_network(width: int, height: int) -> tuple[slice, slice]:
 def fit_to_network(image: Pixels, rows: tuple[int, int] | None = None) -> Pixels:
     """Crop and resize an image, (rows, columns, 3) uint8 RGB, to (160, 320, 3).
 
-    `rows` are the first one to keep and the one after the last, from the top. Without them the aspect ratio is kept:
-    see `part_for_network`.
-
-    Raises:
-        ImageError: the image does not have these rows.
+    `rows` are the first one to keep and the one after the last, from the top; an ImageError if it does not have them.
+    Without them the aspect ratio is kept: see `part_for_network`.
     """
     height, width = image.shape[:2]
     if rows is not None:

@@ -79,10 +79,8 @@ class BuiltInPilot(Pilot):
 class UserClassPilot(Pilot):
     """Wraps a class without constructor arguments, with a method `drive(frame)` and, if it has state, `start()`.
 
-    `drive` takes a `Frame` and returns the steering, or a pair of steering and throttle.
-
-    Raises:
-        DriverError: the class cannot be imported or instantiated, or fails on a black image.
+    `drive` takes a `Frame` and returns the steering, or a pair of steering and throttle. A class that cannot be made,
+    or fails on a black image, is a DriverError.
     """
 
     def __init__(self, target: str) -> None:
@@ -255,11 +253,7 @@ def translation_of(driver: DriverName, simulator: str) -> Translation | None:
 
 
 def generators_of(driver: DriverName) -> GeneratorSet | None:
-    """Find the generators with which a driver translates images; None if it sees them as they are.
-
-    Raises:
-        ValueError: a DriverError if there are no such generators; or see `path_of_weights`.
-    """
+    """Find a driver's generators, None if it sees images as they are; a ValueError if there are no such files."""
     if driver.generators:
         return None if driver.generators == NO_GENERATORS else open_set(driver.generators)
     trained_with = generators_in(driver.network) if driver.has_weights else {}
@@ -304,10 +298,6 @@ def on_backend(driver: DriverName, backend: str = "") -> DriverName:
 
     One that names its back end, or has but one, stays as it is; `backend` is in place of `auto`, or "" for what that
     is here.
-
-    Examples:
-        >>> str(on_backend(DriverName("dave2"), "onnx")), str(on_backend(DriverName("autopilot")))
-        ('dave2@onnx', 'autopilot')
     """
     if driver.backend != "auto":
         return driver
@@ -321,10 +311,9 @@ def on_backend(driver: DriverName, backend: str = "") -> DriverName:
 
 
 def driver_sha256(driver: DriverName) -> str:
-    """Compute the SHA-256 over a driver's files: weights, description and network file, or the module of a class.
+    """Compute the SHA-256 of a driver's files: weights, description and network file, or a class's module; "" if none.
 
-    Generators that it names are part of it; those of a network's training are so by their digests in it. Without files
-    it is "".
+    Generators that it names are part of it; those of a network's training are so by their digests in it.
     """
     if not driver.has_files:
         return ""

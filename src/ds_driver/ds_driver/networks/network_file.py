@@ -106,12 +106,7 @@ def refuse_foreign(file: Path) -> None:
 
 
 def foreign(content: bytes, file: Path) -> str | None:
-    """Say what the content of a file is and how to convert it; None if it may run, or is unknown.
-
-    Examples:
-        >>> print((foreign(bytes.fromhex("894844460d0a1a0a"), Path("pilot.h5")) or "").partition(":")[0])
-        pilot.h5 holds weights alone in Keras's HDF5 format
-    """
+    """Say what the content of a file is and how to convert it; None if it may run, or is unknown."""
     if content.startswith(_HDF5):
         if b"model_config" in content:
             return _to_onnx(file, "is a whole Keras model in HDF5", f"--keras {file}")

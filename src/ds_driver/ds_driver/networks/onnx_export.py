@@ -87,10 +87,7 @@ class OnnxGraph:
     def file(
         self, name: str, argument: tuple[str, int, Sequence[Any]], result: tuple[str, int, Sequence[Any]]
     ) -> bytes:
-        """Return the content of an ONNX file; the last node computes the result.
-
-        `argument` and `result` are name, element type and shape of the input and of the output.
-        """
+        """Make an ONNX file, given name, element type and shape of the input, and of the result of the last node."""
         self._nodes[-1].output[0] = result[0]
         graph = helper.make_graph(
             self._nodes,

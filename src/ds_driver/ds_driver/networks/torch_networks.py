@@ -31,10 +31,7 @@ from ds_driver.networks.weights import Weights, metadata_of
 
 
 class DrivingNetwork(nn.Module):
-    """Network of an architecture, with random weights.
-
-    Input (n, 3, 160, 320) YUV in 0 to 255; output (n, 1), steering with -1 full left and +1 full right.
-    """
+    """Network of an `Architecture`, with random weights."""
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()

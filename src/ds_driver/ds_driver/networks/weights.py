@@ -111,12 +111,7 @@ def _read_metadata(metadata: dict[str, str]) -> tuple[str, dict[str, str]]:
 
 
 def path_of_weights(name_or_path: str) -> Path:
-    """Return the weights file of a name or path.
-
-    Raises:
-        WeightsError: the file is missing or too large.
-        UnknownNetworkError: neither a known name nor the path of a weights file.
-    """
+    """Return the weights file of a name or path; a WeightsError or UnknownNetworkError if it cannot be read as one."""
     path = Path(name_or_path)
     if name_or_path in APART and name_or_path not in shipped_networks() and wheel_version() is not None:
         raise WeightsError(f"{name_or_path} is one of the large networks: {install_command('networks')}")

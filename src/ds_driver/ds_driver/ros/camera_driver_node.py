@@ -35,13 +35,10 @@ CAMERA_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 
 class CommandOutput:
-    """Publishes commands as `DriveCommand`, or as another stack's message, of `OUTPUTS`.
+    """Publishes commands as `DriveCommand`, or as another stack's message, of `OUTPUTS`; a ValueError if it cannot.
 
     Messages with a speed carry, in place of a throttle, the speed at which the paper's equation 2 gives throttle 0:
     `max_speed` times the square root of 1 - steering^2.
-
-    Raises:
-        ValueError: the geometry is missing where it is needed, or the package of the message is not installed.
     """
 
     def __init__(self, node: Node, output: str, geometry: Geometry | None, max_speed: float) -> None:

@@ -67,11 +67,7 @@ class Window:
 
 
 def generator_input(image: NDArray[np.uint8], window: Window, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Cut a window out of an image, (rows, columns, 3) uint8 RGB, and resize it to `size`, rows and columns.
-
-    Raises:
-        Sim2RealError: the image does not have the window, or is not uint8 RGB.
-    """
+    """Cut a window out of an image, (rows, columns, 3) uint8 RGB, and resize it to `size`, rows and columns."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3:
         raise Sim2RealError(f"image of shape {image.shape} and type {image.dtype}, expected (rows, columns, 3) uint8")
     if window.bottom > image.shape[0] or window.right > image.shape[1]:

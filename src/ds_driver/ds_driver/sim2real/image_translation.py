@@ -121,11 +121,7 @@ class GeneratorSet:
 
 
 def open_set(name: str) -> GeneratorSet:
-    """Open a shipped set of generators by name, or a folder with a file `SIMULATOR.safetensors` for each simulator.
-
-    Raises:
-        DriverError: there is no such set.
-    """
+    """Open a shipped set by name, or a folder with a `SIMULATOR.safetensors` for each; or a DriverError."""
     sets = shipped_sets()
     files = _files_in(sets.get(name, Path(name)))
     if not files:
@@ -177,20 +173,11 @@ class ImageTranslation:
         self._translator = cache(lambda simulator: Translator(generators.generator(simulator), backend, device))
 
     def translate(self, image: NDArray[np.uint8], simulator: str) -> NDArray[np.uint8]:
-        """Translate one camera image, (160, 320, 3) uint8 RGB; the result is not to be cropped.
-
-        Raises:
-            ds_driver.networks.images.ImageError: the image has another size or type.
-            DriverError: there is no generator for the simulator.
-        """
+        """Translate one camera image, (160, 320, 3) uint8 RGB, which is not to be cropped then; or a ValueError."""
         return self._translator(simulator).translate(checked(image))
 
     def seen(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Return frames as the network sees them, with the bits of `translate`; frames of one simulator in one batch.
-
-        Raises:
-            DriverError: a frame does not name its simulator, or as in `translate`.
-        """
+        """Return frames as the network sees them, with the bits of `translate`; those of one simulator in one batch."""
         places = defaultdict[str, list[int]](list)
         for index, frame in enumerate(frames):
             if frame.simulator is None:

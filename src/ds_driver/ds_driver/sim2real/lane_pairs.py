@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pairs simulated images with photographs that show the lane alike, so that a generator gains nothing by moving lines.
+"""Pairs simulated images with photographs that show the lane alike, and aligns these row by row.
 
 CycleGAN gives translated images the distribution of the photographs, also in where the lines are: where simulated roads
-are straight and the real track is not, it bends lines. So photographs are paired with simulated images of the same lane
-and aligned row by row: then a discriminator learns nothing from where lines are.
+are straight and the real track is not, it would bend lines.
 """
 
 from __future__ import annotations
@@ -40,20 +39,12 @@ STRETCH = 1.5
 
 @dataclass(frozen=True, kw_only=True)
 class LanePairs:
-    """Photographs for each simulated image.
+    """Photographs for each simulated image; `apart` is the median distance of lines, in widths of the picture."""
 
-    Attributes:
-        simulated: (n,) indices of the simulated images that show both lines.
-        photographs: (n, `NEIGHBOURS` or fewer) indices of the photographs whose lane is nearest.
-        simulated_lanes: (n, 2 * heights) from `lane_shapes`.
-        photographed_lanes: (m, 2 * heights) of all photographs; NaN of those that do not show both lines.
-        apart: median of the images' root mean square distance of lines to the photographs', in widths of the picture.
-    """
-
-    simulated: NDArray[np.int64]
-    photographs: NDArray[np.int64]
-    simulated_lanes: NDArray[np.float64]
-    photographed_lanes: NDArray[np.float64]
+    simulated: NDArray[np.int64]  # (n,) indices of the simulated images that show both lines
+    photographs: NDArray[np.int64]  # (n, `NEIGHBOURS` or fewer) indices of the photographs whose lane is nearest
+    simulated_lanes: NDArray[np.float64]  # (n, 2 * heights) from `lane_shapes`
+    photographed_lanes: NDArray[np.float64]  # (m, 2 * heights) of all photographs; NaN if they do not show both lines
     apart: float
 
     @property
@@ -71,9 +62,7 @@ class LanePairs:
 def lane_shapes(images: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Measure the columns of both lines at `HEIGHTS` in images for a generator, (n, rows, columns, 3) uint8 RGB.
 
-    Returns:
-        (n, 2 * heights) in widths of the picture, first of the yellow line, then of the white one; NaN in images that
-        do not show both.
+    They are (n, 2 * heights), in widths of the picture, the yellow line first; NaN in images that do not show both.
     """
     shapes = [_lane_shape(lane_borders(find_lines(image)), image.shape[1]) for image in images]
     return np.stack(shapes) if shapes else np.empty((0, 2 * len(HEIGHTS)))

@@ -6,7 +6,7 @@ Nothing here is trained, so it cannot learn the mistakes of a generator; `docs/s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import cv2
@@ -132,21 +132,14 @@ class LanePosition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaneView:
-    """Lines of the lane in the images of one camera, in the median over the images: column = slope * row + start, px.
+    """Lines of the lane in the median over images of one camera: column = slope * row + start, px."""
 
-    Attributes:
-        yellow: slope and start of the line to the left of the lane, as `white` to its right.
-        share: of the images that show both.
-        rows: of the images, as `columns`.
-        medians: (rows, 2) columns of both lines without a straight line through them; NaN where they are seldom seen.
-    """
-
-    yellow: tuple[float, float]
+    yellow: tuple[float, float]  # slope and start of the line to the left of the lane, as `white` to its right
     white: tuple[float, float]
-    share: float
-    rows: int
+    share: float  # of the images that show both
+    rows: int  # of the images, as `columns`
     columns: int
-    medians: NDArray[np.float64] = field(compare=False, repr=False)
+    medians: NDArray[np.float64]  # (rows, 2) columns of both lines, not straightened; NaN where they are seldom seen
 
     @property
     def horizon(self) -> float:
@@ -188,11 +181,7 @@ def evenly(count: int, limit: int) -> NDArray[np.int64]:
 
 
 def measure_lane(images: NDArray[np.uint8], what: str) -> LaneView:
-    """Measure where images, (n, rows, columns, 3) uint8 RGB, show the lane; `what` names them in messages.
-
-    Raises:
-        Sim2RealError: the images show nothing like a road.
-    """
+    """Measure where images, (n, rows, columns, 3) uint8 RGB and called `what`, show the lane; or a Sim2RealError."""
     borders = np.stack([lane_borders(find_lines(images[i])) for i in evenly(len(images), SAMPLE)])
     borders[:, : round(LOOKED_AT * images.shape[1])] = np.nan
     share = float((np.isfinite(borders).all(axis=2).sum(axis=1) >= LEAST_ROWS).mean())
@@ -236,17 +225,12 @@ def _fit(columns: NDArray[np.float64], row_medians: NDArray[np.float64]) -> tupl
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Match:
-    """Crops of simulated and real images that show the lane alike.
-
-    Attributes:
-        kept: share of the simulator's view that is left.
-        difference: of the measured lines, see `lane_difference`; compare it with `BOUND`.
-    """
+    """Crops of simulated and real images that show the lane alike."""
 
     simulated: Window
     real: Window
-    kept: float
-    difference: float
+    kept: float  # share of the simulator's view that is left
+    difference: float  # of the measured lines, see `lane_difference`; compare it with `BOUND`
 
 
 def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
@@ -254,10 +238,7 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
 
     For each top and bottom row in the photographs, least squares over `HEIGHTS` give the left and right border. What
     lies outside the photographs is cut off in both domains. Of the crops that differ by at most half of `BOUND` the
-    largest is used, or else the one that differs least.
-
-    Raises:
-        Sim2RealError: no crop shows the lane alike.
+    largest is used, or else the one that differs least; a Sim2RealError if there is none.
     """
     wanted = simulated.medians_in(window)
     best: Match | None = None

@@ -169,11 +169,7 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
 def simulated_frames(
     simulator: SimulatorName, settings: Sim2RealSettings, file: Path, progress: Progress
 ) -> tuple[Images, Images]:
-    """Drive the roads, or read the `.npz` of an earlier call; a Sim2RealError if damaged or of other settings.
-
-    Returns:
-        Images of the roads for training, and of those that are held out, (n, 160, 320, 3) uint8 RGB.
-    """
+    """Drive the roads, or read the `.npz` of an earlier call; return images for training, and of held-out roads."""
     relevant = {name: getattr(settings, name) for name in ("roads", "seed", "road_seed", "every", "longest")}
     identity = json.dumps({"simulator": simulator, **relevant})
     roads = sim2real_roads(settings)
@@ -221,15 +217,7 @@ def _drive(name: str, settings: Sim2RealSettings, roads: tuple[Road, ...], index
 
 
 def read_photographs(source: Path, limit: int) -> NDArray[np.uint8]:
-    """Read photographs in their order, files in that of their names, evenly chosen if there are more than `limit`.
-
-    Returns:
-        (n, rows, columns, 3) uint8 RGB.
-
-    Raises:
-        Sim2RealError: there are too few, one is damaged, or they differ in size.
-        ds_bags.layout.BagError: the tub or bag is damaged.
-    """
+    """Read photographs in their order, files in that of their names, evenly chosen if there are more than `limit`."""
     images: list[NDArray[np.uint8]] = []
     for name, image in _read_images(source, limit):
         if image.shape[1] > LARGEST_WIDTH:

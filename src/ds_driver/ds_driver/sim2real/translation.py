@@ -37,14 +37,8 @@ def translate(
 ) -> int:
     """Translate a data set, bag or tub of simulated drives; what is there already is kept, so a stopped one continues.
 
-    Returns:
-        Number of translated drives of a data set, for which `workers` processes work, as many as there are processors
-        if None, and with 1 only this one; or of images of a bag or tub. `progress` counts the same.
-
-    Raises:
-        Sim2RealError: there is nothing to translate, or `out` holds translations by another generator.
-        ds_driver.data.dataset.DatasetError: a file of the data set is damaged.
-        ds_bags.donkey_tub.TubError: the tub is damaged.
+    Returns the number of translated drives of a data set, for which `workers` processes work, as many as there are
+    processors if None, and with 1 only this one; or of images of a bag or tub. `progress` counts the same.
     """
     if source.resolve() == out.resolve():
         raise Sim2RealError(f"{out} is the folder to read from: choose another --out")
