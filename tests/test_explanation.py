@@ -28,7 +28,7 @@ from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import BULLET, SOFTBODY, SimulatorName, make_simulator
 from ds_sim.simulator import Outcome
 from ds_studies.explanation import Explanation, experiment_on, shapley, subsets
-from ds_studies.sensitivity.measurement import candidate_roads
+from ds_studies.sensitivity import candidate_roads
 
 PARTS = ("camera", "look", "vehicle", "delays")
 

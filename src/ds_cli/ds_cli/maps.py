@@ -140,8 +140,8 @@ def maps_command(
 
     data = None
     if is_study(folder):
-        from ds_analysis.outcomes.maps import maps_of_study
         from ds_analysis.outcomes.study import read_study
+        from ds_analysis.outcomes.study_results import maps_of_study
 
         named = None if axes is None else [one.strip() for one in axes.split(",")]
         every = maps_of_study(read_study(folder), named)

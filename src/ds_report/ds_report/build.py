@@ -29,6 +29,7 @@ from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
 from ds_orchestrator.store.store import Store, seconds_of
+from ds_report import sections
 from ds_report.camera_pictures import (
     CAMERA_PLACE,
     REPLAY_PICTURES,
@@ -45,16 +46,6 @@ from ds_report.heatmap import write_maps
 from ds_report.page_data import page_data
 from ds_report.pages import write_page
 from ds_report.plotly_figures import correlation_chart, density_chart, layouts
-from ds_report.sections import (
-    AnswerSection,
-    FailureSection,
-    FurtherMap,
-    SiblingSection,
-    answer_section,
-    failure_section,
-    further_map,
-    sibling_section,
-)
 from ds_sim.registry import UntrustedSimulatorError, label_of, received_simulator
 from ds_sim.simulator import Outcome
 
@@ -108,13 +99,13 @@ def write_all(
         out, further = folder / "maps" / "_by_".join(axes), maps_of(data, features=axes)
         write_maps(further, out)
         write_json(out / "maps.json", to_json(further))
-        further_maps.append(further_map(axes, further))
+        further_maps.append(sections.further_map(axes, further))
     store.set_result("maps", count)
     mapped = time.monotonic()
     listener.stage("evaluation")
     correlations, differences, tables = evaluate_campaign(data.config, maps)
     write_json(folder / CORRELATIONS, [one.document() for one in correlations])
-    siblings = sibling_section(data)
+    siblings = sections.sibling_section(data)
     excluded = [excluded_table(data)] if data.excluded else []
     write_tables([*tables, *(siblings.tables if siblings else ()), *excluded], folder / "evaluation")
     store.set_result("evaluation", count)
@@ -134,8 +125,8 @@ def write_all(
         tables=[*of_rq1, *tables],
         network=network_of(data.config.driver),
         siblings=siblings,
-        answer=answer_section(folder, data),
-        failures=failure_section(data),
+        answer=sections.answer_section(folder, data),
+        failures=sections.failure_section(data),
         further_maps=further_maps,
         trusted=trusted,
     )
@@ -159,10 +150,10 @@ def write_report(
     paired_differences: Sequence[PairedDifference] = (),
     tables: Sequence[Table] = (),
     network: Network | None = None,
-    siblings: SiblingSection | None = None,
-    answer: AnswerSection | None = None,
-    failures: FailureSection | None = None,
-    further_maps: Sequence[FurtherMap] = (),
+    siblings: sections.SiblingSection | None = None,
+    answer: sections.AnswerSection | None = None,
+    failures: sections.FailureSection | None = None,
+    further_maps: Sequence[sections.FurtherMap] = (),
     trusted: Collection[str] = (),
 ) -> Path:
     """Write `report.html`, with the paper's numbers of a network, and return its path.

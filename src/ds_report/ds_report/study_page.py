@@ -11,8 +11,8 @@ import numpy as np
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.selection import SEED, choose_split
 from ds_analysis.failures import nesting
-from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import Study
+from ds_analysis.outcomes.study_results import maps_of_study
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables

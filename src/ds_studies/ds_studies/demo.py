@@ -30,7 +30,7 @@ from ds_sim.registry import SimulatorName, make_simulator, with_libraries
 from ds_sim.session import RunRecord, resimulate
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
-from ds_studies.sensitivity.analysis import Watch, analyse_sensitivity
+from ds_studies.sensitivity import Watch, analyse_sensitivity
 
 DRIVER = DriverName("dave2")
 TWIN = SimulatorName("donkey")

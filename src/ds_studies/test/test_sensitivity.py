@@ -34,8 +34,8 @@ from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName
 from ds_sim.session import NO_IMAGE, RunRecord
 from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
-from ds_studies.sensitivity import analysis, measurement
-from ds_studies.sensitivity.measurement import (
+from ds_studies import sensitivity
+from ds_studies.sensitivity import (
     GATE,
     MOST_SEGMENTS,
     TESTED,
@@ -97,7 +97,7 @@ def test_on_a_road_that_is_not_monotone_failing_begins_at_the_result() -> None:
             assert found.completes == 0 or not fails[found.completes]
 
 
-def made_up(driver: list[float], gate: float = math.inf) -> measurement.Fails:
+def made_up(driver: list[float], gate: float = math.inf) -> sensitivity.Fails:
     """A driver that fails from another steering lag on each road, and a lag from which it cannot be judged."""
     return lambda who, road, conditions: conditions.steering_lag >= (driver[road] if who == TESTED else gate)
 
@@ -165,7 +165,7 @@ def test_gates_judge_failures_alone() -> None:
     (contrast,) = factors_named(["line_contrast"])
     driven: list[tuple[str, float]] = []
 
-    def drivers(tested: float, visible: float) -> measurement.Fails:
+    def drivers(tested: float, visible: float) -> sensitivity.Fails:
         def fails(who: str, _road: int, conditions: Conditions) -> bool:
             driven.append((who, conditions.line_contrast))
             return conditions.line_contrast < {TESTED: tested, GATE: visible}[who]
@@ -240,7 +240,7 @@ def engines(monkeypatch: pytest.MonkeyPatch) -> list[MadeUpEngine]:
     """Engines to be used, one after the other."""
     engines: list[MadeUpEngine] = []
     monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engines.pop(0)))
-    monkeypatch.setattr(analysis, "preflight", lambda settings: None)
+    monkeypatch.setattr(sensitivity, "preflight", lambda settings: None)
     monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: str(driver))
     return engines
 
@@ -249,13 +249,13 @@ def test_an_analysis_goes_on_where_it_stopped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engines: list[MadeUpEngine]
 ) -> None:
     realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "panda": ("steering_lag",)}
-    monkeypatch.setattr(analysis, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
+    monkeypatch.setattr(sensitivity, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
     factors = factors_named(["line_contrast", "steering_lag"])
 
     def once() -> tuple[Sensitivity, MadeUpEngine]:
         engine = MadeUpEngine()
         engines.append(engine)
-        found = analysis.analyse_sensitivity(
+        found = sensitivity.analyse_sensitivity(
             DriveSettings(
                 siblings=(BULLET, SimulatorName(SOFTBODY), SimulatorName(PANDA)),
                 driver=DriverName.parse("dave2"),
@@ -284,7 +284,7 @@ def test_an_analysis_goes_on_where_it_stopped(
 
 def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
     engines.append(MadeUpEngine(fails_by_default=True))
-    found = analysis.analyse_sensitivity(
+    found = sensitivity.analyse_sensitivity(
         DriveSettings(siblings=(BULLET,), driver=DriverName("dave2")), [LAG], roads=1, seed=1
     )
     assert found.thresholds[0, "bullet"].text == "fails by default"
@@ -296,7 +296,7 @@ def test_thresholds_of_translated_images_say_what_they_are_not(
     driver: str, translated: bool, engines: list[MadeUpEngine]
 ) -> None:
     engines.append(MadeUpEngine())
-    found = analysis.analyse_sensitivity(
+    found = sensitivity.analyse_sensitivity(
         DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver)), [LAG], roads=1, seed=1
     )
     assert found.document()["translated_images"] == translated

@@ -8,12 +8,9 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import trapezoid
-from scipy.stats import DegenerateDataWarning, NearConstantInputWarning, bootstrap, pearsonr
+from scipy.stats import DegenerateDataWarning, bootstrap
 
 from ds_base.intervals import LEVEL
-from ds_orchestrator.maps.feature_map import FeatureMap
-from ds_orchestrator.search.features import Cell
 from ds_road import Road
 from ds_road.generation import GENES
 
@@ -28,9 +25,6 @@ RESAMPLES = 1000
 NO_WIDTH = 1e-9
 """Width below which an interval is a single point; chosen: far above rounding errors, far below the digits shown."""
 
-FEWEST_CELLS = 3
-"""Cells needed for r; with two, every r is 1 or -1."""
-
 FEWEST_OF_EACH_KIND = 10
 """Cells in which the twin fails, and cells in which it does not, that a conclusion needs: ten events per predictor, as
 with fewer, estimates are biased and intervals too narrow (Peduzzi et al., J. Clin. Epidemiol. 1996, 49(12))."""
@@ -44,36 +38,6 @@ def caution_of(cells: int, failing: int) -> str:
         f"the twin fails in {failing} of {cells} cells; a conclusion needs {FEWEST_OF_EACH_KIND} cells that fail and "
         f"{FEWEST_OF_EACH_KIND} that do not"
     )
-
-
-def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
-    values = [getattr(m.cells[cell], value) for cell in cells]
-    return np.array([np.nan if v is None else v for v in values], np.float64)
-
-
-def values_over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
-    """Collect a value of several maps, then the failure probability of another, over the cells that all fill."""
-    cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))
-    predicted, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
-    in_all = ~np.isnan(predicted).any(axis=0)
-    return tuple(values[in_all] for values in (*predicted, against))
-
-
-def pearson_or_reason(predicted: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
-    """Compute r and p, or the reason why they are undefined."""
-    reason = ""
-    if len(predicted) < FEWEST_CELLS:
-        reason = f"{len(predicted)} cells in common, expected {FEWEST_CELLS} or more"
-    elif np.ptp(truth) == 0:
-        reason = f"the twin's failure probability is {truth[0]:g} in every cell"
-    elif np.ptp(predicted) == 0:
-        reason = f"the map's {value.replace('_', ' ')} is {predicted[0]:g} in every cell"
-    if reason:
-        return None, None, reason
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NearConstantInputWarning)
-        result = pearsonr(predicted, truth)
-    return float(result.statistic), float(result.pvalue), ""
 
 
 def has_both_outcomes(truth: Array) -> bool:
@@ -102,29 +66,6 @@ def auc_prc(predicted: Array, truth: Array) -> float:
     hits = np.cumsum(truth[order] > 0.0)[ends].astype(np.float64)
     recall = np.append((hits / hits[-1])[::-1], 0.0)
     return max(0.0, -float(np.sum(np.diff(recall) * (hits / (ends + 1.0))[::-1])))
-
-
-def auc_roc(predicted: Array, truth: Array) -> float:
-    """Compute the area under the receiver operating characteristic; same bits as `sklearn.metrics.roc_auc_score`."""
-    hits, misses = _counts(predicted, truth)
-    if len(hits) > 2:
-        corners = np.pad((np.diff(misses, 2) != 0.0) | (np.diff(hits, 2) != 0.0), 1, constant_values=True)
-        hits, misses = hits[corners], misses[corners]
-    return float(trapezoid(np.append(0.0, hits / hits[-1]), np.append(0.0, misses / misses[-1])))
-
-
-def auc_prc_by_trapezoids(predicted: Array, truth: Array) -> float:
-    """Compute the AUC-PRC by the trapezoidal rule, which interpolates between points and so is optimistic."""
-    hits, misses = _counts(predicted, truth)
-    precision, recall = hits / (hits + misses), hits / hits[-1]
-    return -float(trapezoid(np.append(precision[::-1], 1.0), np.append(recall[::-1], 0.0)))
-
-
-def _counts(predicted: Array, truth: Array) -> tuple[Array, Array]:
-    """Failures, and other cells, among the cells with the largest predictions, for each number that is told apart."""
-    order, ends = ranks(predicted)
-    hits = np.cumsum(truth[order] > 0.0)[ends].astype(np.float64)
-    return hits, ends + 1.0 - hits
 
 
 def r_or_nan(predicted: Array, truth: Array) -> float:

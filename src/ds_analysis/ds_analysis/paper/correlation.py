@@ -3,34 +3,90 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations, product
 from typing import Any, Literal
 
 import numpy as np
+from scipy.integrate import trapezoid
+from scipy.stats import NearConstantInputWarning, pearsonr
 
 from ds_analysis.common.statistics import (
     RESAMPLES,
     Array,
     auc_prc,
-    auc_prc_by_trapezoids,
     auc_prc_or_nan,
     auc_prc_or_reason,
-    auc_roc,
     bootstrap_interval,
     caution_of,
     has_both_outcomes,
-    pearson_or_reason,
     r_or_nan,
-    values_over_shared_cells,
+    ranks,
 )
 from ds_orchestrator.maps.algebra import OPERATORS, merge
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId
+from ds_orchestrator.search.features import Cell
 from ds_sim.registry import SimulatorName
 
 QUESTIONS: tuple[Literal["probability", "quality_loss"], ...] = ("probability", "quality_loss")
 """RQ2 and RQ3: values of the siblings' maps that are compared with the twin's failure probability."""
+FEWEST_CELLS = 3
+"""Cells needed for r; with two, every r is 1 or -1."""
+
+
+def _values(m: FeatureMap, cells: Sequence[Cell], value: str) -> Array:
+    values = [getattr(m.cells[cell], value) for cell in cells]
+    return np.array([np.nan if v is None else v for v in values], np.float64)
+
+
+def values_over_shared_cells(maps: Sequence[FeatureMap], truth: FeatureMap, value: str) -> tuple[Array, ...]:
+    """Collect a value of several maps, then the failure probability of another, over the cells that all fill."""
+    cells = sorted(set(truth.cells).intersection(*(m.cells for m in maps)))
+    predicted, against = [_values(m, cells, value) for m in maps], _values(truth, cells, "probability")
+    in_all = ~np.isnan(predicted).any(axis=0)
+    return tuple(values[in_all] for values in (*predicted, against))
+
+
+def pearson_or_reason(predicted: Array, truth: Array, value: str) -> tuple[float | None, float | None, str]:
+    """Compute r and p, or the reason why they are undefined."""
+    reason = ""
+    if len(predicted) < FEWEST_CELLS:
+        reason = f"{len(predicted)} cells in common, expected {FEWEST_CELLS} or more"
+    elif np.ptp(truth) == 0:
+        reason = f"the twin's failure probability is {truth[0]:g} in every cell"
+    elif np.ptp(predicted) == 0:
+        reason = f"the map's {value.replace('_', ' ')} is {predicted[0]:g} in every cell"
+    if reason:
+        return None, None, reason
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NearConstantInputWarning)
+        result = pearsonr(predicted, truth)
+    return float(result.statistic), float(result.pvalue), ""
+
+
+def auc_roc(predicted: Array, truth: Array) -> float:
+    """Compute the area under the receiver operating characteristic; same bits as `sklearn.metrics.roc_auc_score`."""
+    hits, misses = _counts(predicted, truth)
+    if len(hits) > 2:
+        corners = np.pad((np.diff(misses, 2) != 0.0) | (np.diff(hits, 2) != 0.0), 1, constant_values=True)
+        hits, misses = hits[corners], misses[corners]
+    return float(trapezoid(np.append(0.0, hits / hits[-1]), np.append(0.0, misses / misses[-1])))
+
+
+def auc_prc_by_trapezoids(predicted: Array, truth: Array) -> float:
+    """Compute the AUC-PRC by the trapezoidal rule, which interpolates between points and so is optimistic."""
+    hits, misses = _counts(predicted, truth)
+    precision, recall = hits / (hits + misses), hits / hits[-1]
+    return -float(trapezoid(np.append(precision[::-1], 1.0), np.append(recall[::-1], 0.0)))
+
+
+def _counts(predicted: Array, truth: Array) -> tuple[Array, Array]:
+    """Failures, and other cells, among the cells with the largest predictions, for each number that is told apart."""
+    order, ends = ranks(predicted)
+    hits = np.cumsum(truth[order] > 0.0)[ends].astype(np.float64)
+    return hits, ends + 1.0 - hits
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -66,7 +66,7 @@ class OpenLoopError(InputError):
 
 def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | None = None) -> OpenLoopAnswers:
     """Evaluate a driver on all images of a recording, or the first ones; `BagError` if it is damaged or has none."""
-    rows: list[tuple[int, float, float, float]] = []
+    rows: list[tuple[int, float, float | None, float | None]] = []
     trouble: list[str] = []
     worst: list[tuple[RecordedFrame, float]] = []
     images = 0
@@ -78,10 +78,10 @@ def evaluate_recording(recording: Recording, answer: Answer, *, limit: int | Non
             trouble.append(frame.trouble)
             continue
         value = answer(frame, recording.crop)
-        rows.append((frame.index, frame.seconds, _number(frame.steering), _number(value)))
+        rows.append((frame.index, frame.seconds, frame.steering, value))
         if value is not None and frame.steering is not None:
             worst = _with(worst, (frame, value))
-    table = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    table = np.array(rows, dtype=np.float64).reshape(-1, 4)  # None is NaN
     return OpenLoopAnswers(
         name=recording.path.resolve().name,
         group=recording.group,
@@ -103,10 +103,6 @@ def _with(
     if any(_by_error(pair) <= _by_error(new) for pair in near):
         return worst
     return sorted([pair for pair in worst if all(pair is not other for other in near)] + [new], key=_by_error)[:WORST]
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
 
 
 def _by_error(pair: tuple[RecordedFrame, float]) -> float:

@@ -13,8 +13,8 @@ import pytest
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.known_before import ImportNotes
-from ds_analysis.outcomes.maps import maps_of_study
 from ds_analysis.outcomes.study import Study, import_outcomes, read_frame, read_study, write_rows, write_study
+from ds_analysis.outcomes.study_results import maps_of_study
 from ds_base.left_out import LeftOut
 from ds_orchestrator.maps.feature_map import MapId
 from ds_sim import SimulatorName

@@ -15,9 +15,9 @@ from ds_analysis.comparison.analysis import answer_of
 from ds_analysis.comparison.tables import document_of, drive_table, markdown_of
 from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.known_before import ImportNotes
-from ds_analysis.outcomes.pairs import compare_studies
 from ds_analysis.outcomes.sbft import read_competition
 from ds_analysis.outcomes.study import import_outcomes, write_study
+from ds_analysis.outcomes.study_results import compare_studies
 from ds_base.left_out import LeftOut
 
 

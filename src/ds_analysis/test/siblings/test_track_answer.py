@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 from made_executions import made_execution
 
-from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.store.model import Execution
+from ds_report.recording_pages import TrackAnswer
 from ds_road import Road
 from ds_sim import DONKEY, SimulatorName
 from ds_sim.simulator import Outcome

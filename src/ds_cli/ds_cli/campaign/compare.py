@@ -251,7 +251,7 @@ def campaign_compare_command(
     """
     from ds_analysis.common.outcome_table import is_study
     from ds_analysis.comparison.paired_drives import ComparisonError
-    from ds_analysis.outcomes.pairs import compare_studies
+    from ds_analysis.outcomes.study_results import compare_studies
     from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Callbacks

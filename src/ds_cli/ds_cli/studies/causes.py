@@ -67,7 +67,7 @@ def sensitivity_command(
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_report.sensitivity_page import SensitivityPage, draw_sensitivity
     from ds_sim.camera.encodings import png
-    from ds_studies.sensitivity.analysis import analyse_sensitivity
+    from ds_studies.sensitivity import analyse_sensitivity
 
     network = options.driver_named(driver, backend)
     names = options.every_or_named(sims)

@@ -26,17 +26,16 @@ def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_pat
         section = failure_section(data)
     assert section is not None
     failed = {(e.test_id, e.simulator) for e in data.executions if e.outcome.is_failure}
-    sizes = [group.failures for group in section.groups]
+    sizes = [failures for failures, *_ in section.groups]
     assert sum(sizes) == len(failed) and sizes == sorted(sizes, reverse=True)
     assert f"{sizes[0]} of {len(failed)} failures" in section.sentences[0]
-    for group in section.groups:
-        assert (group.worst.test_id, group.worst.simulator) in failed
-        assert sum(int(words.split()[0]) for words in group.where.split(", ")) == group.failures
-        assert "-".join(map(str, data.cells[group.worst.test_id])) in group.address
+    for failures, where, worst, address in section.groups:
+        assert (worst.test_id, worst.simulator) in failed
+        assert sum(int(words.split()[0]) for words in where.split(", ")) == failures
+        assert "-".join(map(str, data.cells[worst.test_id])) in address
     html = render("failures.html.j2", failures=section)
-    assert re.findall(r'href="#cell=[-\d]+&amp;test=([^"]+)"', html) == [
-        group.worst.test_id for group in section.groups
-    ]
+    linked = re.findall(r'href="#cell=[-\d]+&amp;test=([^"]+)"', html)
+    assert linked == [worst.test_id for _, _, worst, _ in section.groups]
 
 
 @pytest.mark.parametrize(("wide", "said"), [(14, "Most often (14 of 16 failures), the driver wide."), (9, "No way of")])

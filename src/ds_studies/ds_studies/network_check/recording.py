@@ -109,7 +109,7 @@ def record(
 
     A network with memory is asked about `whole` pieces of drives. `SimulatorError` if a drive ended in an error.
     """
-    from ds_studies.sensitivity.measurement import candidate_roads  # its libraries take a worker longer than a drive
+    from ds_studies.sensitivity import candidate_roads  # its libraries take a worker longer than a drive
 
     roads = [one for one in candidate_roads(ROADS, seed) if one.road.reversed().validity.valid][:ROADS]
     kept = WHOLE if whole else slice(None, None, EVERY)
@@ -132,7 +132,7 @@ def _record(scenarios: Sequence[Scenario], kept: slice, simulator: SimulatorName
 
 def speeds_of_throttle(pilot: Pilot, simulator: SimulatorName, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
-    from ds_studies.sensitivity.measurement import candidate_roads
+    from ds_studies.sensitivity import candidate_roads
 
     pilot.start()
     driven = _drive(simulator, candidate_roads(1, seed)[0], slice(None), lambda frame: pilot.predict(frame).throttle)
