@@ -17,10 +17,7 @@ def whole_file(path: Path) -> Iterator[Path]:
     """Yield a path to write to, which replaces `path` at the end; an error, kill or power cut leaves what was there.
 
     Processes that write the same file at once do not disturb each other: the last one wins. A link is replaced, not
-    followed; the folder is created if missing.
-
-    Raises:
-        StoreError: there is something else, such as a device, or its folder is a link; see `check_inside`.
+    followed; the folder is created if missing. A device, or a folder that is a link, is a StoreError: `check_inside`.
     """
     make_parents(path)
     if path.exists() and not path.is_file():

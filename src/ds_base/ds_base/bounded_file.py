@@ -30,12 +30,7 @@ class FileError(InputError):
 
 
 def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
-    """Open a regular file for reading; never waits, as a FIFO would make it.
-
-    Raises:
-        FileError: another kind of file.
-        OSError: it cannot be opened.
-    """
+    """Open a regular file for reading, or raise a FileError or OSError; never waits, as a FIFO would make it."""
     # Opening some devices has effects, so the kind is known before; the second look is at what was opened.
     if not stat.S_ISREG(path.stat(follow_symlinks=follow_links).st_mode):
         raise FileError("not a regular file: give the path of one")
@@ -52,11 +47,7 @@ def open_regular(path: Path, *, follow_links: bool = True) -> BinaryIO:
 
 
 def read_regular(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool = True) -> bytes:
-    """Read a regular file of at most so many bytes; arguments and errors as in `open_regular`.
-
-    Raises:
-        FileError: another kind of file, or a longer one.
-    """
+    """Read a regular file; a longer one than so many bytes is a FileError, the rest is as in `open_regular`."""
     with open_regular(path, follow_links=follow_links) as file:
         content = file.read(largest + 1)
     if len(content) > largest:
@@ -65,11 +56,7 @@ def read_regular(path: Path, largest: int = LARGEST_FILE, *, follow_links: bool 
 
 
 def read_words(path: Path, largest: int = LARGEST_FILE) -> str:
-    """Read a regular file of UTF-8 text; arguments and errors as in `read_regular`.
-
-    Raises:
-        FileError: it is no such text.
-    """
+    """Read a regular file of UTF-8 text; other text is a FileError, the rest is as in `read_regular`."""
     try:
         return read_regular(path, largest).decode()
     except UnicodeDecodeError as error:
@@ -87,11 +74,7 @@ def sha256_of(files: Iterable[Path]) -> str:
 
 
 def load_json(text: str | bytes) -> Any:
-    """Build the value of a JSON document; integers beyond 64 bits are infinite.
-
-    Raises:
-        FileError: not JSON, or nested too deep; one line.
-    """
+    """Build the value of a JSON document, with integers beyond 64 bits infinite, or raise a FileError of one line."""
     try:
         return json.loads(text, parse_int=_integer)
     except FileError:

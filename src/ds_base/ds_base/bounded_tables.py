@@ -93,11 +93,8 @@ def _text_of(path: Path) -> Iterator[BinaryIO]:
 def read_csv(path: Path) -> pd.DataFrame:
     """Read comma-, semicolon- or tab-separated values, also of `.gz`, `.bz2` and `.xz`; the index is the line.
 
-    Where commas separate nothing and no number has a decimal point, numbers may have decimal commas.
-
-    Raises:
-        FileError: no such table, a column twice, or beyond a limit; one line without the file's name.
-        OSError: it cannot be opened.
+    Where commas separate nothing and no number has a decimal point, numbers may have decimal commas. What is no such
+    table, has a column twice or is beyond a limit is a FileError of one line, a file that cannot be opened an OSError.
     """
     import pandas as pd
 
@@ -134,9 +131,7 @@ def _bounded_integer(value: object) -> object:
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     """Read columns of a flat Parquet file, all if None, with the metadata of its schema; dictionaries are expanded.
 
-    Raises:
-        FileError: no such table, a column twice, nested, or beyond a limit; one line without the file's name.
-        OSError: it cannot be opened.
+    Errors are those of `read_csv`; nested columns are refused, too.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq

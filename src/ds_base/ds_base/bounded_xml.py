@@ -29,11 +29,7 @@ class _BoundedTree(ElementTree.TreeBuilder):
 
 
 def parse_xml(content: bytes) -> Element:
-    """Return the root of a document in any encoding.
-
-    Raises:
-        FileError: not XML, with a document type, or too large; one line.
-    """
+    """Return the root of a document in any encoding, or raise a FileError of one line."""
     try:
         return ElementTree.fromstring(content, ElementTree.XMLParser(target=_BoundedTree()))
     except FileError:

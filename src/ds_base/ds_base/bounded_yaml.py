@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML of files that somebody else may have written: bounded in size, depth and what its aliases expand to.
+"""YAML that somebody else may have written: bounded in size, depth and what aliases expand to, built of JSON's types.
 
 PyYAML's safe loader runs no code, but a file of a few hundred bytes whose aliases refer to each other ("billion
-laughs") expands to gigabytes as soon as it is printed or merged, and one of 100,000 brackets exhausts the stack. Here
-the text is first read as a stream of events, in which everything is counted, and only then built.
-
-What comes out is made of the types of JSON: dict, list, str, int, float, bool and None. A date stays text.
+laughs") expands to gigabytes, and one of 100,000 brackets exhausts the stack. So events are counted first.
 """
 
 from __future__ import annotations
@@ -47,25 +44,14 @@ class BoundedYamlError(FileError):
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file in which no key comes twice.
-
-    Raises:
-        FileError: not a regular file, beyond the limits, or not YAML.
-        OSError: it cannot be opened.
-    """
+    """Read a YAML file in which no key comes twice; errors as in `load_yaml` and `read_regular`."""
     return load_yaml(read_regular(path, DEFAULT_LIMITS.size), unique_keys=True)
 
 
 def load_yaml(text: str | bytes, *, limits: YamlLimits = DEFAULT_LIMITS, unique_keys: bool = False) -> Any:
-    """Build the value of one YAML document.
+    """Build the value of one YAML document, bytes of which are UTF-8, or say where it is wrong by a BoundedYamlError.
 
-    Args:
-        text: UTF-8 if it is bytes.
-        limits: bounds, checked before anything is built.
-        unique_keys: refuse a key that comes twice in one mapping, instead of keeping the last.
-
-    Raises:
-        BoundedYamlError: in one line, where and why.
+    Of a key that comes twice in one mapping the last is kept, unless keys have to be unique. A date stays text.
     """
     try:
         text = text.decode() if isinstance(text, bytes) else text

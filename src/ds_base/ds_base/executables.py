@@ -19,14 +19,10 @@ GRACE = 0.7
 class Stop:
     """Handler of SIGINT and SIGTERM in the main thread.
 
-    A signal ends the process at once while its nodes are being made; later it is only noted, so that no callback ends
-    halfway. A process that is still busy after a grace, s, in a library or in a simulator that hangs, says its last
-    words and is ended. All with status 0: being stopped is no error, and `ros2 launch` reports `process has died` for
-    any other.
-
-    Attributes:
-        making: whether the nodes are being made.
-        requested: whether a signal has come.
+    A signal ends the process at once while its nodes are being made (`making`); later it is only noted (`requested`),
+    so that no callback ends halfway. A process that is still busy after a grace, s, in a library or in a simulator that
+    hangs, says its last words and is ended. All with status 0: being stopped is no error, and `ros2 launch` reports
+    `process has died` for any other.
     """
 
     def __init__(self, grace: float = GRACE, last_words: Callable[[], None] = lambda: None) -> None:
@@ -53,10 +49,7 @@ class Stop:
 
 
 def start(module: str, *arguments: str) -> None:
-    """Import a node's module and call its `main`, which installs its own signal handlers.
-
-    `ros2 launch` reports `process has died` for any status but 0, and being stopped during start-up is no error.
-    """
+    """Import a node's module and call its `main`, which installs its own signal handlers."""
     Stop()
     import_module(module).main(*arguments)
 

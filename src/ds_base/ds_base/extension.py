@@ -65,11 +65,7 @@ def confirm(names: Iterable[str]) -> None:
 
 
 def load_extension(name: str, kind: type[Part], what: str) -> Part:
-    """Import what `module:NAME` leads to, an instance of `kind`, called `what` in messages.
-
-    Raises:
-        ExtensionError: nobody confirmed the name, it cannot be imported, or it is something else.
-    """
+    """Import what `module:NAME` leads to, a `kind` called `what` in messages; an ExtensionError if unconfirmed."""
     if name not in _confirmed and name not in os.environ.get(TRUST_VARIABLE, "").split(","):
         raise ExtensionError(
             f"{what} {name:.100} is Python code that is not shipped, and a received file must not run code: if you "
@@ -81,11 +77,7 @@ def load_extension(name: str, kind: type[Part], what: str) -> Part:
 
 
 def load_installed(name: str, group: Group, kind: type[Part], what: str) -> Part:
-    """Import a part that an installed package adds; installing the package was the user's consent.
-
-    Raises:
-        ExtensionError: it cannot be imported, or it is something else.
-    """
+    """Import a part that an installed package adds, as `load_extension`; installing it was the user's consent."""
     entry = installed(group)[name]
     return _loaded(entry.load, name, kind, what, f"install {entry.dist.name if entry.dist else entry.value} again")
 

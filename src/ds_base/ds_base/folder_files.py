@@ -45,9 +45,7 @@ class LockError(RunError):
 def read_file(folder: Path, name: str | PurePath, largest: int = LARGEST_FILE) -> bytes:
     """Read a file of at most so many bytes inside a folder, under a name of the program's own.
 
-    Raises:
-        FileNotFoundError: there is no such file.
-        StoreError: a link, no regular file, too large, or it cannot be opened.
+    One that cannot be read, or is a link, is a StoreError, and none a FileNotFoundError.
     """
     path = folder / name
     try:
@@ -85,11 +83,7 @@ def check_inside(path: Path) -> None:
 def check_folder(folder: Path) -> list[str]:
     """Refuse a folder in which a write would follow a link out of it, or wait for a FIFO; remember it for later writes.
 
-    Returns:
-        Paths of half-written files whose processes have ended on this machine.
-
-    Raises:
-        StoreError: an entry is a link, or neither a file nor a folder, or there are too many.
+    Returns the paths of half-written files whose processes have ended on this machine.
     """
     check_name(folder)
     check_inside(folder / "file")
@@ -143,11 +137,7 @@ def synchronise(path: Path) -> None:
 
 
 def enter_folder(folder: Path) -> None:
-    """Create a folder to write in, unless it is there; later writes below it refuse folders that are links.
-
-    Raises:
-        StoreError: it cannot be created, is a file, or lies below another such folder behind a link.
-    """
+    """Create a folder to write in, unless it is there, or raise a StoreError; later writes below it refuse links."""
     check_inside(folder / "file")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -168,11 +158,8 @@ def make_folder(folder: Path) -> None:
 def locked(folder: Path) -> Iterator[None]:
     """Check a folder and lock it, to write there; the kernel releases the lock when this process ends.
 
-    Files that a killed process or a power cut left half-written are removed.
-
-    Raises:
-        StoreError: see `check_folder`.
-        LockError: another process holds the lock, or the folder cannot be written.
+    Files that a killed process or a power cut left half-written are removed. A LockError says that another process
+    holds the lock, or that the folder cannot be written; for other errors see `check_folder`.
     """
     half_written = check_folder(folder)
     try:

@@ -34,11 +34,7 @@ class NoSemaphoreError(RunError):
 
 
 def check_semaphores() -> None:
-    """Check that processes can share semaphores, which lie in `/dev/shm`; pools and Dask need them.
-
-    Raises:
-        NoSemaphoreError: they cannot.
-    """
+    """Raise an error unless processes can share semaphores, which lie in `/dev/shm`; pools and Dask need them."""
     try:
         multiprocessing.get_context("spawn").Semaphore()
     except OSError as error:

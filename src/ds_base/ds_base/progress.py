@@ -13,7 +13,7 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 LOGGER = "digital_siblings"
 """Name of the logger above those of all modules."""
@@ -62,8 +62,8 @@ def counted(items: Iterable[_Item], what: str) -> Iterator[_Item]:
         yield item
 
 
-class Progress(Protocol):
-    """Receives how far a piece of work is, from one thread.
+class Progress:
+    """Receives how far a piece of work is, from one thread; this one ignores it.
 
     progress.start(len(roads))
     for road in roads:
@@ -81,17 +81,4 @@ class Progress(Protocol):
         """Say what is being done, or was found, while no item ends."""
 
 
-class Silent:
-    """Progress that nobody looks at."""
-
-    def start(self, total: float) -> None:
-        """Ignore it."""
-
-    def advance(self, amount: float = 1, line: str = "") -> None:
-        """Ignore it."""
-
-    def describe(self, line: str) -> None:
-        """Ignore it."""
-
-
-SILENT = Silent()
+SILENT = Progress()

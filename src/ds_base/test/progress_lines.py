@@ -3,15 +3,11 @@
 
 from __future__ import annotations
 
+from ds_base.progress import Progress
 
-class ProgressLines:
-    """Keeps what is reported.
 
-    Attributes:
-        lines: in order.
-        done: amount of work done since the last start.
-        total: amount of work since the last start.
-    """
+class ProgressLines(Progress):
+    """Keeps lines in order, and the amounts of work, done and in total, since the last start."""
 
     def __init__(self) -> None:
         self.lines: list[str] = []

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ds_base.installation import as_typed
+from ds_base.progress import Progress
 from ds_base.words import duration
 
 if TYPE_CHECKING:
@@ -91,8 +92,8 @@ KEPT = 0.05
 time left. Chosen: no drive is so short."""
 
 
-class ScreenProgress:
-    """Prints lines of a `ds_base.progress.Progress` with what is done, and how long the rest takes at this pace.
+class ScreenProgress(Progress):
+    """Prints lines with what is done, and how long the rest takes at this pace.
 
     Args:
         now: steady clock, s.
