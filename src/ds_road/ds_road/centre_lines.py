@@ -20,21 +20,13 @@ LONGEST_SECTION = 900.0
 
 @dataclass(frozen=True)
 class CentreLine:
-    """A line beside which a lane lies.
+    """A line beside which a lane lies."""
 
-    Attributes:
-        name: as in the file, or of the file.
-        points: (n, 2) m, in driving order.
-        lane_width: m.
-        lane: side of the driven lane.
-        made: the road, where it is known already.
-    """
-
-    name: str
-    points: Points
-    lane_width: float
-    lane: Side = "right"
-    made: Road | None = None
+    name: str  # as in the file, or of the file
+    points: Points  # (n, 2) m, in driving order
+    lane_width: float  # m
+    lane: Side = "right"  # driven
+    made: Road | None = None  # the road, where it is known already
 
     @classmethod
     def of(cls, name: str, road: Road) -> CentreLine:

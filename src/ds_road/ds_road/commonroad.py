@@ -40,10 +40,8 @@ def read_commonroad(root: Element) -> Road:
     """Road along lanelets, from the planning problem's initial position on, or from the first one without predecessor.
 
     Where a lanelet has several successors the first one is followed. The centre line is the bound on the side of the
-    oncoming lanelet, or the left one; traffic signs, obstacles and other lanelets are ignored.
-
-    Raises:
-        RoadError: the file has no such lanelets, or their width varies.
+    oncoming lanelet, or the left one; traffic signs, obstacles and other lanelets are ignored. RoadError if there are
+    no such lanelets, or their width varies.
     """
     version = root.get("commonRoadVersion", "none")
     if version not in READABLE:

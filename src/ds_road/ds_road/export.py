@@ -34,24 +34,10 @@ _MARK_WIDTH = 0.12
 
 
 def write_all(roads: Sequence[Road], names: Sequence[str], folder: Path) -> list[Path]:
-    """Write one OpenDRIVE file per road.
+    """Write one OpenDRIVE file per road, named after it, in place of files of the same name.
 
-    Args:
-        roads: to export.
-        names: of the roads, one each; the names of the files, in which other characters than letters, digits, `_`, `-`
-            and `.` become `_`.
-        folder: created if missing; files of the same name are replaced.
-
-    Raises:
-        RoadError: two roads have the same name, or none was given.
-
-    Examples:
-        >>> from pathlib import Path
-        >>> from ds_road import Road
-        >>> from ds_road.export import write_all
-        >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75)])
-        >>> [path.name for path in write_all([road], ["bend"], Path("exported"))]
-        ['bend.xodr']
+    Of names, other characters than letters, digits, `_`, `-` and `.` become `_`; RoadError for two equal ones, and for
+    no road at all.
     """
     if not roads:
         raise RoadError("no road to export: expected at least one")

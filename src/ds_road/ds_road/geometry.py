@@ -20,13 +20,9 @@ ALPHA = 0.5
 
 
 def catmull_rom(control_points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sample the spline that passes through all but the first and the last control point.
+    """Sample the spline through all but the first and the last of (n, 2) points, n >= 4, no two neighbours equal.
 
-    Args:
-        control_points: (n, 2) coordinates, m, n >= 4, no two neighbours equal.
-
-    Returns:
-        (20 + 19 (n - 4), 2) points, m; a sample shared by two segments appears once.
+    There are (20 + 19 (n - 4), 2) samples; one that is shared by two segments appears once.
     """
     segments = [_segment(control_points[i : i + 4]) for i in range(len(control_points) - 3)]
     return np.vstack([segments[0], *(segment[1:] for segment in segments[1:])])
@@ -63,13 +59,10 @@ LARGEST_RADIUS = 90.0
 
 
 def curvature(points: NDArray[np.float64]) -> float:
-    """Largest curvature of the circles through samples i, i + 2 and i + 4, 1/m; 0 for a straight road.
+    """Largest curvature of the circles through samples i, i + 2 and i + 4 of a line, (n, 2) m, 1/m; 0 if straight.
 
     Menger curvature: four times the area of the triangle over the product of its sides. As in maxitwo, the last window
     is left out and an area below 5e-7 m^2 counts as straight.
-
-    Args:
-        points: (n, 2) samples of the centre line, m.
     """
     windows = len(points) - WINDOW
     if windows < 1:
@@ -97,17 +90,11 @@ def apart(line: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
 
 
 def lane_curvature(lane_centre: NDArray[np.float64], places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Signed curvature of a lane, averaged over a window of `LANE_WINDOW` around each place, 1/m, right positive.
+    """Signed curvature of a lane, averaged over a window of `LANE_WINDOW` around each place, (k,), 1/m, right positive.
 
-    The average over a window is the change of heading between its ends over its length. Headings are those of the steps
+    The lane is (n, 2) samples of its centre line in driving order, the places are (k,) arc lengths along it, m. The
+    average is the change of heading between the ends of the window over its length. Headings are those of the steps
     between samples, at the middles of the steps, and linear between them; beyond both ends the lane goes on straight.
-
-    Args:
-        lane_centre: (n, 2) samples of the centre line of the lane, m, in driving order.
-        places: (k,) arc lengths along it, m.
-
-    Returns:
-        (k,) averages.
     """
     middles, headings = _headings(lane_centre)
     before, after = (np.interp(places + half, middles, headings) for half in (-LANE_WINDOW / 2, LANE_WINDOW / 2))
@@ -134,12 +121,10 @@ def _headings(line: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def turns_count(points: NDArray[np.float64], *, maxitwo_compatible: bool = False) -> int:
-    """Number of turns of a road.
+    """Number of turns of a road, from (n, 2) samples of its centre line.
 
-    Args:
-        points: (n, 2) samples of the centre line, m.
-        maxitwo_compatible: wrap heading changes as maxitwo does, which applies degree constants to radians: a jump by
-            a full turn is not removed and counts as a bend. By default heading changes are wrapped to [-pi, pi).
+    Heading changes are wrapped to [-pi, pi), or as maxitwo does it, which applies degree constants to radians: a jump
+    by a full turn is not removed and counts as a bend.
     """
     steps = np.diff(points, axis=0)
     heading = np.arctan2(steps[:, 1], steps[:, 0])
@@ -167,7 +152,7 @@ def direction_coverage(points: NDArray[np.float64]) -> float:
 
     As in DeepHyperion: the angle between each step and north, 0 to 180 degrees whether to the left or to the right, is
     sorted into bins of 360 / 25 degrees; the result is the number of bins hit over 26, the number of bin edges. A road
-    can therefore cover about half_turn of the bins at most.
+    can therefore cover about half of the bins at most.
     """
     steps = np.diff(points, axis=0)
     angles = np.degrees(np.arccos(np.clip(steps[:, 1] / np.hypot(*steps.T), -1.0, 1.0)))
@@ -200,17 +185,12 @@ class Validity:
 
 
 def check_surface(left: NDArray[np.float64], right: NDArray[np.float64], *, box: float | None = BOX) -> Validity:
-    """Check the surface between a road's two edges.
+    """Check the surface between a road's two edges, (n, 2) m each, and that both are in the box, if there is one.
 
     The surface is a strip of quadrilaterals, one per pair of samples. maxitwo requires that each is a valid polygon,
     that neighbours share their common side and nothing else, and that no other two touch. The last condition is costly
     to check but follows from the outline: a strip without folds overlaps nowhere if its outline does not intersect
     itself.
-
-    Args:
-        left: (n, 2) points of the left edge, m.
-        right: (n, 2) points of the right edge, m.
-        box: side of the square with one corner at the origin that must contain both edges, m; None for no limit.
     """
     if box is not None and not fits(left, right, box):
         return Validity(False, f"it leaves the box of {box:g} x {box:g} m")

@@ -49,17 +49,11 @@ _Used = TypeVar("_Used")
 
 @dataclass(frozen=True)
 class ImportedRoad:
-    """A road of another tool.
+    """A road of another tool."""
 
-    Attributes:
-        name: as in the file, or of the file.
-        road: read, and moved into the box where it lies outside and fits.
-        moved: by how much, m; zeros if it lies where the file has it.
-    """
-
-    name: str
-    road: Road
-    moved: tuple[float, float] = (0.0, 0.0)
+    name: str  # as in the file, or of the file
+    road: Road  # moved into the box where it lies outside and fits
+    moved: tuple[float, float] = (0.0, 0.0)  # by how much, m
 
     def to_json(self) -> dict[str, Any]:
         """JSON for `ds_road.read_roads`, with the name as `test_id`."""
@@ -89,17 +83,6 @@ def import_roads(
     Raises:
         RoadError: not one of the formats, or no road that can be used; one line names the file.
         OSError: the file cannot be read.
-
-    Examples:
-        >>> from pathlib import Path
-        >>> from ds_road import Road
-        >>> from ds_road.export import write_all
-        >>> from ds_road.importing import import_roads
-        >>> road = Road([(125, 0), (125, 25), (125, 50), (140, 75)])
-        >>> [file] = write_all([road], ["bend"], Path("exported"))
-        >>> [found] = import_roads(file)
-        >>> abs(found.road.length - road.length) < 0.01
-        True
     """
     left_out = left_out or LeftOut("roads", strict=True)
     try:
@@ -223,11 +206,9 @@ def _interpolated(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def read_track(content: bytes) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-    """Read a track; a `RoadError` names the line of the file.
+    """Read a track: (n, 2) centre line in driving order, and (n, 2) distances to its right and left border or None, m.
 
-    Returns:
-        Centre line in driving order, (n, 2), and distances from it to the right and to the left border, (n, 2), m; None
-        if the file has no widths.
+    A `RoadError` names the line of the file.
     """
     try:
         lines = content.decode("utf-8-sig").splitlines()

@@ -38,10 +38,7 @@ def read_opendrive(root: Element, left_out: LeftOut) -> list[CentreLine]:
     Driven is the innermost driving lane: to the right of the reference line in right-hand traffic, or, of a road that
     has none there, the one to its left, against the line. The road's centre line is that lane's inner border, and its
     width, which has to be constant, becomes that of both lanes. Height, other lanes, links, objects, signals and
-    namespaces are ignored.
-
-    Raises:
-        RoadError: there is no road outside of junctions, or too many; one line says why.
+    namespaces are ignored. RoadError if there is no road outside of junctions, or too many.
     """
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]

@@ -46,14 +46,10 @@ def values(instance: Any) -> tuple[float | int, ...]:
 
 
 def load(module: str, *arguments: Any, symbols: Mapping[str, int] | None = None) -> Callable[..., None]:
-    """Load the function `compiled` of a module, a `numba.cfunc` that neither allocates nor raises.
+    """Load the function `compiled` of a module, a `numba.cfunc` that neither allocates nor raises, with ctypes' types.
 
     The module is imported, and its function compiled, only where no object file has the present code of its package.
-
-    Args:
-        module: its name.
-        arguments: types of the function's arguments, as in `ctypes`.
-        symbols: addresses of the C functions that it calls, except those of the C library.
+    The symbols are addresses of the C functions that it calls, except those of the C library.
     """
     for name, address in (symbols or {}).items():
         llvm.add_symbol(name, address)

@@ -38,12 +38,9 @@ _LINE_STRIP = 4
 class MessageBuilder:
     """Builds messages; every field is given, as some libraries have no default values.
 
-    A message whose frame the caller knows takes a header, one that has a frame of its own takes a stamp.
-
-    Args:
-        type_named: returns the class of a message such as `std_msgs/Header`, which takes its fields by name.
-        sequence: converts an array to what the classes take for a sequence of numbers.
-        namespace: namespace of the simulator, which prefixes its tf frames.
+    `type_named` returns the class of a message such as `std_msgs/Header`, which takes its fields by name; `sequence`
+    converts an array to what the classes take for a sequence of numbers; the namespace prefixes the tf frames. A
+    message whose frame the caller knows takes a header, one that has a frame of its own takes a stamp.
     """
 
     def __init__(
@@ -235,10 +232,7 @@ class MessageBuilder:
 def road_from_message(message: Any) -> Road:
     """Convert a message of any library to a road; its id tells only lanes apart that have no field, and is computed.
 
-    Messages of version 0.1 have control points only, those of 0.2 no lane.
-
-    Raises:
-        ds_road.RoadError: the fields do not define a road.
+    Messages of version 0.1 have control points only, those of 0.2 no lane. RoadError if the fields define no road.
     """
     return road_from_fields(
         [(point.x, point.y) for point in message.control_points],

@@ -66,12 +66,6 @@ class Actuation:
         return Command(min(max(steering + self._offset, -1.0), 1.0), throttle)
 
 
-def actuation_of(conditions: Conditions, max_steering_angle: float) -> Actuation | None:
-    """Make the actuation of a run; None where commands reach the vehicle as they are."""
-    changed = COMMAND_CONDITIONS & conditions.changed.keys()
-    return Actuation(conditions, max_steering_angle) if changed else None
-
-
 def start_of(road: Road) -> tuple[float, float, float]:
     """Pose of a vehicle at the start of the driven lane: x, y (m) and yaw (rad) in the road frame."""
     lane = road.lane_centre
@@ -123,13 +117,13 @@ class RoadSimulator(Simulator):
         vehicle_seed, sensor_seed = np.random.SeedSequence(seed).spawn(2)
         self.vehicle.adjust(friction=conditions.friction, payload=conditions.payload)
         self.vehicle.reset(*start_of(road), np.random.default_rng(vehicle_seed))
-        tracker = LaneTracker(road.lane_centre)
+        tracker, acts = LaneTracker(road.lane_centre), COMMAND_CONDITIONS & conditions.changed.keys()
         self.scene.load(road, np.random.default_rng(sensor_seed), conditions.for_scene(self.scene.conditions))
         run = _Run(
             tracker=tracker,
             oracle=Oracle(tracker.length),
             half_lane=road.lane_width / 2,
-            actuation=actuation_of(conditions, self._spec.max_steering_angle),
+            actuation=Actuation(conditions, self._spec.max_steering_angle) if acts else None,
         )
         self._run = run
         return self._observe(run)

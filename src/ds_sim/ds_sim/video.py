@@ -47,11 +47,7 @@ class VideoError(InputError):
 
 
 def check_path(path: Path) -> None:
-    """Check before driving whether a video can be written.
-
-    Raises:
-        VideoError: the name does not end with .mp4, or the folder does not exist.
-    """
+    """Check before driving whether a video can be written; VideoError for another ending or a missing folder."""
     if path.suffix != ".mp4":
         raise VideoError(f"video {path.name!r}: expected a name that ends with .mp4")
     if not path.parent.is_dir():

@@ -35,13 +35,9 @@ def write_road(road: Road, path: Path) -> None:
 
 
 def read_track(path: Path, lane_width: float | None, lane: Side | None) -> tuple[Road, tuple[float, float]]:
-    """Read a fixed track: a file as `ds road import` reads it, or a road file of JSON.
+    """Read a fixed track: a file as `ds road import` reads it, or a road file of JSON; else RosSettingsError.
 
-    Returns:
-        The road, which is in the middle of the box if it was outside and fits; and by how much it was moved, m.
-
-    Raises:
-        RosSettingsError: in one line, why it is no track.
+    The road is in the middle of the box if it was outside and fits; by how much it was moved, m, is returned, too.
     """
     try:
         if path.suffix == ".json":

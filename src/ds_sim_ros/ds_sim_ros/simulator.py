@@ -65,10 +65,7 @@ class OdometryReader:
         """Convert a nav_msgs/Odometry; yaws continue the ones before, also beyond a full circle.
 
         Its twist is in the vehicle's frame, as REP-105 has it. It has no angle of the wheels: the one that the last
-        command asked for is reported.
-
-        Raises:
-            SimulatorError: a value is not finite, or the orientation is no unit quaternion.
+        command asked for is reported. SimulatorError if a value is not finite, or the orientation no unit quaternion.
         """
         self._check(message)
         position, twist = message.pose.pose.position, message.twist.twist

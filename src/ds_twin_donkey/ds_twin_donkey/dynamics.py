@@ -291,20 +291,10 @@ def tyre(
 def rollout(
     parameters: DonkeyParameters, commands: ArrayLike, initial_state: CarState | None = None
 ) -> NDArray[np.float64]:
-    """Simulate a sequence of commands; a pure function, suitable for least squares over the parameters.
+    """Simulate commands, (n, 2) steering and throttle by steps of 1/20 s, from a state or at rest at the origin.
 
-    Args:
-        parameters: parameters of the car.
-        commands: (n, 2) steering in [-1, 1] and throttle in [0, 1], one row per step of 1/20 s. Neutral commands
-            are assumed before the first one.
-        initial_state: state at the start of the first step; at rest at the origin if omitted.
-
-    Returns:
-        (n + 1, 17) states, columns as in `CarState`; the first row is the initial state.
-
-    Raises:
-        ValueError: the commands are not (n, 2).
-        ds_sim.simulator.CommandError: a command is not a number or is out of range.
+    Neutral commands are assumed before the first one. Returns (n + 1, 17) states, columns as in `CarState`, the initial
+    one first. ValueError for commands of another shape, CommandError for one that is no number or out of range.
     """
     rows = np.asarray(commands, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 2:

@@ -108,16 +108,10 @@ def fit(
     settings: FitSettings | None = None,
     progress: Progress = SILENT,
 ) -> TwinFit:
-    """Fit parameters to recorded drives; deterministic.
+    """Fit parameters to recorded drives, from a start that others keep, or the nominal one; deterministic.
 
-    Args:
-        drives: recorded drives.
-        start: initial values, and values of all parameters that are not fitted; nominal if omitted.
-        settings: see `FitSettings`.
-        progress: counts the work of all phases; an iteration has a line.
-
-    Raises:
-        FitError: no drive is long enough, or the model does not follow the drives at all.
+    The progress counts the work of all phases, and has a line for each iteration. FitError if no drive is long enough,
+    or if the model does not follow the drives at all.
     """
     start, settings = start or DonkeyParameters(), settings or FitSettings()
     names = list(settings.names)

@@ -71,11 +71,7 @@ class Log:
 
 
 def read_log(path: Path) -> Log:
-    """Read a folder with a rosbag2 bag of one run, with a Donkey Car tub, or with a located recording, or a table.
-
-    Raises:
-        LogError: the log cannot be used; the message is one line with the remedy.
-    """
+    """Read a folder with a bag of one run, a Donkey Car tub or a located recording, or a table; else LogError."""
     if (path / "metadata.yaml").is_file():
         return _read_bag(path)
     if is_tub(path):

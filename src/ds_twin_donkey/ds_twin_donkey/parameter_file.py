@@ -73,11 +73,7 @@ def write_parameters(path: Path, document: dict[str, Any]) -> None:
 
 
 def read_parameters(path: Path) -> tuple[DonkeyParameters, str]:
-    """Read the parameters of a car and the SHA-256 of their file.
-
-    Raises:
-        ParameterFileError: not a regular file, larger than 1 MiB, not YAML, or not parameters of this car.
-    """
+    """Read the parameters of a car and the SHA-256 of their file; ParameterFileError if it is no such file."""
     try:
         content = read_regular(path, DEFAULT_LIMITS.size)
         raw = load_yaml(content, unique_keys=True)

@@ -113,18 +113,9 @@ class Problem:
         """Minimise the squares over the parameters, with the initial state of each window eliminated.
 
         This is variable projection: for any parameters the initial states are those with the smallest residuals, found
-        by one step along the tangent and one Gauss-Newton step, so that SciPy solves a small dense problem.
-
-        Args:
-            names: parameters to fit.
-            theta: scaled parameters to start from; those found are returned.
-            eta: initial states to start from, (windows, 7); those found are returned.
-            evaluations: largest number of evaluations of all residuals.
-            tolerance: relative change of the cost that ends the iterations.
-            iterated: called with a line per iteration.
-
-        Raises:
-            FitError: no parameter has any effect, or the model does not follow the drives.
+        by one step along the tangent and one Gauss-Newton step, so that SciPy solves a small dense problem. It ends at
+        a relative change of the cost, or after so many evaluations of all residuals; `iterated` gets a line for each.
+        FitError if no parameter has any effect, or if the model does not follow the drives.
         """
         anchor = _Anchor(self, names, theta, eta)
         if not anchor.projected.any():

@@ -51,14 +51,10 @@ class FitError(InputError):
 
 
 class Windows:
-    """Consecutive windows of drives; the last one of a drive may be shorter, down to a third.
+    """Consecutive windows of drives, some seconds long; the last one of a drive may be shorter, down to a third.
 
-    Args:
-        drives: recorded drives.
-        car: parameters of which wheelbase and masses are used, which are not fitted.
-        seconds: length of a window, s.
-        max_total: total length of all windows, s; if there are more, evenly spaced ones are kept.
-        max_delay: longest delay of a command, s.
+    Of the car, what is not fitted is used: wheelbase and masses. If all windows are longer than `max_total`, s, evenly
+    spaced ones are kept; `max_delay` is the longest delay of a command, s. FitError if no drive is long enough.
 
     Attributes:
         count: number of windows.
@@ -66,9 +62,6 @@ class Windows:
         known: mask of the measured values, same shape.
         initial_states: (windows, `UNKNOWNS`) smoothed measurements at the first frame.
         initial_spread: (windows, `UNKNOWNS`) standard deviations of `initial_states`.
-
-    Raises:
-        FitError: no drive is long enough.
     """
 
     def __init__(

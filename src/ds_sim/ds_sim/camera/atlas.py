@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import mmap
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -73,6 +72,8 @@ class Ground:
 
     Attributes:
         tiles_shape: number of rows and columns of tiles.
+        coarsest_scale: scale of the coarsest level relative to the finest.
+        corner: pixels of the finest level to subtract from x and y for a place in the atlas less 2 columns.
     """
 
     def __init__(
@@ -92,6 +93,8 @@ class Ground:
         self.resolution = resolution
         self.outside = outside
         self.lazy_levels = lazy_levels
+        self.coarsest_scale = 0.5 ** (len(texture) - 1)
+        self.corner = origin[0] / resolution + 2 * columns, origin[1] / resolution
         self.atlas = (memory or AtlasMemory()).array((rows, 2 * columns, 4))
         self._texture = texture
         self._starts = [2 * columns - (2 * columns >> level) for level in range(len(texture) + 1)]
@@ -112,29 +115,13 @@ class Ground:
             self._reveal_tiles(level, 0, self.tiles_shape[0] - 1, 0, self.tiles_shape[1] - 1)
         return self._rasters
 
-    @property
-    def coarsest_scale(self) -> float:
-        """Scale of the coarsest level relative to the finest."""
-        return 0.5 ** (len(self._rasters) - 1)
-
-    @cached_property
-    def corner(self) -> tuple[float, float]:
-        """Pixels (finest level) to subtract from a point's x and y for its place in the atlas less 2 columns."""
-        return self.origin[0] / self.resolution + 2 * self.shape[1], self.origin[1] / self.resolution
-
     def distance_to_border(self, x: float, y: float) -> float:
         """Distance from a point to the nearest border of the rasters, m; negative outside."""
         x, y = x - self.origin[0], y - self.origin[1]
         return min(x, y, self.shape[1] * self.resolution - x, self.shape[0] * self.resolution - y)
 
     def reveal(self, level: int, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Paint what is missing of one of the lazy levels within a box, m.
-
-        Args:
-            level: less than `lazy_levels`.
-            low: smallest x and y; everything beyond the rasters shows their border.
-            high: largest x and y.
-        """
+        """Paint what is missing of one of the lazy levels within a box from the smallest to the largest x and y, m."""
         # A bilinear sample reads one pixel further; a second one covers rounding.
         margin = 2.0 * self.resolution * 2.0**level
         size = TILE * self.resolution
@@ -157,11 +144,7 @@ class Ground:
     def open_tiles(self, tiles: NDArray[np.bool_]) -> NDArray[np.uint8]:
         """Cover some tiles of the finest level with the texture, to be drawn on; `close_tiles` ends the drawing.
 
-        Args:
-            tiles: which of the tiles, (rows, columns) of `tiles_shape`.
-
-        Returns:
-            The finest raster, (rows, columns, 4), of which the rest may be unpainted.
+        Returns that raster, (rows, columns, 4), of which the rest may be unpainted.
         """
         for box in self.boxes(tiles):
             self._cover(0, *box)
@@ -184,9 +167,7 @@ class Ground:
     def boxes(self, tiles: NDArray[np.bool_], corner: tuple[int, int] = (0, 0)) -> Iterator[Box]:
         """Parts of the finest level that some tiles cover; none crosses a period of the texture.
 
-        Args:
-            tiles: which of the tiles, (rows, columns).
-            corner: row and column of the first of them among all tiles.
+        The corner is row and column of the first of them among all tiles.
         """
         period = self._texture[0].shape[1] // TILE
         starts_period = (np.arange(1, tiles.shape[1]) + corner[1]) % period == 0

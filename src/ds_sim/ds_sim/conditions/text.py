@@ -76,11 +76,7 @@ def from_json(document: object) -> Conditions:
 
 
 def from_pairs(pairs: Iterable[tuple[str, float]]) -> Conditions:
-    """Make conditions of names and values, as messages carry them; what is not named has its default.
-
-    Raises:
-        ConditionsError: a name is unknown or given twice, or conditions that cannot be.
-    """
+    """Make conditions of names and values, as messages carry them, each at most once; what is not named is default."""
     values: dict[str, float] = {}
     for name, value in pairs:
         check_known(name)
@@ -117,11 +113,7 @@ def _check_new(name: str, values: Mapping[str, float]) -> None:
 
 
 def check_known(name: object) -> None:
-    """Check the name of a condition.
-
-    Raises:
-        ConditionsError: there is none of this name; one line with those that are meant, or with all.
-    """
+    """Check the name of a condition; the ConditionsError has those that are meant, or all."""
     if name in FIELDS:
         return
     typed = str(name)[:40]

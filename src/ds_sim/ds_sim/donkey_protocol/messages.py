@@ -39,8 +39,7 @@ class MessageSplitter:
     def feed(self, data: bytes) -> list[dict[str, Any]]:
         """Take bytes, and return the messages that are now complete, each with a text `msg_type`.
 
-        Raises:
-            ProtocolError: the bytes are no JSON objects, or one is longer than `LARGEST_MESSAGE`.
+        ProtocolError if the bytes are no JSON objects, or one is longer than `LARGEST_MESSAGE`.
         """
         self._pending += data
         messages = []

@@ -187,18 +187,9 @@ class DonkeyServer:
         self._served = 0
 
     async def serve(self, host: str, port: int, listening: Callable[[int], None]) -> None:
-        """Serve until cancelled.
+        """Serve until cancelled, on a port, 0 for any free one; `listening` gets it once clients can connect.
 
-        Args:
-            host: address to listen on.
-            port: 0 for any free one.
-            listening: is called with the port once clients can connect.
-
-        Raises:
-            ServerError: the address cannot be used.
-            ds_sim.registry.UnknownSimulatorError: no simulator has this name.
-            ds_sim.NotApplicableError: the simulator cannot realise a condition.
-            ds_sim.simulator.SimulatorError: the simulator cannot load a road.
+        An address that cannot be used, and a simulator that cannot load the first test, are errors.
         """
         self._warm_up()
         try:

@@ -85,11 +85,7 @@ def road_to_message(road: Road) -> RoadMsg:
 
 
 def conditions_from_messages(messages: Sequence[ConditionMsg]) -> Conditions:
-    """Convert messages to conditions; what they do not name has its default.
-
-    Raises:
-        ds_sim.ConditionsError: one is unknown, named twice or out of range, or they contradict each other.
-    """
+    """Convert messages to conditions; ConditionsError if they cannot be. What they do not name has its default."""
     return from_pairs((message.name, message.value) for message in messages)
 
 
@@ -99,11 +95,7 @@ def conditions_to_messages(conditions: Conditions) -> list[ConditionMsg]:
 
 
 def command_from_message(message: DriveCommand) -> Command:
-    """Convert a message to a command.
-
-    Raises:
-        ds_sim.simulator.CommandError: a value is NaN or out of range, or the driver says why it has none.
-    """
+    """Convert a message to a command; CommandError if it cannot be, or if the driver says why it has none."""
     if message.refusal:
         raise CommandError(" ".join(message.refusal.split())[:MOST_WORDS])
     return Command(message.steering, message.throttle)

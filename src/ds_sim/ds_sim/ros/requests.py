@@ -52,8 +52,7 @@ def check_goal(sync: str, command_timeout: float) -> None:
 class LoadedRoad:
     """Stores the scenario that was loaded last, None before the first; tests that bring no conditions get the default.
 
-    Raises:
-        ds_sim.NotApplicableError: the simulator cannot realise the default.
+    NotApplicableError if the simulator cannot realise that.
     """
 
     def __init__(self, spec: SimulatorSpec, default: Conditions) -> None:
@@ -62,11 +61,7 @@ class LoadedRoad:
         self.scenario: Scenario | None = None
 
     def load(self, request: LoadRoad.Request | DriveRoad.Goal) -> Road:
-        """Check and store a test; a refused one does not replace the stored one.
-
-        Raises:
-            RequestRefused: BAD_ROAD; BAD_GOAL for conditions that cannot be; NOT_APPLICABLE.
-        """
+        """Check and store a test; RequestRefused for one that cannot be, which does not replace the stored one."""
         try:
             road = road_from_message(request.road)
             if not road.validity.valid:

@@ -46,9 +46,7 @@ def init_ros(**arguments: Any) -> None:
 
     A peer that is killed with the lock of this process's shared-memory port makes this process hang or crash when it
     ends, see `ds_bringup/config/fastdds_loopback.xml`, which holds unless the user has chosen another discovery.
-
-    Raises:
-        LogFolderError: the home folder is not writable, and ROS_LOG_DIR names no other folder.
+    LogFolderError if the home folder is not writable, and ROS_LOG_DIR names no other folder.
     """
     os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     try:
@@ -140,10 +138,8 @@ def declare(
     """Declare a read-only parameter of a node and return its value.
 
     The default decides the type: bool, int, float, str, or a list of one of them. Of a list, the bounds and choices are
-    those of each entry, and the length is that of the node's namespaces. The description has the unit.
-
-    Raises:
-        ValueError: the given value is of another type or out of range.
+    those of each entry, and the length is that of the node's namespaces. The description has the unit. ValueError for a
+    value of another type or out of range.
     """
     kind = type(default[0] if isinstance(default, list) else default)
     descriptor = ParameterDescriptor(description=description, read_only=True)

@@ -94,20 +94,15 @@ WORLD_CONDITIONS = frozenset(
 
 
 class Setting:
-    """What the conditions of one run make of the world; `rng` decides where the road is covered.
-
-    Attributes:
-        sky: light under the sky without fog, whose picture the sky is.
-        daylight: light on everything.
-    """
+    """What the conditions of one run make of the world; `rng` decides where the road is covered."""
 
     def __init__(self, conditions: Conditions, rng: np.random.Generator) -> None:
         self.conditions = conditions
         self.rng = rng
-        self.sky = clear_daylight(sun_direction(conditions))
+        self.sky = clear_daylight(sun_direction(conditions))  # without fog, whose picture the sky is
         # Air is never clearer than this world's own.
         self._fog = max(KOSCHMIEDER / conditions.visibility - parameters.HAZE, 0.0)
-        self.daylight = self.sky.behind(self._fog * parameters.FOG_TOP)
+        self.daylight = self.sky.behind(self._fog * parameters.FOG_TOP)  # on everything
 
     def shader_inputs(self) -> dict[str, float | Sequence[float]]:
         """Values of the uniforms of the shaders of a world with a setting."""

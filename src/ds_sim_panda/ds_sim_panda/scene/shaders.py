@@ -206,12 +206,7 @@ _FRAGMENTS = {
 
 @cache
 def shader(name: str, *, setting: bool = False) -> Any:
-    """Panda3D's shader of a kind of surface.
-
-    Args:
-        name: ground, far ground, verge, road, solid, sky, flat (white), hiding (of no colour) or shade.
-        setting: whether conditions change the world; `Setting.shader_inputs` are then inputs.
-    """
+    """Panda3D's shader of a kind of surface, of `_FRAGMENTS`; with a setting, its `shader_inputs` are uniforms."""
     core = panda()
     vertex = _HIDING_VERTEX if name == "hiding" else _VERTEX
     sources = (_filled(source, setting=setting) for source in (vertex, _COMMON + _FRAGMENTS[name]))

@@ -214,11 +214,8 @@ def cast_shadows(
 ) -> tuple[Any, tuple[float, float, float]]:
     """Draw the shadows around a road, seen from above: of solids, a `NodePath`, and those that conditions put along it.
 
-    The solids have no parent afterwards.
-
-    Returns:
-        Texture, 1 in full shadow of what stands beside the road, and in a second channel, if any, in one of conditions;
-        x and y of its corner, m, and its scale, 1/m.
+    Returns a texture, 1 in full shadow of what stands beside the road, and in a second channel, if any, in one of
+    conditions; x and y of its corner, m, and its scale, 1/m. The solids have no parent afterwards.
     """
     core = panda()
     low, high = course.points.min(axis=0) - SHADOW_MARGIN, course.points.max(axis=0) + SHADOW_MARGIN

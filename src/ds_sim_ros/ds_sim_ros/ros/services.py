@@ -24,15 +24,10 @@ class Services:
         self._clients: dict[str, tuple[str, Any]] = {}
 
     def call(self, name: str, requests: dict[str, dict[str, Any]], *, repeatable: bool = True) -> None:
-        """Call a service and wait until it has done what was asked.
+        """Call a service, by types that it may have -> fields of the request, until it has done what was asked.
 
-        Args:
-            name: of the service.
-            requests: type that it may have, such as `std_srvs/srv/Trigger` -> fields of the request.
-            repeatable: whether a request that is not answered may be sent again.
-
-        Raises:
-            SimulatorError: there is no such service, it does not answer within the limit, or it refuses.
+        A request that is not answered may be sent again if it is repeatable. SimulatorError if there is no such
+        service, if it does not answer within the limit, or if it refuses.
         """
         if name not in self._clients:
             self._clients[name] = self._client(name, list(requests))
