@@ -69,7 +69,7 @@ def import_roads(
     scale: float = 1.0,
     sections: tuple[float, float] | None = None,
 ) -> list[ImportedRoad]:
-    """Read the roads of a file; its content tells the format.
+    """Read the roads of a file, whose content tells the format; RoadError if it has none that can be used.
 
     Args:
         path: file.
@@ -79,10 +79,6 @@ def import_roads(
         scale: metres of the road per metre of a track, such as 10 for a car of 1:10.
         sections: length of the sections into which to cut them, as a track that is too large for the box, and distance
             between the starts of two, m; None for whole roads.
-
-    Raises:
-        RoadError: not one of the formats, or no road that can be used; one line names the file.
-        OSError: the file cannot be read.
     """
     left_out = left_out or LeftOut("roads", strict=True)
     try:

@@ -171,12 +171,7 @@ def camera_pose(axes: Axes, position: Vector) -> NDArray[np.float64]:
 
 
 class PandaScene(RenderedScene):
-    """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze; for a pinhole camera.
-
-    Raises:
-        ImportError: Panda3D is not installed.
-        SimulatorError: EGL or Mesa's software renderer is missing.
-    """
+    """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze; for a pinhole camera."""
 
     conditions = WORLD_CONDITIONS | CAMERA_CONDITIONS
 

@@ -119,16 +119,12 @@ def _in_road(x: float, y: float, origin: OriginSettings) -> tuple[float, float]:
 
 
 class RosWorld(Vehicle, Scene):
-    """Vehicle and scene of another simulator: `ds_sim.parts.Vehicle` and `ds_sim.parts.Scene` on one connection.
-
-    Attributes:
-        track: the road, where it is fixed.
-    """
+    """Vehicle and scene of another simulator: `ds_sim.parts.Vehicle` and `ds_sim.parts.Scene` on one connection."""
 
     def __init__(self, settings: RosSettings, camera: CameraSpec, folder: Path) -> None:
         super().__init__(camera)
         way = settings.road
-        self.track: Road | None = None
+        self.track: Road | None = None  # where it is fixed
         if way.centre_line:
             self.track, moved = read_track(folder / way.centre_line, way.lane_width, way.lane)
             settings = settings.model_copy(update={"origin": settings.origin.of_moved(moved)})

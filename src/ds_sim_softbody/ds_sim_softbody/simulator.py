@@ -75,9 +75,6 @@ class SoftbodyVehicle(Vehicle):
     """Car of nodes and beams on an infinite plane.
 
     The physics run in the car's axes at the start, so that a run does not depend on where it starts.
-
-    Attributes:
-        record: record `CAR` of the car.
     """
 
     conditions = VEHICLE_CONDITIONS

@@ -24,16 +24,10 @@ for _function in (dynamics.move, dynamics.pulse, dynamics.wheel_angles, dynamics
     error_model="numpy",
 )
 def compiled(car_record: Any, shares: Any, substeps: int, states: Any, commands: Any, frames: int) -> None:
-    """Advance the car, a record `CAR`, by some steps.
+    """Advance the car, a record `CAR`, by some frames, from the first of the states, (frames + 1, 17) `CarState`.
 
-    Args:
-        car_record: its address.
-        shares: (substeps, 5) share of the newer pulse, gain and largest move of the servo under the older pulse, and
-            under the newer one.
-        substeps: number of substeps.
-        states: (frames + 1, 17) `CarState`; the first is given.
-        commands: (frames + 1, 2), of which two after each other are in effect during a step.
-        frames: number of steps.
+    The shares are (substeps, 5): that of the newer pulse, gain and largest move of the servo under the older pulse, and
+    under the newer one. Of the commands, (frames + 1, 2), two after each other are in effect during a frame.
     """
     car = carray(car_record, 1)[0]
     all_states, all_commands = carray(states, (frames + 1, MOTION + 3)), carray(commands, (frames + 1, 2))

@@ -109,11 +109,7 @@ CAR = np.dtype(
 
 
 class CarModel:
-    """Advances a car by whole steps of some substeps; stateless, holds only constants derived from the parameters.
-
-    Attributes:
-        frames_kept: number of commands that a step needs, up to that of its own frame.
-    """
+    """Advances a car by whole steps of some substeps; stateless, holds only constants derived from the parameters."""
 
     def __init__(self, parameters: DonkeyParameters, *, substeps: int = SUBSTEPS) -> None:
         p = self.parameters = parameters
@@ -122,6 +118,7 @@ class CarModel:
         self._car[0]["parameters"], self._car[0]["constants"] = values(p), values(Constants.of(p, step))
         frames_of_delay, rest = divmod(p.command_delay, FRAME_TIME)
         self.frames_kept = int(frames_of_delay) + 2
+        """Number of commands that a step needs, up to that of its own frame."""
         ends = (np.arange(substeps) + 1.0) * step
         newer = np.clip((ends - rest) / step, 0.0, 1.0)
         # Per substep: share of the newer pulse, and gain and largest move of the servo under either pulse.

@@ -38,11 +38,8 @@ FLOORS = (5e-4, 5e-4, 5e-4, 1e-3, 2e-3)
 class Problem:
     """Least-squares problem: residuals of the model in some windows, relative to the noise.
 
-    `theta` are the parameters, scaled so that 0 is the start; `eta` are the initial states of the windows.
-
-    Attributes:
-        substeps: as given; may be changed between calls.
-        sigma: (5,) noise of each channel, by which residuals are divided.
+    `theta` are the parameters, scaled so that 0 is the start; `eta` are the initial states of the windows; `sigma` is
+    the noise of each channel, (5,), by which residuals are divided.
     """
 
     def __init__(self, windows: Windows, start: DonkeyParameters, substeps: int) -> None:

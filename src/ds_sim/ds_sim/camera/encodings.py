@@ -12,11 +12,7 @@ JPEG_QUALITY = 95
 
 
 def png(image: NDArray[np.uint8]) -> bytes:
-    """Encode a picture, (rows, columns, 3) uint8 RGB, as PNG; the same pixels give the same bytes.
-
-    Raises:
-        ValueError: OpenCV cannot encode it, as it is too wide or too high.
-    """
+    """Encode a picture, (rows, columns, 3) uint8 RGB, as PNG; ValueError if it is too wide or too high for OpenCV."""
     return _encoded(image, ".png")
 
 

@@ -69,8 +69,7 @@ class RenderedScene(Scene):
     def _render(self, state: VehicleState, rows: tuple[int, int]) -> NDArray[np.uint8]:
         """Draw some rows of the world, (rows, columns, 3) uint8 RGB of the whole image; the others are zero.
 
-        Raises:
-            SimulatorError: no road is loaded, or the renderer fails.
+        SimulatorError if no road is loaded, or if the renderer fails.
         """
 
     def load(self, road: Road, rng: np.random.Generator, conditions: Conditions = DEFAULT) -> None:

@@ -68,12 +68,7 @@ class Conversation:
         self._noted: set[str] = set()
 
     def answer(self, message: dict[str, Any]) -> list[dict[str, Any]]:
-        """Answer a message with others, in their order.
-
-        Raises:
-            ProtocolError: the message cannot be answered; the session must end.
-            SimulatorError: the simulator failed; the session must end.
-        """
+        """Answer a message with others, in their order; a ProtocolError or SimulatorError must end the session."""
         match message["msg_type"]:
             case "control":
                 return [self._control(message)]

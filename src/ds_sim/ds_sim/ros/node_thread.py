@@ -43,11 +43,7 @@ class NodeThread:
         self._stopped.set()
 
     def end(self) -> bool:
-        """Stop, end the thread, and let go of the node, which only then can be destroyed.
-
-        Returns:
-            False if a callback keeps the thread: then the node must not be destroyed under it.
-        """
+        """Stop, end the thread, and let go of the node, unless a callback keeps it: False, do not destroy it."""
         atexit.unregister(self.end)
         self.stop()
         self._ending.set()

@@ -72,8 +72,7 @@ class Graphics:
     def draw(self, camera: Any, width: int, height: int, *, top: int = 0, samples: int = SAMPLES) -> NDArray[np.uint8]:
         """Draw what a camera, a `NodePath`, sees from the row `top` on; the bits of the other rows do not depend on it.
 
-        Returns:
-            (rows, columns, 3) uint8 BGR, bottom row first, read-only; it does not change with the next drawing.
+        The image is (rows, columns, 3) uint8 BGR, bottom row first, read-only, and not changed by the next drawing.
         """
         drawn = height - top
         with _lock:

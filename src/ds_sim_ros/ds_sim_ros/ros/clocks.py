@@ -155,8 +155,7 @@ class LockStep:
     def begin(self, at_start: AtStart) -> Pair:
         """Pass one frame at rest, as a simulator that is reset may publish nothing before it.
 
-        Returns:
-            Odometry and image of the vehicle at the start, or the newest ones if it does not get there in time.
+        Returns what shows the vehicle at the start, or the newest messages if it does not get there in time.
         """
         time.sleep(QUIET)  # what was sent before the reset arrives, and is forgotten
         self._topics.clear()
@@ -190,16 +189,13 @@ class LockStep:
 
 
 class RealTime:
-    """Lets time pass; a frame ends with the first odometry 1/20 s after the frame before, by its stamp.
-
-    Attributes:
-        latency: largest time by which a frame came later, and by which its image was older than its odometry, s.
-    """
+    """Lets time pass; a frame ends with the first odometry 1/20 s after the frame before, by its stamp."""
 
     def __init__(self, topics: Topics) -> None:
         self._topics = topics
         self._last: Pair | None = None
         self.latency = (0.0, 0.0)
+        """Largest time by which a frame came later, and by which its image was older than its odometry, s."""
 
     def connect(self) -> None:
         """Do nothing: what is lost comes again."""

@@ -42,11 +42,7 @@ RECEIVER_TIME = 2.0
 
 
 class Link:
-    """Drives one simulator; where it fails, close it and make another.
-
-    Raises:
-        SimulatorError: a topic of the simulator is missing.
-    """
+    """Drives one simulator; where it fails, as with a SimulatorError, close it and make another."""
 
     def __init__(self, settings: RosSettings, folder: Path) -> None:
         self._settings, self._folder = settings, folder
@@ -90,11 +86,7 @@ class Link:
         return all(self._publishers(topic) == 1 for topic in (self._settings.odometry, self._settings.image))
 
     def begin(self, road: Road, seed: int, at_start: AtStart) -> Pair:
-        """Load a road and put the vehicle at rest at its start; returns odometry and image.
-
-        Raises:
-            SimulatorError: another run has the simulator, or it does not work within the limits.
-        """
+        """Load a road and put the vehicle at rest at its start; SimulatorError if another run has the simulator."""
         self._claim.take()
         self._load(road, seed)
         if self._fresh:
