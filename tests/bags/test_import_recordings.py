@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from foreign_bags import foreign_bag
+from tubs import write_tub
 
 from ds_bags.layout import BagError
 from ds_base.left_out import LeftOut
@@ -28,17 +27,13 @@ COUNT = 250
 @pytest.fixture
 def tub(tmp_path: Path) -> Path:
     """A drive of 250 images of 160 x 120, each brighter than the one before; the last one without steering."""
-    folder = tmp_path / "tub"
-    (folder / "images").mkdir(parents=True)
+    (tmp_path / "tub/images").mkdir(parents=True)
     rows = []
     for index in range(COUNT):
-        cv2.imwrite(str(folder / "images" / f"{index}.png"), picture(index))
-        row = {"_index": index, "_timestamp_ms": 1000 + 50 * index, "cam/image_array": f"{index}.png"}
-        rows.append(row | ({"user/angle": index / COUNT, "user/throttle": 0.5} if index < COUNT - 1 else {}))
-    (folder / "catalog_0.catalog").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    last = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": [2]})
-    (folder / "manifest.json").write_text(f"[]\n[]\n{{}}\n{{}}\n{last}\n")
-    return folder
+        cv2.imwrite(str(tmp_path / f"tub/images/{index}.png"), picture(index))
+        steered = {"user/angle": index / COUNT, "user/throttle": 0.5} if index < COUNT - 1 else {}
+        rows.append({"cam/image_array": f"{index}.png", **steered})
+    return write_tub(tmp_path / "tub", rows, deleted=[2])
 
 
 def picture(index: int) -> np.ndarray:
@@ -97,8 +92,6 @@ def test_images_that_cannot_be_read_are_counted_and_named(tub: Path, tmp_path: P
         import_recordings([open_recording(tub, Reading())], tmp_path / "none", "car", SILENT, LeftOut("images"))
 
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-STORE.register(get_types_from_msg("std_msgs/Header header\nfloat32 angle", "car_msgs/msg/Steer"))
 WALL = 1_700_000_000 * 10**9
 
 
@@ -112,38 +105,18 @@ def recorded_bag(folder: Path, *, images: int | None, steering: int | None, stam
         stamped: whether the steering has a header; otherwise it is a Twist.
         late: by which the steering is logged later, s.
     """
-    types = STORE.types
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        camera = writer.add_connection("/camera", "sensor_msgs/msg/Image", typestore=STORE)
-        kind = "car_msgs/msg/Steer" if stamped else "geometry_msgs/msg/Twist"
-        wheel = writer.add_connection("/steer", kind, typestore=STORE)
-
-        def header(first: int | None, passed: int) -> Any:
-            time = 0 if first is None else first + passed
-            stamp = types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
-            return types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-
+    with foreign_bag(folder, Steer="std_msgs/Header header\nfloat32 angle") as bag:
         for index in range(40):
             passed = index * 50_000_000
-            pixels = np.full(30 * 40 * 3, 5 * index, np.uint8)
-            message = types["sensor_msgs/msg/Image"](
-                header=header(images, passed),
-                height=30,
-                width=40,
-                encoding="rgb8",
-                is_bigendian=0,
-                step=120,
-                data=pixels,
-            )
-            writer.write(camera, WALL + passed, STORE.serialize_cdr(message, camera.msgtype))
-            angle = index / 40
+            pixels = np.full((30, 40, 3), 5 * index, np.uint8)
+            bag.write("/camera", WALL + passed, bag.image(0 if images is None else images + passed, pixels, "rgb8"))
+            passed, angle = passed + 10_000_000, index / 40
             if stamped:
-                command = types[kind](header=header(steering, passed + 10_000_000), angle=angle)
+                header = bag.header(0 if steering is None else steering + passed)
+                command = bag.make("car/Steer", header=header, angle=angle)
             else:
-                vector = types["geometry_msgs/msg/Vector3"]
-                command = types[kind](linear=vector(x=1.0, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=angle))
-            logged = WALL + passed + 10_000_000 + int(late * 1e9)
-            writer.write(wheel, logged, STORE.serialize_cdr(command, kind))
+                command = bag.make("geometry_msgs/Twist", linear=bag.vector(x=1.0), angular=bag.vector(z=angle))
+            bag.write("/steer", WALL + passed + int(late * 1e9), command)
     return folder
 
 

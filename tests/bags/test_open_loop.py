@@ -8,14 +8,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from foreign_bags import foreign_bag
+from rosbags.rosbag2 import StoragePlugin
 from scipy.stats import wasserstein_distance
+from tubs import write_tub
 
 from ds_analysis.paper.open_loop import evaluate_recording
 from ds_analysis.paper.steering_error_stats import EDGES, density, distances, pooled_errors, summarise
@@ -41,26 +41,13 @@ def brightness(frame: RecordedFrame, crop: Crop) -> float:
 @pytest.fixture
 def tub(tmp_path: Path) -> Path:
     """Five records of 160 x 120: the third deleted by its user, the fourth by the pilot, the fifth's image missing."""
-    folder = tmp_path / "tub"
-    (folder / "images").mkdir(parents=True)
+    (tmp_path / "tub/images").mkdir(parents=True)
     for index in range(4):
-        cv2.imwrite(str(folder / "images" / f"{index}.png"), np.full((120, 160, 3), 50 * index, np.uint8))
-    rows: list[dict[str, Any]] = [
-        {
-            "_index": i,
-            "_timestamp_ms": 1000 + 50 * i,
-            "cam/image_array": f"{i}.png",
-            "user/angle": 0.1 * i,
-            "user/throttle": 0.5,
-            "user/mode": "user",
-        }
-        for i in range(5)
-    ]
+        cv2.imwrite(str(tmp_path / f"tub/images/{index}.png"), np.full((120, 160, 3), 50 * index, np.uint8))
+    by_user = {"user/throttle": 0.5, "user/mode": "user"}
+    rows = [{"cam/image_array": f"{index}.png", "user/angle": 0.1 * index, **by_user} for index in range(5)]
     rows[3] |= {"user/mode": "local", "pilot/angle": -0.7, "pilot/throttle": 0.2}
-    (folder / "catalog_0.catalog").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    last = json.dumps({"paths": ["catalog_0.catalog"], "deleted_indexes": [2]})
-    (folder / "manifest.json").write_text(f"[]\n[]\n{{}}\n{{}}\n{last}\n")
-    return folder
+    return write_tub(tmp_path / "tub", rows, deleted=[2])
 
 
 def test_a_tub_is_read_with_its_sign_and_without_what_was_deleted(tub: Path) -> None:
@@ -103,41 +90,21 @@ def test_a_network_answers_a_raw_bag_as_it_answered_in_the_loop(bags: Path, run:
 @pytest.fixture(params=["Image", "CompressedImage"])
 def foreign(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     """A real car's bag by another writer, in SQLite: a camera, and a command of an unknown type."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg("float32 angle", "my_car/msg/Wheel"))
-    store.register(get_types_from_msg("std_msgs/Header header\nmy_car/Wheel wheel", "my_car/msg/Cmd"))
-    types: Any = store.types
-    with Writer(tmp_path / "car", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        camera = writer.add_connection("/cam", f"sensor_msgs/msg/{request.param}", typestore=store)
-        wheel = writer.add_connection("/cmd", "my_car/msg/Cmd", typestore=store)
-
-        def header(time: int) -> Any:
-            stamp = types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
-            return types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-
+    types = {"Wheel": "float32 angle", "Cmd": "std_msgs/Header header\ncar/Wheel wheel"}
+    with foreign_bag(tmp_path / "car", StoragePlugin.SQLITE3, **types) as bag:
         for number in range(6):
             time = 10**9 + number * 200_000_000
             grey = np.full((48, 64, 3), 40 * number, np.uint8)
-            if request.param == "Image":
-                message = types["sensor_msgs/msg/Image"](
-                    header=header(time),
-                    height=48,
-                    width=64,
-                    encoding="bgr8",
-                    is_bigendian=0,
-                    step=192,
-                    data=grey.reshape(-1),
-                )
-            else:
+            message = bag.image(time, grey, "bgr8")
+            if request.param == "CompressedImage":
                 data = cv2.imencode(".jpg", grey)[1].reshape(-1)
-                message = types["sensor_msgs/msg/CompressedImage"](header=header(time), format="jpeg", data=data)
-            writer.write(camera, time, bytes(store.serialize_cdr(message, camera.msgtype)))
+                message = bag.make("sensor_msgs/CompressedImage", header=message.header, format="jpeg", data=data)
+            bag.write("/cam", time, message)
             # The command comes 20 ms after the image, and there is none after the fourth image.
             if number < 4:
-                told = types["my_car/msg/Cmd"](
-                    header=header(time + 20_000_000), wheel=types["my_car/msg/Wheel"](angle=-0.1 * number)
-                )
-                writer.write(wheel, time + 20_000_000, bytes(store.serialize_cdr(told, "my_car/msg/Cmd")))
+                wheel = bag.make("car/Wheel", angle=-0.1 * number)
+                time += 20_000_000
+                bag.write("/cmd", time, bag.make("car/Cmd", header=bag.header(time), wheel=wheel))
     return tmp_path / "car"
 
 
@@ -160,12 +127,9 @@ def test_a_foreign_bag_with_steering_from_any_field(foreign: Path) -> None:
 @pytest.mark.parametrize("plugin", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
 def test_a_file_without_metadata_is_a_bag_of_its_own(tmp_path: Path, plugin: StoragePlugin) -> None:
     """So is the only one of a folder; and one that was indexed again names no storage."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    with Writer(tmp_path / "car", version=9, storage_plugin=plugin) as writer:
-        topic = writer.add_connection("/speed", "std_msgs/msg/Float64", typestore=store)
-        number = store.types["std_msgs/msg/Float64"]
+    with foreign_bag(tmp_path / "car", plugin) as bag:
         for index in range(5):
-            writer.write(topic, index * 10**9, store.serialize_cdr(number(data=float(index)), topic.msgtype))
+            bag.write("/speed", index * 10**9, bag.make("std_msgs/Float64", data=float(index)))
     metadata = tmp_path / "car" / "metadata.yaml"
     text = metadata.read_text()
     named = "mcap" if plugin is StoragePlugin.MCAP else "sqlite3"
@@ -173,8 +137,8 @@ def test_a_file_without_metadata_is_a_bag_of_its_own(tmp_path: Path, plugin: Sto
     metadata.write_text(text.replace(f"storage_identifier: {named}", "storage_identifier: ''"))
 
     def numbers(path: Path) -> list[float]:
-        with BagReader(path) as bag:
-            return [message.data for _, _, message in bag.decoded(bag.connections)]
+        with BagReader(path) as reader:
+            return [message.data for _, _, message in reader.decoded(reader.connections)]
 
     assert numbers(tmp_path / "car") == [0.0, 1.0, 2.0, 3.0, 4.0]
     metadata.unlink()

@@ -3,13 +3,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from foreign_bags import foreign_bag
+from tubs import write_tub
 
 from ds_bags.run_writer import write_bag
 from ds_driver import drive_road, make_driver
@@ -72,9 +71,7 @@ def test_a_located_recording_gives_the_offset_from_the_lane_driven(
     track = Track(np.column_stack((along, np.zeros(101))))
     about = {"source": "tub", "lane_width_m": 0.25}
     write_located(tmp_path, Located(table=table, track=track, lane_width=0.25, camera=camera, about=about))
-    (tmp_path / "tub").mkdir()
-    (tmp_path / "tub/manifest.json").write_text('[]\n[]\n{}\n{}\n{"paths": ["c.catalog"]}')
-    (tmp_path / "tub/c.catalog").write_text('{"_index": 0, "_timestamp_ms": 86400000}')
+    write_tub(tmp_path / "tub", [{"_timestamp_ms": 86_400_000}])
     found = read_recording(tmp_path, ROAD, scale=16.0)
     assert found.outcome(2.0) == outcome and found.lateral == pytest.approx(lateral, abs=0.09)
     assert found.when == "1970-01-02T00:00:00+00:00" and is_recording(tmp_path)
@@ -97,42 +94,28 @@ def test_a_topic_with_the_lateral_position_is_read(driven: tuple[Path, RunRecord
 
 def test_a_bag_of_another_robot_is_read(tmp_path: Path) -> None:
     """Written by rosbags, in the car's metres, turned by a quarter and begun somewhere else; it stops half-way."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
     lane = ROAD.lane_centre[: len(ROAD.lane_centre) // 2]
     ahead = lane[1] - lane[0]
     heading = float(np.arctan2(ahead[1], ahead[0])) + np.pi / 2
     points = (lane - lane[0]) / 16 @ np.array([[0.0, 1.0], [-1.0, 0.0]]) + (3.0, -1.0)
-    point, quaternion = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Quaternion"]
-    vector, stamp = types["geometry_msgs/msg/Vector3"], types["builtin_interfaces/msg/Time"](sec=1, nanosec=0)
-    zero = types["geometry_msgs/msg/TwistWithCovariance"](
-        twist=types["geometry_msgs/msg/Twist"](linear=vector(x=0.0, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0)),
-        covariance=np.zeros(36),
-    )
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connection = writer.add_connection("/odometry", "nav_msgs/msg/Odometry", typestore=store)
+    with foreign_bag(tmp_path / "bag") as bag:
+        sine, cosine = float(np.sin(heading / 2)), float(np.cos(heading / 2))
+        quaternion = bag.make("geometry_msgs/Quaternion", x=0.0, y=0.0, z=sine, w=cosine)
+        still = bag.make("geometry_msgs/Twist", linear=bag.vector(), angular=bag.vector())
+        twist = bag.make("geometry_msgs/TwistWithCovariance", twist=still, covariance=np.zeros(36))
+        about = {"header": bag.header(10**9, "odom"), "child_frame_id": "base", "twist": twist}
         for k, (x, y) in enumerate(points):
-            pose = types["geometry_msgs/msg/Pose"](
-                position=point(x=float(x), y=float(y), z=0.0),
-                orientation=quaternion(x=0.0, y=0.0, z=float(np.sin(heading / 2)), w=float(np.cos(heading / 2))),
-            )
-            message = types["nav_msgs/msg/Odometry"](
-                header=types["std_msgs/msg/Header"](stamp=stamp, frame_id="odom"),
-                child_frame_id="base",
-                pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
-                twist=zero,
-            )
-            raw = store.serialize_cdr(message, "nav_msgs/msg/Odometry")
-            writer.write(connection, 1_772_323_200_000_000_000 + k * 50_000_000, raw)
+            place = bag.make("geometry_msgs/Point", x=float(x), y=float(y), z=0.0)
+            pose = bag.make("geometry_msgs/Pose", position=place, orientation=quaternion)
+            uncertain = bag.make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=np.zeros(36))
+            message = bag.make("nav_msgs/Odometry", pose=uncertain, **about)
+            bag.write("/odometry", 1_772_323_200_000_000_000 + k * 50_000_000, message)
     found = read_recording(tmp_path / "bag", ROAD, scale=16.0)
     assert found.lateral is not None and found.lateral < 0.01 and found.outcome(2.0) is None
     assert found.share == pytest.approx(0.5, abs=0.05) and found.when == "2026-03-01T00:00:00+00:00"
 
 
 def test_a_tub_tells_when_and_leaves_the_verdict_to_a_person(tmp_path: Path) -> None:
-    index = {"created_at": 1.0, "sessions": {}, "paths": ["catalog_0.catalog"], "current_index": 1, "max_len": 1000}
-    (tmp_path / "manifest.json").write_text("[]\n[]\n{}\n{}\n" + json.dumps(index) + "\n")
-    (tmp_path / "catalog_0.catalog").write_text(json.dumps({"_index": 0, "_timestamp_ms": 1_772_323_200_000}) + "\n")
-    found = read_recording(tmp_path, ROAD, scale=16.0)
+    found = read_recording(write_tub(tmp_path, [{"_timestamp_ms": 1_772_323_200_000}]), ROAD, scale=16.0)
     assert (found.lateral, found.share, found.outcome(2.0)) == (None, None, None)
     assert found.when == "2026-03-01T00:00:00+00:00"

@@ -11,15 +11,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from foreign_bags import foreign_bag
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from tests.fuzz.damage import Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_value
 from tests.fuzz.harness import Kind
 from tests.fuzz.kinds_tables import as_text
+from tubs import write_tub
 
 from ds_bags.copying import recover
 from ds_bags.donkey_tub import TubError, read_tub
@@ -76,13 +77,9 @@ def _write_unfinished(folder: Path, n: int) -> Path:
 
 def _write_foreign(folder: Path, n: int) -> Path:
     """Write a rosbag2 in SQLite, as other projects do."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    make = store.types["std_msgs/msg/String"]
-    with Ros2Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        connection = writer.add_connection("/text", "std_msgs/msg/String", typestore=store)
+    with foreign_bag(folder / "bag", StoragePlugin.SQLITE3) as bag:
         for number in range(n):
-            message = make(data="x" * (number % 9))  # type: ignore[call-arg]
-            writer.write(connection, number, store.serialize_cdr(message, "std_msgs/msg/String"))
+            bag.write("/text", number, bag.make("std_msgs/String", data="x" * (number % 9)))
     return folder / "bag"
 
 
@@ -99,22 +96,16 @@ def _write_ros1(folder: Path, n: int) -> Path:
     return folder / "file.bag"
 
 
-def write_tub(folder: Path, n: int) -> Path:
+def tub(folder: Path, n: int) -> Path:
     """Write a tub of n records and images."""
-    tub = folder / "tub"
-    (tub / "images").mkdir(parents=True)
+    (folder / "tub/images").mkdir(parents=True)
     rows = []
     for index in range(n):
         name = f"{index}_cam_image_array_.jpg"
-        cv2.imwrite(str(tub / "images" / name), np.full((40, 80, 3), 30 * (index % 6), np.uint8))
+        cv2.imwrite(str(folder / "tub/images" / name), np.full((40, 80, 3), 30 * (index % 6), np.uint8))
         commands = {"user/angle": 0.1 * (index % 9), "user/throttle": 0.3, "user/mode": "user", "cam/image_array": name}
-        place = {"pos/pos_x": 0.1 * index, "pos/pos_z": 0.0, "pos/speed": 2.0}
-        rows.append({"_index": index, "_timestamp_ms": 1_700_000_000_000 + 50 * index} | commands | place)
-    (tub / "catalog_0.catalog").write_text("".join(f"{json.dumps(row)}\n" for row in rows))
-    index_line = {"paths": ["catalog_0.catalog"], "current_index": n, "max_len": 1000, "deleted_indexes": [n - 1]}
-    lines = [["cam/image_array", "user/angle"], ["image_array", "float"], {}, {"created_at": 0}, index_line]
-    (tub / "manifest.json").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
-    return tub
+        rows.append(commands | {"pos/pos_x": 0.1 * index, "pos/pos_z": 0.0, "pos/speed": 2.0})
+    return write_tub(folder / "tub", rows, deleted=[n - 1])
 
 
 def _damage_lines(folder: Path, rng: Rng) -> None:
@@ -237,7 +228,7 @@ KINDS = [
     Kind("bag-ros1", _write_ros1, damaged_file, _read_everything, _ERRORS, 500, small=5),
     Kind("bag-images", _write_image_bag, _damage_bag, _read_recording, _ERRORS, 20, small=4),
     Kind("bag-recover", _write_unfinished, damaged_file, _recover, _ERRORS, 20, small=4),
-    Kind("tub", write_tub, _damage_lines, read_tub, (TubError,), 100, small=6),
-    Kind("tub-images", write_tub, _damage_lines, _read_recording, (TubError, BagError), 50, small=6),
-    Kind("tub-log", write_tub, _damage_lines, read_log, (LogError,), 100, small=6),
+    Kind("tub", tub, _damage_lines, read_tub, (TubError,), 100, small=6),
+    Kind("tub-images", tub, _damage_lines, _read_recording, (TubError, BagError), 50, small=6),
+    Kind("tub-log", tub, _damage_lines, read_log, (LogError,), 100, small=6),
 ]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from tests.fuzz.damage import damaged_file, damaged_one_of
 from tests.fuzz.harness import Kind
-from tests.fuzz.kinds_bags import write_tub
+from tests.fuzz.kinds_bags import tub
 
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
@@ -31,7 +31,7 @@ _CAMERA = FloorCamera(
 def _write_located(folder: Path, n: int) -> Path:
     made = folder / "located"
     made.mkdir()
-    tub = write_tub(made, n)
+    source = tub(made, n)
     along = 0.35 * np.arange(n - 1.0)
     table = np.zeros((n - 1, len(COLUMNS)))
     for name, values in (
@@ -42,7 +42,7 @@ def _write_located(folder: Path, n: int) -> Path:
     ):
         table[:, COLUMNS.index(name)] = values
     track = Track(np.column_stack((np.linspace(-1.0, 0.35 * n + 3.0, 4 * n + 1), np.zeros(4 * n + 1))))
-    about = {"source": tub.name, "lane_width_m": 0.25, "closed": False}
+    about = {"source": source.name, "lane_width_m": 0.25, "closed": False}
     write_located(made, Located(table=table, track=track, lane_width=0.25, camera=_CAMERA, about=about))
     (made / "simulator.yaml").write_text("crop_top: 40\n")
     return made

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from foreign_bags import foreign_bag
 from numpy.typing import NDArray
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 from tubs import write_tub
 
 from ds_driver.data.recordings import Reading, Recording
@@ -195,59 +194,49 @@ def test_a_strangers_tub_is_read_in_degrees_and_what_is_no_number_is_left_out(tm
 
 
 def test_messages_of_odometry_imu_and_motion_capture_are_read(tmp_path: Path) -> None:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
-
-    def made(name: str, **fields: Any) -> Any:
-        return types[name](**fields)
-
-    def vector(x: float = 0.0, y: float = 0.0, z: float = 0.0, kind: str = "Vector3") -> Any:
-        return made(f"geometry_msgs/msg/{kind}", x=x, y=y, z=z)
-
-    def header(t: float, frame: str) -> Any:
-        nanoseconds = round(t * 1e9)
-        stamp = made("builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-        return made("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
     # Motion capture sees the car turned by 2 rad, somewhere else: only its motion counts.
     fine = np.linspace(0.0, 32.0, 32001)
     path = np.cumsum(speed(fine)[:, None] * np.stack((np.cos(yaw(fine) + 2), np.sin(yaw(fine) + 2)), 1), axis=0) / 1000
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        names = ("nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu", "geometry_msgs/msg/PoseStamped")
-        topics = [
-            writer.add_connection(topic, name, typestore=store)
-            for topic, name in zip(("/odom", "/imu", "/mocap"), names, strict=True)
-        ]
+    nine, many = np.zeros(9), np.zeros(36)
+    with foreign_bag(tmp_path / "bag") as bag:
         for t in np.arange(0.0, 31.0, 0.02).tolist():
-            index = round(t * 1000)
+            index, sent, logged = round(t * 1000), round((100 + t) * 1e9), round((200 + t) * 1e9)
             angle = float(yaw(fine[index]) + 2) / 2
-            turned = made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(angle), w=math.cos(angle))
-            place = vector(path[index, 0] + 9, path[index, 1] - 4, kind="Point")
-            pose = made("geometry_msgs/msg/Pose", position=place, orientation=turned)
-            still = made("geometry_msgs/msg/Pose", position=vector(kind="Point"), orientation=turned)
+            turned = bag.make("geometry_msgs/Quaternion", x=0.0, y=0.0, z=math.sin(angle), w=math.cos(angle))
+            place = bag.vector(path[index, 0] + 9, path[index, 1] - 4, kind="Point")
+            pose = bag.make("geometry_msgs/Pose", position=place, orientation=turned)
+            still = bag.make("geometry_msgs/Pose", position=bag.vector(kind="Point"), orientation=turned)
             v, w = float(speed(fine[index])), float(rate(fine[index]))
-            twist = made("geometry_msgs/msg/Twist", linear=vector(v), angular=vector(z=math.nan if 3 < t < 4 else w))
-            nine = np.zeros(9)
-            messages = [
-                made(names[0], header=header(100 + t, "odom"), child_frame_id="base_link",
-                     pose=made("geometry_msgs/msg/PoseWithCovariance", pose=still, covariance=np.zeros(36)),
-                     twist=made("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36))),
-                made(names[1], header=header(100 + t, "camera_imu_optical_frame"), orientation=turned,
-                     orientation_covariance=nine, angular_velocity=vector(y=-w), angular_velocity_covariance=nine,
-                     linear_acceleration=vector(), linear_acceleration_covariance=nine),
-                made(names[2], header=header(100 + t, "world"), pose=pose),
-            ]  # fmt: skip
-            for topic, name, message in zip(topics, names, messages, strict=True):
-                writer.write(topic, round((200 + t) * 1e9), store.serialize_cdr(message, name))
-    bag = recording_of(tmp_path / "bag", "bag")
-    sources = read_sources(bag, 100.0)
+            turning = bag.vector(z=math.nan if 3 < t < 4 else w)
+            twist = bag.make("geometry_msgs/Twist", linear=bag.vector(v), angular=turning)
+            odometry = {
+                "pose": bag.make("geometry_msgs/PoseWithCovariance", pose=still, covariance=many),
+                "twist": bag.make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=many),
+                "child_frame_id": "base_link",
+            }
+            imu = {
+                "orientation": turned,
+                "orientation_covariance": nine,
+                "angular_velocity": bag.vector(y=-w),
+                "angular_velocity_covariance": nine,
+                "linear_acceleration": bag.vector(),
+                "linear_acceleration_covariance": nine,
+            }
+            for topic, kind, frame, fields in (
+                ("/odom", "nav_msgs/Odometry", "odom", odometry),
+                ("/imu", "sensor_msgs/Imu", "camera_imu_optical_frame", imu),
+                ("/mocap", "geometry_msgs/PoseStamped", "world", {"pose": pose}),
+            ):
+                bag.write(topic, logged, bag.make(kind, header=bag.header(sent, frame), **fields))
+    foreign = recording_of(tmp_path / "bag", "bag")
+    sources = read_sources(foreign, 100.0)
     found = {(c.source.device, c.source.part): c for c in checked(*sources)}
     assert set(found) == {("/odom", AHEAD), ("/odom", TURN), ("/imu", TURN), ("/mocap", AHEAD), ("/mocap", TURN)}
     for (_, part), one in found.items():
         assert one.reason == "" or "closer" in one.reason
         off = one.steps - (SHORT * TRUE[:, 0] if part == AHEAD else TRUE[:, 2])
         assert np.sqrt(np.nanmean(off**2)) < 0.003
-    assert [s.device for s in read_sources(bag, 100.0, "/imu")] == ["/imu"]
+    assert [s.device for s in read_sources(foreign, 100.0, "/imu")] == ["/imu"]
     # In a bag of this project it would be the simulator's truth, which is taken only if it is named.
     ours = recording_of(tmp_path / "bag", "bag of ours")
     assert not read_sources(ours, 100.0) and len(read_sources(ours, 100.0, "/imu")) == 1
