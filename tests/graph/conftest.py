@@ -7,7 +7,6 @@ import gc
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -45,14 +44,11 @@ def spin() -> Iterator[Callable[..., None]]:
 
 
 @pytest.fixture
-def join() -> Iterator[Callable[..., None]]:
-    """Let nodes of the test's process join an executor's graph, which has a separate context."""
+def join() -> Iterator[Callable[[int], None]]:
+    """Let nodes of the test's process join the graph of a ROS domain, whose client has a separate context."""
     import rclpy
 
-    def start(executor: Any) -> None:
-        rclpy.init(domain_id=executor.context.get_domain_id())
-
-    yield start
+    yield lambda domain: rclpy.init(domain_id=domain)
     rclpy.try_shutdown()
     gc.collect()  # entities in a reference cycle keep the participant, and with it shared memory of its domain
 

@@ -9,43 +9,27 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from tests.graph.processes import SPACE, driven_graph, simulator_processes
 
+from ds_orchestrator.graph.supervisor import ProcessSpec
 from ds_road import Road
-from ds_sim.registry import DONKEY
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
 STRAIGHT = Road([(125.0, 15.0 * i) for i in range(1, 6)])
-SPACE = {DONKEY: "/ds1"}
 
 
 @pytest.fixture
-def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[..., None]) -> Iterator[Any]:
+def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[[int], None]) -> Iterator[Any]:
     """A donkey, and the adapter with the parameters of the test."""
-    from ds_orchestrator.graph.client import GraphClient
-    from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-
     sync, parameters = request.param
-    domain = RosDomain()
-    simulator = ProcessSpec(
-        name="simulator_ds1",
-        module="ds_sim.ros.simulator_node",
-        namespace="/ds1",
-        parameters={"simulator": "donkey", "command_timeout": 10.0, "sync": sync},
-    )
-    adapter = ProcessSpec(
-        name="driver", module="ds_driver.ros.cmd_vel_adapter_node", namespace="/ds1", parameters=parameters
-    )
-    supervisor = Supervisor([simulator, adapter], domain=domain.number, logs=logs)
-    executor = GraphClient(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
-    join(executor)
-    yield executor
-    executor.close()
-    supervisor.close()
-    domain.close()
+    module = "ds_driver.ros.cmd_vel_adapter_node"
+    adapter = ProcessSpec(name="driver", module=module, namespace="/ds1", parameters=parameters)
+    with driven_graph([*simulator_processes(SPACE, 10.0, sync=sync), adapter], logs) as (executor, domain):
+        join(domain)
+        yield executor
 
 
 @pytest.mark.parametrize("adapted", [("lockstep", {})], indirect=True)

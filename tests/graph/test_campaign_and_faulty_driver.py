@@ -7,10 +7,14 @@ import time
 from pathlib import Path
 
 import pytest
-from tests.graph.separate_processes import simulator_processes
+from tests.graph.processes import simulator_processes
 
+from ds_cli.campaign.inspection import campaign_status_command
 from ds_orchestrator.campaign.config import parse_config
+from ds_orchestrator.graph import session as running
+from ds_orchestrator.graph.supervisor import ProcessSpec
 from ds_sim.registry import SimulatorName
+from ds_studies.whole_campaign import run_campaign
 
 pytestmark = pytest.mark.graph
 
@@ -27,11 +31,6 @@ CONFIG = {
 
 def test_a_campaign_outlives_its_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The driver crashes once, during a run; the test is repeated, and the error enters no map."""
-    from ds_cli.campaign.inspection import campaign_status_command
-    from ds_orchestrator.graph import session as running
-    from ds_orchestrator.graph.supervisor import ProcessSpec
-    from ds_studies.whole_campaign import run_campaign
-
     faulty = ProcessSpec(
         name="driver",
         module="tests.graph.faulty_driver",

@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.graph.separate_processes import simulator_processes
+from tests.graph.processes import SPACE, simulator_processes, supervised
 
+from ds_orchestrator.campaign.executor import trajectory_sha256
+from ds_orchestrator.graph.client import GraphClient
+from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 from ds_road import Road
 from ds_sim import DONKEY
 from ds_sim.scenario import Scenario
@@ -19,7 +22,6 @@ from ds_sim.simulator import Outcome
 pytestmark = pytest.mark.graph
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
-SPACE = {DONKEY: "/ds1"}
 LIMIT = 2.0
 """Command timeout of the simulator, s."""
 BUSY, PATIENT = 60.0, 30.0
@@ -28,28 +30,10 @@ timeout that no healthy driver exceeds there, s."""
 
 
 class Bench:
-    """A simulator and a faulty driver that follows orders; processes that end are restarted."""
+    """A simulator and a faulty driver that follows orders; the client knows of neither, as of a user's nodes."""
 
-    def __init__(self, folder: Path) -> None:
-        from ds_orchestrator.graph.client import GraphClient
-        from ds_orchestrator.graph.session import RosDomain
-        from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-
-        self._orders = folder / "orders"
-        self.order("none")
-        self._domain = RosDomain()
-        driver = ProcessSpec(
-            name="faulty",  # not "driver": unknown to the executor, like a user's node
-            module="tests.graph.faulty_driver",
-            namespace="/ds1",
-            parameters={"orders": str(self._orders)},
-        )
-        self.supervisor = Supervisor(
-            [*simulator_processes(SPACE, LIMIT), driver], domain=self._domain.number, logs=folder / "logs"
-        )
-        self.executor = GraphClient(SPACE, domain=self._domain.number, command_timeout=LIMIT)
-        self.executor.wait_until_ready(120.0)
-        self.drive_until_completed()
+    def __init__(self, orders: Path, supervisor: Supervisor, executor: GraphClient) -> None:
+        self._orders, self.supervisor, self.executor = orders, supervisor, executor
 
     def order(self, fault: str, at: int = 20, delay: float = 0.0) -> None:
         self._orders.write_text(f"{fault} {at} {delay}")
@@ -68,17 +52,21 @@ class Bench:
         while (outcome := self.drive()[0].outcome) is not Outcome.COMPLETED:
             assert outcome is Outcome.DRIVER_SILENT and time.monotonic() < deadline
 
-    def close(self) -> None:
-        self.executor.close()
-        self.supervisor.close()
-        self._domain.close()
-
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    bench = Bench(tmp_path_factory.mktemp("faulty"))
-    yield bench
-    bench.close()
+    folder = tmp_path_factory.mktemp("faulty")
+    orders = folder / "orders"
+    orders.write_text("none 20 0.0")
+    module, parameters = "tests.graph.faulty_driver", {"orders": str(orders)}
+    driver = ProcessSpec(name="faulty", module=module, namespace="/ds1", parameters=parameters)
+    with supervised([*simulator_processes(SPACE, LIMIT), driver], folder / "logs") as (supervisor, domain):
+        executor = GraphClient(SPACE, domain=domain, command_timeout=LIMIT)
+        executor.wait_until_ready(120.0)
+        bench = Bench(orders, supervisor, executor)
+        bench.drive_until_completed()
+        yield bench
+        executor.close()
 
 
 @pytest.mark.parametrize(
@@ -110,8 +98,6 @@ def test_only_the_first_answer_to_a_frame_counts(bench: Bench) -> None:
 
 
 def test_a_late_answer_within_the_limit_changes_nothing(bench: Bench) -> None:
-    from ds_orchestrator.campaign.executor import trajectory_sha256
-
     bench.order("none")
     prompt, _ = bench.drive(PATIENT)
     bench.order("late", delay=0.4 * LIMIT)

@@ -14,54 +14,61 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.graph.separate_processes import simulator_processes
+import rclpy
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.msg import DriveCommand, Frame
+from ds_interfaces.msg import Road as RoadMessage
+from ds_interfaces.srv import LoadRoad
+from geometry_msgs.msg import Point
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+from tests.graph.processes import SPACE, driven_graph, simulator_processes, supervised
+from tests.waiting import wait_until
 
 from ds_base.processes import ChildProcesses
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_orchestrator.graph import client as graph_client
+from ds_orchestrator.graph.session import RosDomain, running_graph
+from ds_orchestrator.graph.supervisor import ProcessSpec
 from ds_road import Road, generate
 from ds_sim.registry import DONKEY, spec_of
 from ds_sim.ros import conversions as messages
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
+from ds_sim.testing import STRAIGHT
 
 pytestmark = pytest.mark.graph
 
 ROAD = generate(np.random.default_rng(21), max_angle=120)
-SPACE = {DONKEY: "/ds1"}
 
 
 @pytest.fixture(scope="module")
 def shared_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A donkey with the autopilot."""
-    from ds_orchestrator.graph.session import running_graph
-
     logs = tmp_path_factory.mktemp("logs")
     with running_graph(SPACE, AUTOPILOT, command_timeout=5.0, logs=logs) as executor:
         yield executor
 
 
 @pytest.fixture
-def graph(shared_graph: Any, join: Callable[..., None]) -> Any:
+def graph(shared_graph: Any, join: Callable[[int], None]) -> Any:
     """The module's graph, joined by this process."""
-    join(shared_graph)
+    join(shared_graph.context.get_domain_id())
     return shared_graph
 
 
 @pytest.fixture
-def lonely_simulator(logs: Path, join: Callable[..., None]) -> Iterator[Any]:
+def lonely_simulator(logs: Path, join: Callable[[int], None]) -> Iterator[Any]:
     """A donkey without a driver; yields (executor, ROS domain)."""
-    from ds_orchestrator.graph.client import GraphClient
-    from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import Supervisor
+    with driven_graph(simulator_processes(SPACE, 10.0), logs) as (executor, domain):
+        join(domain)
+        yield executor, domain
 
-    domain = RosDomain()
-    supervisor = Supervisor(simulator_processes(SPACE, 10.0), domain=domain.number, logs=logs)
-    executor = GraphClient(SPACE, domain=domain.number, command_timeout=10.0, supervisor=supervisor)
-    join(executor)
-    yield executor, domain.number
-    executor.close()
-    supervisor.close()
-    domain.close()
+
+def completes(graph: Any, road: Road = ROAD) -> None:
+    run = graph.execute("donkey", Scenario(road, seed=5))
+    assert run.outcome is Outcome.COMPLETED, run.message
 
 
 def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
@@ -83,21 +90,13 @@ def test_an_answer_that_comes_at_once_is_not_lost(graph: Any) -> None:
     handle = client._client_handle
     client._client_handle = Slow(handle)
     started = time.monotonic()
-    run = graph.execute("donkey", Scenario(ROAD, seed=5))
+    completes(graph)
     client._client_handle = handle
-    assert run.outcome is Outcome.COMPLETED, run.message
     assert time.monotonic() - started < 60.0  # a busy machine drives slowly
 
 
 def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any, caplog: pytest.LogCaptureFixture) -> None:
     """The second client waits, reports for whom, and is refused; it ends the run once the first client is gone."""
-    import rclpy
-    from ds_interfaces.action import DriveRoad
-    from rclpy.action import ActionClient
-    from rclpy.node import Node
-
-    from ds_orchestrator.graph import client as graph_client
-
     node = Node("somebody")
     client = ActionClient(node, DriveRoad, "/ds1/drive_road")
     assert client.wait_for_server(10.0)
@@ -115,18 +114,15 @@ def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any, caplo
     assert ROAD.road_id in run.message and "/somebody" in run.message
     assert "/ds1 drives for /somebody: waiting 1 s at most" in caplog.messages
     node.destroy_node()
-    run = graph.execute("donkey", Scenario(ROAD, seed=5))
-    assert run.outcome is Outcome.COMPLETED, run.message
+    completes(graph)
 
 
 def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
-    from ds_orchestrator.graph.client import GraphError
-
     graph.check_simulators()
     graph._namespaces["bullet"] = "/ds1"
     graph._simulators["bullet"] = graph._simulators["donkey"]
     try:
-        with pytest.raises(GraphError, match="/ds1 is donkey, expected bullet"):
+        with pytest.raises(graph_client.GraphError, match="/ds1 is donkey, expected bullet"):
             graph.check_simulators()
     finally:
         del graph._namespaces["bullet"], graph._simulators["bullet"]
@@ -134,11 +130,6 @@ def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
 
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:
     """Roads that ds_road refuses are sent as messages, as any client could."""
-    from ds_interfaces.msg import Road as RoadMessage
-    from ds_interfaces.srv import LoadRoad
-    from geometry_msgs.msg import Point
-    from rclpy.node import Node
-
     roads: dict[str, list[tuple[float, float]]] = {
         "nan": [(125.0, 0.0), (125.0, 25.0), (math.nan, 50.0), (125.0, 75.0)],
         "infinity": [(125.0, 0.0), (125.0, 25.0), (125.0, math.inf), (125.0, 75.0)],
@@ -153,17 +144,13 @@ def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> 
     for name, points in roads.items():
         message = RoadMessage(control_points=[Point(x=float(x), y=float(y)) for x, y in points])
         future = client.call_async(LoadRoad.Request(road=message, seed=1))
-        deadline = time.monotonic() + 20.0
-        import rclpy
-
-        while not future.done() and time.monotonic() < deadline:
-            rclpy.spin_once(node, timeout_sec=0.1)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=20.0)
         answer = future.result()
         assert answer is not None, name
         assert not answer.accepted and answer.reason.value == Reason.BAD_ROAD, name
         assert answer.message and "\n" not in answer.message, name
     node.destroy_node()
-    assert graph.execute("donkey", Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
+    completes(graph)
 
 
 def test_another_driver_takes_the_wheel_without_touching_anything_else(
@@ -175,32 +162,25 @@ def test_another_driver_takes_the_wheel_without_touching_anything_else(
     command = [sys.executable, "examples/line_driver.py", "--ros-args", "-r", "__ns:=/ds1"]
     driver = ended_with_this.start(command, environment=environment, log=logs / "line_driver.log")
     try:
-        gentle = generate(np.random.default_rng(2), max_angle=30)
-        run = executor.execute("donkey", Scenario(gentle, seed=1))
+        completes(executor, generate(np.random.default_rng(2), max_angle=30))
     finally:
         driver.kill()
         driver.wait()
-    assert run.outcome is Outcome.COMPLETED, run.message
 
 
 def test_a_simulator_that_nobody_starts_is_awaited_for_long_only_once(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    from ds_orchestrator.graph import client
-    from ds_orchestrator.graph.session import RosDomain
-
-    monkeypatch.setattr(client, "ABSENT_TIME", 2.0)
+    monkeypatch.setattr(graph_client, "ABSENT_TIME", 2.0)
     domain = RosDomain()
-    alone = client.GraphClient(SPACE, domain=domain.number, command_timeout=5.0)
+    alone = graph_client.GraphClient(SPACE, domain=domain.number, command_timeout=5.0)
     monkeypatch.setattr(alone, "_start_time", 3.0)
     with caplog.at_level("INFO"):
         waits = [alone.execute(DONKEY, Scenario(ROAD, seed=1)).message.split(":")[0] for _ in range(2)]
     alone.close()
     domain.close()
     assert waits == [f"after {seconds} s there is no simulator in /ds1" for seconds in (3, 2)]
-    assert [record.getMessage() for record in caplog.records] == [
-        "there is no simulator in /ds1: waiting 3 s at most",
-    ]
+    assert caplog.messages == ["there is no simulator in /ds1: waiting 3 s at most"]
 
 
 @pytest.mark.long
@@ -208,16 +188,12 @@ def test_a_node_that_stops_between_two_runs_is_replaced(graph: Any, monkeypatch:
     """ROS forgets it after 20 s."""
     monkeypatch.setattr(graph, "_start_time", 5.0)
     graph._supervisor._processes["closed_loop_ds1"].send_signal(signal.SIGSTOP)
-    deadline = time.monotonic() + 60.0
-    while not graph._simulators[DONKEY].missing() and time.monotonic() < deadline:
-        time.sleep(0.2)
+    wait_until(graph._simulators[DONKEY].missing)
     lost = graph.execute(DONKEY, Scenario(ROAD, seed=1))
-    assert (lost.outcome, lost.message) == (
-        Outcome.SIM_ERROR,
-        "after 5 s there is no simulator in /ds1: see the folder logs",
-    )
+    assert lost.outcome is Outcome.SIM_ERROR
+    assert lost.message == "after 5 s there is no simulator in /ds1: see the folder logs"
     monkeypatch.undo()
-    assert graph.execute(DONKEY, Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
+    completes(graph)
 
 
 def test_a_simulator_that_is_started_anew_during_a_run_is_an_error(graph: Any) -> None:
@@ -231,15 +207,13 @@ def test_a_simulator_that_is_started_anew_during_a_run_is_an_error(graph: Any) -
     restarts: list[int] = []
     run = graph.execute(DONKEY, Scenario(ROAD, seed=1), watch=watch)
     assert restarts and run.outcome is Outcome.SIM_ERROR and "started anew during the run" in run.message
-    assert graph.execute(DONKEY, Scenario(ROAD, seed=1)).outcome is Outcome.COMPLETED
+    completes(graph)
 
 
 def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A user's class on PYTHONPATH; the log of the driver's process states the time of the answers."""
-    from ds_orchestrator.graph.session import running_graph
-
     (tmp_path / "late.py").write_text(
         "class Late:\n    def drive(self, seen):\n        return float('nan') if seen.step == 5 else 0.0\n"
     )
@@ -252,64 +226,41 @@ def test_a_driver_that_answers_nan_is_an_error_that_says_so(
     assert "the network's steering is nan" in log and "5 frames answered: median" in log and "Traceback" not in log
 
 
-def test_an_image_of_the_wrong_size_leaves_the_driver_alive(logs: Path, spin: Callable[..., None]) -> None:
+def test_an_image_of_the_wrong_size_leaves_the_driver_alive(
+    logs: Path, join: Callable[[int], None], spin: Callable[..., None]
+) -> None:
     """The network driver refuses it in one line, and answers the next good image."""
-    import rclpy
-    from ds_interfaces.msg import DriveCommand, Frame
-    from rclpy.node import Node
-    from sensor_msgs.msg import Image
-
-    from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-
-    domain = RosDomain()
     parameters: dict[str, object] = {"namespaces": list(SPACE.values()), "network": "dave2"}
     driver = ProcessSpec(name="driver", module="ds_driver.ros.driver_node", parameters=parameters)
-    supervisor = Supervisor([driver], domain=domain.number, logs=logs)
-    rclpy.init(domain_id=domain.number)
-    node = Node("camera")
-    frames = node.create_publisher(Frame, "/ds1/frame", 1)
-    answers: list[DriveCommand] = []
-    node.create_subscription(DriveCommand, "/ds1/drive", answers.append, 10)
-    spin(node)
+    with supervised([driver], logs) as (_, domain):
+        join(domain)
+        node = Node("camera")
+        frames = node.create_publisher(Frame, "/ds1/frame", 1)
+        answers: list[DriveCommand] = []
+        node.create_subscription(DriveCommand, "/ds1/drive", answers.append, 10)
+        spin(node)
 
-    def show(rows: int, columns: int, second: int, *, seconds: float = 30.0) -> bool:
-        image = Image(height=rows, width=columns, encoding="rgb8", step=columns * 3)
-        image.data = bytes(rows * columns * 3)
-        image.header.stamp.sec = second
-        frame = Frame(header=image.header, crop_top=40, image=image)
-        before = len(answers)
-        until = time.monotonic() + seconds
-        while time.monotonic() < until:
-            frames.publish(frame)
-            time.sleep(0.1)
-            if len(answers) > before:
-                return True
-        return False
+        def show(rows: int, columns: int, second: int) -> None:
+            """Publish an image until it is answered; one of the wrong size for two seconds."""
+            image = Image(height=rows, width=columns, encoding="rgb8", step=columns * 3)
+            image.data = bytes(rows * columns * 3)
+            image.header.stamp.sec = second
+            until = time.monotonic() + (30.0 if rows == 160 else 2.0)
+            while time.monotonic() < until and not (answers and answers[-1].header.stamp.sec == second):
+                frames.publish(Frame(header=image.header, crop_top=40, image=image))
+                time.sleep(0.1)
 
-    deadline = time.monotonic() + 60.0
-    while not frames.get_subscription_count() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    try:
-        assert show(160, 320, 1)
-        assert not show(48, 64, 2, seconds=2.0)
-        assert show(160, 320, 3)
-        assert abs(answers[-1].steering) <= 1.0 and answers[-1].header.stamp.sec == 3
+        wait_until(frames.get_subscription_count)
+        for second, size in enumerate(((160, 320), (48, 64), (160, 320)), start=1):
+            show(*size, second)
+        assert {answer.header.stamp.sec for answer in answers} == {1, 3} and abs(answers[-1].steering) <= 1.0
         log = (logs / "driver.log").read_text()
         assert "frame not answered: image of shape (48, 64, 3)" in log and "Traceback" not in log
-    finally:
         node.destroy_node()
-        rclpy.try_shutdown()
-        supervisor.close()
-        domain.close()
 
 
 def _answer_all(name: str, steering: float) -> Any:
     """Create a driver in the test's process that answers every image."""
-    from ds_interfaces.msg import DriveCommand
-    from rclpy.node import Node
-    from sensor_msgs.msg import Image
-
     node = Node(name)
     publisher = node.create_publisher(DriveCommand, "/ds1/drive", 1)
 
@@ -329,15 +280,12 @@ def test_two_drivers_are_noticed_and_named_and_give_no_verdict(
     nodes = [_answer_all(name, steering) for name, steering in zip(names, (0.0, 0.4), strict=True)]
     spin(*nodes)
     executor.wait_until_ready(30.0)
-    deadline = time.monotonic() + 10.0
-    while nodes[0].count_subscribers("/ds1/camera/image_raw") < 2 and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: nodes[0].count_subscribers("/ds1/camera/image_raw") == 2)
     run = executor.execute("donkey", Scenario(ROAD, seed=1))
     assert (run.outcome, run.reason) == (Outcome.SIM_ERROR, Reason.TWO_DRIVERS), run.message
     assert all(f"/{name}" in run.message for name in names) and run.steps < 5
     nodes[1].destroy_node()
-    straight = executor.execute("donkey", Scenario(Road([(125.0, 25.0 * i) for i in range(9)]), seed=1))
-    assert straight.outcome is Outcome.COMPLETED, straight.message
+    completes(executor, STRAIGHT)
 
 
 def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(
@@ -349,19 +297,15 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
     second = ended_with_this.start(command, environment=environment, log=logs / "second.log")
     try:
-        deadline = time.monotonic() + 60.0
         for log in (graph._supervisor._log("closed_loop_ds1"), logs / "second.log"):
-            while "2 simulators live in /ds1" not in log.read_text() and time.monotonic() < deadline:
-                time.sleep(0.1)
+            wait_until(lambda log=log: "2 simulators live in /ds1" in log.read_text())
         run = graph.execute("donkey", Scenario(ROAD, seed=1))
         assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.TWO_SIMULATORS, 0), run.message
     finally:
         second.kill()
         second.wait()
-    deadline = time.monotonic() + 60.0
-    while (run := graph.execute("donkey", Scenario(ROAD, seed=1))).reason is Reason.TWO_SIMULATORS:
-        assert time.monotonic() < deadline
-    assert run.outcome is Outcome.COMPLETED, run.message
+    wait_until(lambda: graph.execute("donkey", Scenario(ROAD, seed=1)).reason is not Reason.TWO_SIMULATORS)
+    completes(graph)
 
 
 def test_a_driver_without_parameters_asks_its_simulator_and_says_so(graph: Any) -> None:

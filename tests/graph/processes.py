@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulators and drivers in processes of their own, as launch files start them, each graph in its own ROS domain."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ds_orchestrator.graph.client import GraphClient
+from ds_orchestrator.graph.session import RosDomain
+from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
+from ds_sim.registry import DONKEY, SimulatorName
+
+SPACE = {DONKEY: "/ds1"}
+
+
+def simulator_processes(
+    namespaces: dict[SimulatorName, str], command_timeout: float, **more: object
+) -> list[ProcessSpec]:
+    """One process per simulator, with `more` parameters."""
+    return [
+        ProcessSpec(
+            name=f"simulator_{namespace.strip('/')}",
+            module="ds_sim.ros.simulator_node",
+            namespace=namespace,
+            parameters={"simulator": name, "command_timeout": command_timeout, **more},
+        )
+        for name, namespace in namespaces.items()
+    ]
+
+
+@contextmanager
+def supervised(specs: Sequence[ProcessSpec], logs: Path) -> Iterator[tuple[Supervisor, int]]:
+    """Run processes in a free ROS domain, and yield its number, too."""
+    domain = RosDomain()
+    supervisor = Supervisor(specs, domain=domain.number, logs=logs)
+    try:
+        yield supervisor, domain.number
+    finally:
+        supervisor.close()
+        domain.close()
+
+
+@contextmanager
+def driven_graph(specs: Sequence[ProcessSpec], logs: Path) -> Iterator[tuple[GraphClient, int]]:
+    """Run processes, one of them a donkey in `SPACE`, and yield a client that drives on it, and their ROS domain."""
+    with supervised(specs, logs) as (supervisor, domain):
+        client = GraphClient(SPACE, domain=domain, command_timeout=10.0, supervisor=supervisor)
+        try:
+            yield client, domain
+        finally:
+            client.close()
