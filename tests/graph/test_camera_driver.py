@@ -11,37 +11,36 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Image
+from tests.graph.processes import supervised
+from tests.waiting import wait_until
 
+from ds_driver.control.bicycle import Geometry
+from ds_driver.networks.network_driver import NetworkDriver
+from ds_driver.networks.pilot import Frame
+from ds_orchestrator.graph.supervisor import ProcessSpec
+from ds_road import Road
 from ds_sim.registry import make_simulator
 
 pytestmark = pytest.mark.graph
 
 
-def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, spin: Callable[..., None]) -> None:
-    import rclpy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import TwistStamped
-    from rclpy.node import Node
-    from rclpy.qos import qos_profile_sensor_data
-    from sensor_msgs.msg import Image
-
-    from ds_driver.control.bicycle import Geometry
-    from ds_driver.networks.network_driver import NetworkDriver
-    from ds_driver.networks.pilot import Frame
-    from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-    from ds_road import Road
-
+def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(
+    logs: Path, join: Callable[[int], None], spin: Callable[..., None]
+) -> None:
     bend = Road([(50, 30), (50, 60), (60, 85), (85, 100), (110, 105), (140, 105)])
     rgb = np.asarray(make_simulator("bullet").load(bend, seed=1).image)
-    large = cv2.resize(rgb, (640, 320), interpolation=cv2.INTER_NEAREST)
     pictures = {
         "rgb8": rgb,
         "bgr8": rgb[..., ::-1],
         "mono8": cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY),
         "yuv422": cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_UYVY),
         "yuv422_yuy2": cv2.cvtColor(rgb, cv2.COLOR_RGB2YUV_YUY2),
-        "rgb8 large": large,
+        "rgb8 large": cv2.resize(rgb, (640, 320), interpolation=cv2.INTER_NEAREST),
         "32FC1": np.zeros((160, 320, 4), np.uint8),
     }
     # Expected commands, from the network in this process: the speed of equation 2, the bicycle model's yaw rate.
@@ -49,35 +48,24 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
     speed = 2.0 * (1.0 - steering**2) ** 0.5
     yaw_rate = Geometry(0.3, 0.4).yaw_rate_of(speed, -0.4 * steering)
 
-    domain = RosDomain()
+    car = {"wheelbase": 0.3, "max_steering_angle": 0.4, "max_speed": 2.0}
     spec = ProcessSpec(
         name="driver",
         module="ds_driver.ros.camera_driver_node",
         namespace="/car",
-        parameters={
-            "output": "twist_stamped",
-            "wheelbase": 0.3,
-            "max_steering_angle": 0.4,
-            "max_speed": 2.0,
-            "speed_from": "none",
-        },
+        parameters={"output": "twist_stamped", "speed_from": "none", **car},
         remappings={"camera/image_raw": "/front/image", "cmd_vel": "/mux/cmd_vel"},
     )
-    supervisor = Supervisor([spec], domain=domain.number, logs=logs)
-    rclpy.init(domain_id=domain.number)
-    node = Node("car")
-    camera = node.create_publisher(Image, "/front/image", qos_profile_sensor_data)  # best effort, as cameras are
-    heard: list[TwistStamped] = []
-    told: list[DiagnosticArray] = []
-    node.create_subscription(TwistStamped, "/mux/cmd_vel", heard.append, 10)
-    node.create_subscription(DiagnosticArray, "/diagnostics", told.append, 10)
-    spin(node)
-    try:
-        deadline = time.monotonic() + 60.0
-        while not (camera.get_subscription_count() and node.count_publishers("/mux/cmd_vel")):
-            supervisor.check({"driver"})
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+    with supervised([spec], logs) as (_, domain):
+        join(domain)
+        node = Node("car")
+        camera = node.create_publisher(Image, "/front/image", qos_profile_sensor_data)  # best effort, as cameras are
+        heard: list[TwistStamped] = []
+        told: list[DiagnosticArray] = []
+        node.create_subscription(TwistStamped, "/mux/cmd_vel", heard.append, 10)
+        node.create_subscription(DiagnosticArray, "/diagnostics", told.append, 10)
+        spin(node)
+        wait_until(lambda: camera.get_subscription_count() and node.count_publishers("/mux/cmd_vel"))
         answers: dict[str, TwistStamped] = {}
         for second, (name, pixels) in enumerate(pictures.items(), start=1):
             rows, columns = pixels.shape[:2]
@@ -99,17 +87,11 @@ def test_the_same_picture_in_any_encoding_and_size_is_driven_alike(logs: Path, s
         assert rates["yuv422"] == rates["yuv422_yuy2"]  # the same values in another order
         assert rates["yuv422"] == pytest.approx(rates["rgb8"], abs=0.15)
         assert np.isfinite(rates["mono8"])
-        deadline = time.monotonic() + 10.0
-        while not any(a.status[0].level == b"\x02" for a in told) and time.monotonic() < deadline:
-            time.sleep(0.1)
+        wait_until(lambda: any(a.status[0].level == b"\x02" for a in told))
         status = told[-1].status[0]
         values = {v.key: v.value for v in status.values}
         assert status.hardware_id == "/car/camera_driver"
         assert int(values["frames answered"]) >= 6 and int(values["frames refused"]) >= 1
         assert 0.0 < float(values["latency mean ms"]) <= float(values["latency max ms"])
         assert "image of encoding '32FC1'" in (logs / "driver.log").read_text()
-    finally:
         node.destroy_node()
-        rclpy.try_shutdown()
-        supervisor.close()
-        domain.close()

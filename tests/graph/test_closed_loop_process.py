@@ -5,16 +5,27 @@ from __future__ import annotations
 
 import os
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from ds_interfaces.srv import GetSimulatorInfo
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+from tests.graph.processes import SPACE
+from tests.waiting import wait_until
 
+from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName
+from ds_orchestrator.campaign.executor import trajectory_sha256
+from ds_orchestrator.graph.session import running_graph
 from ds_road import Road
-from ds_sim.registry import DONKEY
+from ds_sim.registry import DONKEY, make_simulator
+from ds_sim.ros.conversions import pixels_of
+from ds_sim.ros.node_thread import NodeThread
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
@@ -44,38 +55,22 @@ class Ordered:
 @pytest.fixture(scope="module")
 def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Path]]:
     """A donkey with a driver that hangs or crashes when the file exists, once; yields (executor, file)."""
-    from ds_orchestrator.graph.session import running_graph
-
     folder = tmp_path_factory.mktemp("ordered")
     (folder / "ordered_driver.py").write_text(DRIVER)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-        with running_graph(
-            {DONKEY: "/ds1"}, DriverName("ordered_driver:Ordered"), command_timeout=LIMIT, logs=folder / "logs"
-        ) as executor:
+        driver = DriverName("ordered_driver:Ordered")
+        with running_graph(SPACE, driver, command_timeout=LIMIT, logs=folder / "logs") as executor:
             yield executor, folder / "order"
 
 
 def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Path) -> None:
     """A subscriber that is there before a run gets whole images; without one, the crop is drawn."""
-    import numpy as np
-    from ds_interfaces.srv import GetSimulatorInfo
-    from rclpy.node import Node
-    from sensor_msgs.msg import Image
-
-    from ds_driver.closed_loop.simulation import drive_road, make_driver
-    from ds_orchestrator.campaign.executor import trajectory_sha256
-    from ds_orchestrator.graph.session import running_graph
-    from ds_sim.registry import make_simulator
-    from ds_sim.ros.conversions import pixels_of
-    from ds_sim.ros.node_thread import NodeThread
-
     simulator = make_simulator("donkey")
     here = drive_road(simulator, make_driver("dave2_short", simulator.spec), STRAIGHT, 1)
     top = simulator.spec.crop_top
     simulator.close()
-    spaces = {DONKEY: "/ds1"}
-    with running_graph(spaces, DriverName("dave2_short"), command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+    with running_graph(SPACE, DriverName("dave2_short"), command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
         unseen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
         node = Node("viewer", context=executor.context)
@@ -86,14 +81,11 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
         viewer = NodeThread(node)
         assert viewer.ask(client, GetSimulatorInfo.Request(), 30.0)
         seen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
-        deadline = time.monotonic() + 20.0
-        while len(images) < len(seen.observations) and time.monotonic() < deadline:
-            time.sleep(0.05)
+        wait_until(lambda: len(images) >= len(seen.observations))
         assert viewer.end()
         node.destroy_node()
     assert trajectory_sha256(unseen) == trajectory_sha256(seen) == trajectory_sha256(here)
-    assert len(images) >= len(seen.observations) and top > 0
-    assert all(np.any(pixels_of(image)[:top]) for image in images)
+    assert top > 0 and all(np.any(pixels_of(image)[:top]) for image in images)
 
 
 def test_both_nodes_have_their_names_and_topics(ordered: tuple[Any, Path]) -> None:
@@ -106,16 +98,12 @@ def test_both_nodes_have_their_names_and_topics(ordered: tuple[Any, Path]) -> No
 
 
 def test_a_hanging_driver_stops_neither_reset_nor_watchdog_and_is_replaced(ordered: tuple[Any, Path]) -> None:
-    from std_srvs.srv import Trigger
-
     executor, order = ordered
     order.write_text("hang")
     runs: list[Any] = []
     drive = threading.Thread(target=lambda: runs.append(executor.execute("donkey", Scenario(STRAIGHT, seed=1))))
     drive.start()
-    deadline = time.monotonic() + 60.0
-    while order.exists() and time.monotonic() < deadline:
-        time.sleep(0.02)
+    wait_until(lambda: not order.exists())
     assert executor._thread.ask(executor._simulators["donkey"].reset, Trigger.Request(), BUSY).success
     drive.join(LIMIT + BUSY)
     assert (runs[0].outcome, runs[0].reason, runs[0].steps) == (Outcome.CANCELLED, Reason.RESET, 20)
@@ -129,7 +117,6 @@ def test_a_crashing_driver_takes_its_simulator_along_and_both_come_back(ordered:
     order.write_text("crash")
     run = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
     assert run.outcome is Outcome.SIM_ERROR and "closed_loop_ds1 ended during the run" in run.message
-    assert (
-        "after frame 20 " in run.message or "after frame 10 " in run.message
-    )  # at which it crashes, or the one before
+    # At which it crashes, or the one before.
+    assert "after frame 20 " in run.message or "after frame 10 " in run.message
     assert executor.execute("donkey", Scenario(STRAIGHT, seed=1)).outcome is Outcome.COMPLETED

@@ -7,15 +7,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
+import rclpy
+from ds_interfaces.action import DriveRoad
+from ds_interfaces.msg import Condition
+from ds_interfaces.srv import LoadRoad
+from rclpy.action import ActionClient
+from rclpy.node import Node
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.executor import trajectory_sha256 as digest
+from ds_orchestrator.graph import session, supervisor
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import DONKEY, SimulatorName, make_simulator
+from ds_sim.ros import conversions as messages
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
@@ -30,8 +39,6 @@ OF_NODE, OF_GOAL = Conditions(tyre_pull=0.01), Conditions(steering_lag=0.3, tyre
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A donkey whose node has conditions of its own, and a simulator that knows none."""
-    from ds_orchestrator.graph import session, supervisor
-
     processes = supervisor.closed_loop_processes
 
     def with_conditions(*arguments: Any, **options: Any) -> Any:
@@ -71,17 +78,8 @@ def test_what_a_simulator_cannot_realise_is_refused_and_no_run_is_made(graph: An
     assert graph.execute(QUICK, Scenario(SHORT, seed=5)).outcome.is_verdict
 
 
-def test_loaded_conditions_hold_for_the_goal_that_brings_no_road(graph: Any, join: Callable[..., None]) -> None:
-    import rclpy
-    from ds_interfaces.action import DriveRoad
-    from ds_interfaces.msg import Condition
-    from ds_interfaces.srv import LoadRoad
-    from rclpy.action import ActionClient
-    from rclpy.node import Node
-
-    from ds_sim.ros import conversions as messages
-
-    join(graph)
+def test_loaded_conditions_hold_for_the_goal_that_brings_no_road(graph: Any, join: Callable[[int], None]) -> None:
+    join(graph.context.get_domain_id())
     node = Node("tester")
     client, action = node.create_client(LoadRoad, "/ds1/load_road"), ActionClient(node, DriveRoad, "/ds1/drive_road")
     assert client.wait_for_service(10.0) and action.wait_for_server(10.0)
@@ -103,6 +101,4 @@ def test_loaded_conditions_hold_for_the_goal_that_brings_no_road(graph: Any, joi
     node.destroy_node()
     assert messages.conditions_from_messages(run.conditions) == OF_GOAL
     columns = (run.trajectory.x, run.trajectory.y, run.trajectory.yaw, run.trajectory.speed)
-    import numpy as np
-
     assert trajectory_sha256(np.column_stack(columns)) == of_library(OF_GOAL)

@@ -5,9 +5,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from ds_interfaces.msg import Outcome as OutcomeMsg
+from ds_interfaces.msg import Reason as ReasonMsg
+from ds_interfaces.msg import Road as RoadMsg
+from rclpy.serialization import deserialize_message, serialize_message
 
 from ds_road import Road, RoadError
-from ds_sim.simulator import Outcome, Reason
+from ds_sim.messages import road_from_message
+from ds_sim.ros.conversions import message_builder, road_to_message
+from ds_sim.simulator import Outcome, Reason, VehicleState
 
 pytestmark = pytest.mark.graph
 
@@ -25,12 +31,6 @@ ROADS = {
 
 @pytest.mark.parametrize("name", ROADS)
 def test_a_road_message_makes_an_equal_road_with_the_same_id(name: str) -> None:
-    from ds_interfaces.msg import Road as RoadMsg
-    from rclpy.serialization import deserialize_message, serialize_message
-
-    from ds_sim.messages import road_from_message
-    from ds_sim.ros.conversions import road_to_message
-
     sent = deserialize_message(serialize_message(road_to_message(ROADS[name])), RoadMsg)
     made = road_from_message(sent)
     assert made == ROADS[name] and made.road_id == ROADS[name].road_id == sent.road_id
@@ -38,9 +38,6 @@ def test_a_road_message_makes_an_equal_road_with_the_same_id(name: str) -> None:
 
 
 def test_a_road_message_without_a_width_has_the_usual_one_and_contradictions_are_refused() -> None:
-    from ds_sim.messages import road_from_message
-    from ds_sim.ros.conversions import road_to_message
-
     message = road_to_message(ROADS["plain"])
     message.lane_width = 0.0
     assert road_from_message(message) == ROADS["plain"]
@@ -50,9 +47,6 @@ def test_a_road_message_without_a_width_has_the_usual_one_and_contradictions_are
 
 
 def test_the_numbers_of_outcomes_and_reasons_are_those_of_the_messages() -> None:
-    from ds_interfaces.msg import Outcome as OutcomeMsg
-    from ds_interfaces.msg import Reason as ReasonMsg
-
     for kind, message in ((Outcome, OutcomeMsg), (Reason, ReasonMsg)):
         constants = {name: getattr(message, name) for name in vars(type(message)).get("_Metaclass_Constants", [])}
         constants = constants or {name: getattr(message, name) for name in kind.__members__}
@@ -61,9 +55,6 @@ def test_the_numbers_of_outcomes_and_reasons_are_those_of_the_messages() -> None
 
 def test_odometry_is_marked_as_ground_truth() -> None:
     """Tiny variances for exact values, huge ones for missing values; zeros would mean unknown."""
-    from ds_sim.ros.conversions import message_builder
-    from ds_sim.simulator import VehicleState
-
     vehicle = VehicleState(x=1.0, y=2.0, yaw=0.5, speed=3.0, yaw_rate=0.1, steering_angle=0.0)
     make = message_builder("/ds1")
     message = make.odometry(vehicle, make.stamp(0))

@@ -10,6 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from tests.graph.processes import supervised
+from tests.waiting import wait_until
+
+from ds_orchestrator.graph.supervisor import ProcessSpec
 
 pytestmark = pytest.mark.graph
 
@@ -53,35 +63,26 @@ def tables(node: str) -> tuple[set[tuple[str, ...]], set[tuple[str, ...]]]:
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """All nodes in one domain, each in a separate namespace, and a node that queries them."""
-    import rclpy
-    from rclpy.node import Node
-
-    from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-
-    domain = RosDomain()
     specs = [
         ProcessSpec(name=name, module=module, namespace=f"/{name}_space", parameters=parameters)
         for name, (module, parameters) in NODES.items()
     ]
-    supervisor = Supervisor(specs, domain=domain.number, logs=tmp_path_factory.mktemp("logs"))
-    rclpy.init(domain_id=domain.number)
-    node = Node("asker")
-    deadline = time.monotonic() + 90.0
-    expected = {(name, f"/{name}_space") for name in NODES}
-    while expected - set(node.get_node_names_and_namespaces()) and time.monotonic() < deadline:
-        supervisor.check(set(NODES))
-        time.sleep(0.1)
-    yield node
-    node.destroy_node()
-    rclpy.try_shutdown()
-    supervisor.close()
-    domain.close()
+    with supervised(specs, tmp_path_factory.mktemp("logs")) as (supervisor, domain):
+        rclpy.init(domain_id=domain)
+        node = Node("asker")
+        expected = {(name, f"/{name}_space") for name in NODES}
+
+        def all_there() -> bool:
+            supervisor.check(set(NODES))
+            return expected <= set(node.get_node_names_and_namespaces())
+
+        wait_until(all_there, 90.0)
+        yield node
+        node.destroy_node()
+        rclpy.try_shutdown()
 
 
 def qos_of(infos: list[Any], node: str) -> str:
-    from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-
     profile = next(info.qos_profile for info in infos if info.node_name == node)
     words = ["reliable" if profile.reliability == ReliabilityPolicy.RELIABLE else "best effort"]
     if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:
@@ -136,9 +137,6 @@ def test_the_document_lists_every_interface_and_no_other(graph: Any, node: str) 
 @pytest.mark.parametrize("node", NODES)
 def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any, node: str) -> None:
     """What `ros2 param describe` shows: type, range, and a sentence; and none can be changed in a running node."""
-    import rclpy
-    from rcl_interfaces.msg import Parameter, ParameterValue
-    from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
 
     def ask(service: Any, name: str, request: Any) -> Any:
         client = graph.create_client(service, f"/{node}_space/{node}/{name}")
@@ -172,17 +170,9 @@ def test_a_running_node_describes_its_parameters_as_the_document_does(graph: Any
 
 def shown(value: Any) -> str:
     """Format a parameter's value as the document does."""
-    found = {
-        1: value.bool_value,
-        2: value.integer_value,
-        3: value.double_value,
-        4: value.string_value,
-        7: list(value.integer_array_value),
-        8: list(value.double_array_value),
-        9: list(value.string_array_value),
-    }[value.type]
+    found = parameter_value_to_python(value)
     if isinstance(found, bool):
         return str(found).lower()
-    if isinstance(found, list):
+    if not isinstance(found, (int, float, str)):
         return "[" + ", ".join('""' if v == "" else f"{v:g}" for v in found) + "]"
     return f"{found:g}" if isinstance(found, float) else str(found)

@@ -8,15 +8,23 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import rclpy
 from ament_index_python.packages import get_package_prefix
+from ds_interfaces.action import RunCampaign
+from rclpy.action import ActionClient
+from rclpy.node import Node
 
+from ds_orchestrator.graph.client import GraphClient
+from ds_orchestrator.graph.session import RosDomain
 from ds_road import Road
 from ds_sim.registry import DONKEY
+from ds_sim.scenario import Scenario
 
 pytestmark = pytest.mark.graph
 
@@ -35,6 +43,19 @@ def heed_signals() -> None:
         signal.signal(number, signal.SIG_DFL)
 
 
+def in_domain(command: list[str | Path], domain: int) -> subprocess.Popen[str]:
+    here = os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])  # for this project's tests.*
+    return subprocess.Popen(
+        command,
+        env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1", "PYTHONPATH": here},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+        preexec_fn=heed_signals,
+    )
+
+
 @pytest.fixture
 def start() -> Iterator[Start]:
     """Start a package's executable in a domain, as `ros2 run` does."""
@@ -42,18 +63,9 @@ def start() -> Iterator[Start]:
 
     def begin(executable: str, domain: int, *arguments: str) -> subprocess.Popen[str]:
         package, name = executable.split("/")
-        here = os.pathsep.join([str(Path.cwd()), os.environ.get("PYTHONPATH", "")])  # for this project's tests.*
-        process = subprocess.Popen(
-            [Path(get_package_prefix(package)) / "lib" / package / name, "--ros-args", *arguments],
-            env=os.environ | {"ROS_DOMAIN_ID": str(domain), "PYTHONUNBUFFERED": "1", "PYTHONPATH": here},
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-            preexec_fn=heed_signals,
-        )
-        processes.append(process)
-        return process
+        program = Path(get_package_prefix(package)) / "lib" / package / name
+        processes.append(in_domain([program, "--ros-args", *arguments], domain))
+        return processes[-1]
 
     yield begin
     for process in processes:
@@ -63,8 +75,6 @@ def start() -> Iterator[Start]:
 
 @pytest.fixture
 def domain() -> Iterator[int]:
-    from ds_orchestrator.graph.session import RosDomain
-
     held = RosDomain()
     yield held.number
     held.close()
@@ -158,20 +168,7 @@ node.main()
 
 def test_the_orchestrator_ends_within_5_s_whatever_it_does(domain: int) -> None:
     """Also while it drives for a goal whose engine does not end, and the client gets its result."""
-    import rclpy
-    from ds_interfaces.action import RunCampaign
-    from rclpy.action import ActionClient
-    from rclpy.node import Node
-
-    environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
-    process = subprocess.Popen(
-        [sys.executable, "-c", BUSY],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        preexec_fn=heed_signals,
-    )
+    process = in_domain([sys.executable, "-c", BUSY], domain)
     rclpy.init(domain_id=domain)
     try:
         asker = Node("asker")
@@ -217,8 +214,6 @@ def test_a_node_ends_in_the_midst_of_a_run(
     start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
 ) -> None:
     """A healthy one at full speed, and one that hangs in its physics."""
-    from ds_orchestrator.graph.client import GraphClient
-
     process = start("ds_sim/simulator", domain, "-p", f"simulator:={simulator}", "-r", "__ns:=/a/b")
     driver = start("ds_driver/autopilot", domain, "-r", "__ns:=/a/b")
     read_until(process, "is ready")
@@ -226,10 +221,6 @@ def test_a_node_ends_in_the_midst_of_a_run(
     executor = GraphClient({DONKEY: "/a/b"}, domain=domain, command_timeout=20.0)
     try:
         executor.wait_until_ready(30.0)
-        import threading
-
-        from ds_sim.scenario import Scenario
-
         threading.Thread(target=executor.execute, args=("donkey", Scenario(STRAIGHT, seed=1)), daemon=True).start()
         if "Stuck" in simulator:
             read_until(process, "stuck")

@@ -7,17 +7,33 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rclpy
 from benchmarks.kill import stored
+from diagnostic_msgs.msg import DiagnosticArray
+from ds_interfaces.action import DriveTests, RunCampaign
+from ds_interfaces.msg import CampaignState, Condition, MapLegend, TestOutcome
+from ds_interfaces.srv import GetMap, GetState, GetTest
+from nav_msgs.msg import OccupancyGrid
+from rclpy.action import ActionClient
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from tests.graph.processes import supervised
 
+from ds_base.bounded_yaml import load_yaml
 from ds_driver.networks.driver_name import AUTOPILOT
+from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.folder import open_store
+from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor, closed_loop_processes
 from ds_road import generate
 from ds_sim import BULLET, DONKEY
+from ds_sim.ros.conversions import road_to_message
+from ds_studies.whole_campaign import run_campaign
 
 pytestmark = pytest.mark.graph
 
@@ -34,6 +50,7 @@ LIMIT = 120.0
 CAMPAIGN = "orchestrator: campaign"
 STATUSES = {CAMPAIGN, "simulator: simulator", "autopilot: latency"}
 """Names of what `/diagnostics` shows of the graph."""
+LATCHED = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MODULE = "ds_studies.ros.orchestrator_node"
 
 
@@ -49,8 +66,6 @@ class Graph:
 
     def until(self, done: Callable[[], Any], limit: float = LIMIT) -> Any:
         """Spin until something is true."""
-        import rclpy
-
         deadline = time.monotonic() + limit
         while not (found := done()):
             assert time.monotonic() < deadline, "nothing happened in time"
@@ -70,12 +85,17 @@ class Graph:
 
     def client(self, kind: Any, name: str) -> Any:
         """Client of an action, kept, as its discovery may take seconds in which drives end."""
-        from rclpy.action import ActionClient
-
         if name not in self.clients:
             self.clients[name] = ActionClient(self.node, kind, name)
         self.until(self.clients[name].server_is_ready)
         return self.clients[name]
+
+    def latest(self, topics: dict[str, Any]) -> dict[str, Any]:
+        """Topic -> its latest message, once there is one; takes topic -> type."""
+        seen: dict[str, Any] = {}
+        for name, kind in topics.items():
+            self.node.create_subscription(kind, name, partial(seen.__setitem__, name), LATCHED)
+        return seen
 
     def send(self, kind: Any, name: str, feedback: Callable[[Any], None] | None = None, **fields: Any) -> Any:
         """Send a goal and return its handle."""
@@ -89,39 +109,23 @@ class Graph:
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
-    import rclpy
-    from rclpy.node import Node
-
-    from ds_orchestrator.graph.session import RosDomain
-    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor, closed_loop_processes
-
-    domain, root = RosDomain(), tmp_path_factory.mktemp("root")
+    root = tmp_path_factory.mktemp("root")
     specs = [
         *closed_loop_processes(AUTOPILOT, {BULLET: "/ds1", DONKEY: "/twin"}, 10.0),
         ProcessSpec(name="orchestrator", module=MODULE, parameters={"root": str(root)}),
     ]
-    supervisor = Supervisor(specs, domain=domain.number, logs=tmp_path_factory.mktemp("logs"))
-    rclpy.init(domain_id=domain.number)
-    yield Graph(Node("asker"), supervisor, root, domain.number)
-    rclpy.try_shutdown()
-    supervisor.close()
-    domain.close()
+    with supervised(specs, tmp_path_factory.mktemp("logs")) as (supervisor, domain):
+        rclpy.init(domain_id=domain)
+        yield Graph(Node("asker"), supervisor, root, domain)
+        rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="module")
 def campaign(graph: Graph) -> tuple[int, Any, list[Any]]:
     """A campaign on the running nodes: status, result, and what its feedback said."""
-    from ds_interfaces.action import RunCampaign
-
     states: list[Any] = []
-    handle = graph.send(
-        RunCampaign,
-        "run_campaign",
-        lambda message: states.append(message.feedback.state),
-        config=CONFIG,
-        folder="c",
-        engine="attach",
-    )
+    listen, goal = lambda message: states.append(message.feedback.state), {"config": CONFIG, "folder": "c"}
+    handle = graph.send(RunCampaign, "run_campaign", listen, **goal, engine="attach")
     found = graph.wait(handle.get_result_async())
     return found.status, found.result, states
 
@@ -129,10 +133,6 @@ def campaign(graph: Graph) -> tuple[int, Any, list[Any]]:
 def test_a_campaign_on_running_nodes_is_the_campaign_that_runs_without_ros(
     graph: Graph, campaign: tuple[int, Any, list[Any]], tmp_path: Path
 ) -> None:
-    from ds_base.bounded_yaml import load_yaml
-    from ds_orchestrator.campaign.config import parse_config
-    from ds_studies.whole_campaign import run_campaign
-
     status, result, states = campaign
     assert (status, result.message, result.executions, result.errors) == (4, "", DRIVES, 0)
     assert Path(result.report).is_file()
@@ -146,24 +146,10 @@ def test_a_campaign_on_running_nodes_is_the_campaign_that_runs_without_ros(
 
 
 def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign: tuple[int, Any, list[Any]]) -> None:
-    from diagnostic_msgs.msg import DiagnosticArray
-    from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
-    from ds_interfaces.srv import GetMap, GetState, GetTest
-    from nav_msgs.msg import OccupancyGrid
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-
-    latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     outcomes: list[Any] = []
-    seen: dict[str, Any] = {}
-    graph.node.create_subscription(TestOutcome, "finished_tests", outcomes.append, latched)
-    for name, kind in (
-        ("map_legend", MapLegend),
-        ("maps/union_bullet", OccupancyGrid),
-        ("maps/merged", OccupancyGrid),
-        ("maps/twin_donkey", OccupancyGrid),
-        ("campaign_state", CampaignState),
-    ):
-        graph.node.create_subscription(kind, name, lambda message, name=name: seen.update({name: message}), latched)
+    graph.node.create_subscription(TestOutcome, "finished_tests", outcomes.append, LATCHED)
+    grids = dict.fromkeys(("maps/union_bullet", "maps/merged", "maps/twin_donkey"), OccupancyGrid)
+    seen = graph.latest({"map_legend": MapLegend, "campaign_state": CampaignState, **grids})
     graph.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.update({m.status[0].name: m}), 10)
     graph.until(lambda: len(outcomes) == DRIVES and len(seen) == 5 + len(STATUSES))
     assert set(seen) >= STATUSES
@@ -194,35 +180,28 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
 
 def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign: tuple[int, Any, list[Any]]) -> None:
     """Another campaign with its own seed and conditions, and then a goal that drives nothing."""
-    from ds_interfaces.action import RunCampaign
-    from ds_interfaces.msg import Condition, MapLegend, TestOutcome
-    from nav_msgs.msg import OccupancyGrid
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-
-    latched = QoSProfile(depth=1000, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     steady: list[Any] = []
     listener = graph.node.create_subscription(TestOutcome, "finished_tests", steady.append, 1000)  # volatile
     graph.until(lambda: listener.get_publisher_count() == 1)
     fields: dict[str, Any] = {"conditions": [Condition(name="friction", value=0.8)], "seed": [7]}
     status, result = graph.run(RunCampaign, "run_campaign", config=CONFIG, folder="late", engine="local", **fields)
     assert (status, result.message) == (4, "")
-    first = [one for one in open_store(graph.root / "late").tests() if one.test_id == "bullet-0-0000"]
-    assert [dict(one.conditions.changed) for one in first] == [{"friction": 0.8}]
-    assert [one.road for one in first] != [
-        one.road for one in open_store(graph.root / "c").tests() if one.test_id == "bullet-0-0000"
-    ]
+    late_one, one_of_c = (
+        next(one for one in open_store(graph.root / folder).tests() if one.test_id == "bullet-0-0000")
+        for folder in ("late", "c")
+    )
+    assert dict(late_one.conditions.changed) == {"friction": 0.8} and late_one.road != one_of_c.road
     late: list[Any] = []
-    graph.node.create_subscription(TestOutcome, "finished_tests", late.append, latched)
+    graph.node.create_subscription(TestOutcome, "finished_tests", late.append, LATCHED)
     graph.until(lambda: len(late) >= DRIVES and len(steady) >= DRIVES)
     assert [one.campaign for one in late] == [one.campaign for one in steady] == ["late"] * DRIVES
     fields = {"conditions": fields["conditions"], "default_conditions": True}
     status, result = graph.run(RunCampaign, "run_campaign", config=CONFIG, folder="empty", **fields)
     assert (status, result.message) == (6, "conditions, and default_conditions: expected one of both")
-    seen: dict[str, Any] = {}
-    for name, kind in (("maps/merged", OccupancyGrid), ("maps/twin_donkey", OccupancyGrid), ("map_legend", MapLegend)):
-        graph.node.create_subscription(kind, name, lambda message, name=name: seen.update({name: message}), latched)
+    grids = dict.fromkeys(("maps/merged", "maps/twin_donkey"), OccupancyGrid)
+    seen = graph.latest({"map_legend": MapLegend, **grids})
     later: list[Any] = []
-    graph.node.create_subscription(TestOutcome, "finished_tests", later.append, latched)
+    graph.node.create_subscription(TestOutcome, "finished_tests", later.append, LATCHED)
     graph.until(lambda: len(seen) == 3)
     assert [seen[name].info.width for name in ("maps/merged", "maps/twin_donkey")] == [0, 0]
     assert (seen["map_legend"].across, later) == ("", [])
@@ -246,8 +225,6 @@ def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign
     ],
 )
 def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str], expected: str) -> None:
-    from ds_interfaces.action import RunCampaign
-
     (graph.root / "link").unlink(missing_ok=True)
     (graph.root / "link").symlink_to(graph.root)
     status, result = graph.run(RunCampaign, "run_campaign", **fields)
@@ -256,8 +233,6 @@ def test_a_goal_that_cannot_be_gets_one_line(graph: Graph, fields: dict[str, str
 
 
 def test_a_cancelled_campaign_resumes_and_another_goal_waits(graph: Graph, tmp_path: Path) -> None:
-    from ds_interfaces.action import DriveTests, RunCampaign
-
     graph.client(DriveTests, "drive_tests")
     handle = graph.send(RunCampaign, "run_campaign", config=CONFIG, folder="d", engine="attach")
     graph.until(lambda: len(stored(graph.root / "d")) >= 2)
@@ -277,10 +252,6 @@ def test_a_cancelled_campaign_resumes_and_another_goal_waits(graph: Graph, tmp_p
 
 
 def test_given_roads_are_driven(graph: Graph) -> None:
-    from ds_interfaces.action import DriveTests
-
-    from ds_sim.ros.conversions import road_to_message
-
     roads = [generate(np.random.default_rng(seed), max_angle=100) for seed in (1, 2)]
     fields: dict[str, Any] = {
         "folder": "given",
@@ -309,11 +280,6 @@ def test_given_roads_are_driven(graph: Graph) -> None:
 
 def test_a_second_orchestrator_is_noticed_and_a_signal_ends_a_goal(graph: Graph, tmp_path: Path) -> None:
     """After the others, since it ends the orchestrator."""
-    from diagnostic_msgs.msg import DiagnosticArray
-    from ds_interfaces.action import RunCampaign
-
-    from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-
     spec = ProcessSpec(name="second", module=MODULE, parameters={"root": str(tmp_path)})
     second = Supervisor([spec], domain=graph.domain, logs=tmp_path)
     said: dict[str, str] = {}

@@ -10,21 +10,25 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import simulation_interfaces
 import yaml
+from tests.waiting import wait_until
 
 from ds_base.processes import ChildProcesses
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
+from ds_orchestrator.graph.session import RosDomain, running_graph
 from ds_road import Road
 from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Command, Observation, Outcome
+from ds_sim.simulator import Command, Observation, Outcome, Simulator
 from ds_sim.testing import CHECKS, STRAIGHT, digest, drive, reference_driver, run_check
 
 pytestmark = pytest.mark.graph
@@ -68,13 +72,12 @@ print(ask(ResetSimulation, "reset_simulation").result.result)
 step(10**6); state()
 """
 Start = Callable[..., "subprocess.Popen[bytes]"]
+Sibling = Callable[..., Simulator]
 
 
 @pytest.fixture(scope="module")
 def domain() -> Iterator[None]:
     """A ROS domain that this test's processes have for themselves."""
-    from ds_orchestrator.graph.session import RosDomain
-
     reserved = RosDomain()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(reserved.number))
@@ -89,10 +92,8 @@ def start(domain: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[St
     def started(*options: str, program: Sequence[str] = (str(PROGRAM),), **more: str) -> subprocess.Popen[bytes]:
         log = folder / f"{time.monotonic_ns()}.log"
         process = children.start([sys.executable, *program, *options], environment=os.environ | more, log=log)
-        deadline = time.monotonic() + 30.0
-        while b"ready" not in log.read_bytes():
-            assert process.poll() is None and time.monotonic() < deadline, log.read_text()
-            time.sleep(0.02)
+        wait_until(lambda: b"ready" in log.read_bytes() or process.poll() is not None)
+        assert process.poll() is None, log.read_text()
         return process
 
     yield started
@@ -122,8 +123,6 @@ def own_node(alone: Start) -> None:
 @pytest.fixture
 def alone(start: Start, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
     """Starts simulators that a test ends or breaks, in a domain of their own."""
-    from ds_orchestrator.graph.session import RosDomain
-
     reserved, processes = RosDomain(), []
     monkeypatch.setenv("ROS_DOMAIN_ID", str(reserved.number))
 
@@ -137,14 +136,20 @@ def alone(start: Start, monkeypatch: pytest.MonkeyPatch) -> Iterator[Start]:
     reserved.close()
 
 
+@pytest.fixture
+def sibling(tmp_path: Path) -> Iterator[Sibling]:
+    """Makes simulators of descriptions with changes, and closes them."""
+    with ExitStack() as stack:
+        yield lambda **changes: stack.enter_context(closing(make_simulator(described(tmp_path, **changes))))
+
+
 def end(process: subprocess.Popen[bytes]) -> None:
     process.kill()
     process.wait()
 
 
-def driven(name: str, road: Road = BENDS, act: Callable[[], None] | None = None) -> RunRecord:
-    """Drive a road with the autopilot; `act` is called in frame 10."""
-    simulator = make_simulator(name)
+def driven(simulator: Simulator, act: Callable[[], None] | None = None) -> RunRecord:
+    """Drive the bends with the autopilot; `act` is called in frame 10."""
     pilot = make_driver("autopilot", simulator.spec)
 
     def command(seen: Observation) -> Command:
@@ -152,10 +157,7 @@ def driven(name: str, road: Road = BENDS, act: Callable[[], None] | None = None)
             act()
         return pilot(seen)
 
-    try:
-        return drive_road(simulator, command, road, 1)
-    finally:
-        simulator.close()
+    return drive_road(simulator, command, BENDS, 1)
 
 
 def test_the_autopilot_completes_a_road_and_a_run_repeats_its_bytes(foreign: SimulatorName) -> None:
@@ -188,49 +190,39 @@ def test_a_vehicle_has_one_driver_at_a_time(foreign: SimulatorName) -> None:
     assert "foreign: another run drives this simulator, which has one vehicle: drive one road at a time" in run.message
 
 
-def test_a_command_that_nobody_takes_is_one_line(foreign: SimulatorName, tmp_path: Path) -> None:
-    run = driven(described(tmp_path, command={"topic": "/car/cmd", "type": "twist_stamped"}))
+def test_a_command_that_nobody_takes_is_one_line(foreign: SimulatorName, sibling: Sibling) -> None:
+    run = driven(sibling(command={"topic": "/car/cmd", "type": "twist_stamped"}))
     assert "command of the type geometry_msgs/msg/TwistStamped" in run.message
     assert "geometry_msgs/msg/Twist" in run.message and "\n" not in run.message
 
 
 def test_the_graph_of_the_command_line_drives_it(foreign: SimulatorName, tmp_path: Path) -> None:
     """The graph of the command line has a ROS domain of its own; the simulator is looked for in the user's."""
-    from ds_orchestrator.graph.session import running_graph
-
     with running_graph({foreign: "/ds1"}, AUTOPILOT, command_timeout=10.0, logs=tmp_path) as executor:
         run = executor.execute(foreign, Scenario(BENDS, seed=1))
     assert run.outcome is Outcome.COMPLETED, run.message
 
 
-def test_a_killed_simulator_ends_one_drive_and_the_next_finds_the_new_one(alone: Start, tmp_path: Path) -> None:
-    process, name = alone(), described(tmp_path)
-    simulator = make_simulator(name)
-    pilot = reference_driver(simulator.spec.autopilot)
-
-    def command(seen: Observation) -> Command:
-        if seen.step == 10:
-            end(process)
-        return pilot(seen)
-
-    run = drive_road(simulator, command, BENDS, 1)
+def test_a_killed_simulator_ends_one_drive_and_the_next_finds_the_new_one(alone: Start, sibling: Sibling) -> None:
+    process, simulator = alone(), sibling()
+    run = driven(simulator, act=lambda: end(process))
     assert (run.outcome, run.steps) == (Outcome.SIM_ERROR, 10)
     assert "within 1.5 s" in run.message and "\n" not in run.message
-    absent = drive_road(simulator, pilot, BENDS, 1)
+    absent = driven(simulator)
     assert absent.outcome is Outcome.SIM_ERROR and "start the simulator in this ROS domain (" in absent.message
     alone()
+    pilot = reference_driver(simulator.spec.autopilot)
     assert drive(simulator, BENDS, pilot, steps=20)[-1].outcome is Outcome.RUNNING
-    simulator.close()
 
 
-def test_a_frozen_simulator_ends_the_drive_within_the_limit(alone: Start, tmp_path: Path) -> None:
+def test_a_frozen_simulator_ends_the_drive_within_the_limit(alone: Start, sibling: Sibling) -> None:
     process, frozen = alone(), []
 
     def freeze() -> None:
         process.send_signal(signal.SIGSTOP)
         frozen.append(time.monotonic())
 
-    run = driven(described(tmp_path), act=freeze)
+    run = driven(sibling(), act=freeze)
     assert run.outcome is Outcome.SIM_ERROR and "within 1.5 s" in run.message
     assert time.monotonic() - frozen[0] < 2 * TIMEOUT + 3.0
 
@@ -243,62 +235,61 @@ def test_a_frozen_simulator_ends_the_drive_within_the_limit(alone: Start, tmp_pa
         ("stamps", "foreign: /car/odom: no message stamped 0.045 s or later within 1.5 s, the newest has 0.000 s"),
     ],
 )
-def test_nonsense_is_one_line(alone: Start, tmp_path: Path, fault: str, line: str) -> None:
+def test_nonsense_is_one_line(alone: Start, sibling: Sibling, fault: str, line: str) -> None:
     alone(program=[str(FAULTY)], FAULT=fault)
-    run = driven(described(tmp_path))
+    run = driven(sibling())
     assert run.outcome is Outcome.SIM_ERROR
     assert line in run.message and "\n" not in run.message
 
 
-def test_a_command_is_taken_before_its_step_whatever_the_executor_sees_first(alone: Start, tmp_path: Path) -> None:
+def test_a_command_is_taken_before_its_step_whatever_the_executor_sees_first(alone: Start, sibling: Sibling) -> None:
     digests = []
     for fault in ("", "preempted"):
-        process, simulator = alone(program=[str(FAULTY)], FAULT=fault), make_simulator(described(tmp_path))
+        process, simulator = alone(program=[str(FAULTY)], FAULT=fault), sibling()
         digests.append(digest(drive(simulator, BENDS, reference_driver(simulator.spec.autopilot), steps=60)))
         simulator.close()
         end(process)
     assert digests[0] == digests[1]
 
 
-def test_a_road_is_written_before_it_is_reloaded(alone: Start, tmp_path: Path) -> None:
+def test_a_road_is_written_before_it_is_reloaded(alone: Start, sibling: Sibling, tmp_path: Path) -> None:
     alone(program=[str(FAULTY)], ROAD=str(tmp_path / "road.json"))
-    simulator = make_simulator(described(tmp_path, road={"file": "road.json", "reload": "/reload"}, reset=None))
+    simulator = sibling(road={"file": "road.json", "reload": "/reload"}, reset=None)
     pilot = reference_driver(simulator.spec.autopilot)
     for road in (BENDS, STRAIGHT.in_lane("left")):
         seen = drive(simulator, road, pilot, steps=40)
         assert seen[-1].step == 40 and abs(seen[-1].lane.lateral_position) < 0.5 < seen[-1].vehicle.speed
-    simulator.close()
 
 
-def test_real_time_drives_and_says_what_it_saw(alone: Start, tmp_path: Path) -> None:
+def test_real_time_drives_and_says_what_it_saw(alone: Start, sibling: Sibling) -> None:
     alone("--realtime")
-    simulator = make_simulator(described(tmp_path, time="realtime"))
+    simulator = sibling(time="realtime")
     assert simulator.spec.extra["time"] == "real time: runs are not deterministic"
     seen = drive(simulator, STRAIGHT, reference_driver(simulator.spec.autopilot), steps=40)
     assert "frames up to" in simulator.spec.extra["latency"]
-    simulator.close()
     assert seen[-1].step == 40 and seen[-1].vehicle.speed > 2.0 and abs(seen[-1].lane.lateral_position) < 0.5
 
 
-def test_a_simulator_of_this_project_behind_the_standard_is_the_same_simulator(own_node: None, tmp_path: Path) -> None:
+def test_a_simulator_of_this_project_behind_the_standard_is_the_same_simulator(
+    own_node: None, sibling: Sibling
+) -> None:
     """The oracle of the whole way: roads, resets, steps, commands and poses against the same physics without ROS."""
     topics = {"image": "/other/camera/image_raw", "odometry": "/other/odom", "road": {"service": "/other/load_road"}}
-    command, steps = (
-        {"topic": "/other/drive", "type": "drive_command"},
-        {"step": "/other/step_simulation", "seconds": 0.05},
-    )
-    changes: dict[str, Any] = {**topics, "command": command, "reset": "/other/reset_simulation", "time": steps}
-    there = make_simulator(described(tmp_path, **changes))
+    changes: dict[str, Any] = {
+        **topics,
+        "command": {"topic": "/other/drive", "type": "drive_command"},
+        "reset": "/other/reset_simulation",
+        "time": {"step": "/other/step_simulation", "seconds": 0.05},
+    }
+    there = sibling(**changes)
     here = make_simulator("donkey")
     for lane in (BENDS, BENDS.in_lane("left")):
         runs = [drive_road(one, make_driver("autopilot", here.spec), lane, 1) for one in (here, there)]
-        first, second = [
+        first, second = (
             [(seen.vehicle.x, seen.vehicle.y, seen.vehicle.yaw) for seen in run.observations] for run in runs
-        ]
-        assert runs[0].outcome is runs[1].outcome is Outcome.COMPLETED and np.allclose(
-            first, second, rtol=0.0, atol=1e-9
         )
-    there.close()
+        assert runs[0].outcome is runs[1].outcome is Outcome.COMPLETED
+        assert np.allclose(first, second, rtol=0.0, atol=1e-9)
     here.close()
 
 
@@ -319,8 +310,6 @@ HASHES = {
 
 @pytest.mark.parametrize("name", HASHES)
 def test_the_definitions_are_the_standards(name: str) -> None:
-    import simulation_interfaces
-
     share = Path(simulation_interfaces.__file__).parents[4] / "share/simulation_interfaces"
     described = json.loads((share / f"srv/{name}.json").read_text())["type_hashes"][0]
     assert described == {"type_name": f"simulation_interfaces/srv/{name}", "hash_string": f"RIHS01_{HASHES[name]}"}

@@ -7,8 +7,8 @@ The two programs themselves are not here; what they read of a type is from their
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from ds_interfaces.msg import VehicleState
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from tests.waiting import wait_until
 
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings
@@ -48,11 +49,8 @@ def published() -> Iterator[dict[str, tuple[str, Any]]]:
     found: dict[str, tuple[str, Any]] = {}
     for node in nodes:
         FramePublisher(node, spec_of("bullet"))
-        deadline = time.monotonic() + 20
-        while not (topics := node.get_publisher_names_and_types_by_node("simulator", node.get_namespace())):
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
-        for topic, (kind, *_) in topics:
+        space = node.get_namespace()
+        for topic, (kind, *_) in wait_until(partial(node.get_publisher_names_and_types_by_node, "simulator", space)):
             found[topic] = (kind, node.get_publishers_info_by_topic(topic)[0].qos_profile)
     yield found
     for node in nodes:
