@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from contextlib import closing
 from dataclasses import replace
@@ -13,11 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benchmarks.explanation import made_name
-from tests.command_line import ds
-from typer.testing import CliRunner
+from tests.command_line import document, refusal
+from tests.drives import driven
 
-from ds_cli.studies.causes import app
-from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
 from ds_orchestrator.campaign.executor import execution_of
@@ -25,7 +22,7 @@ from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.registry import BULLET, SOFTBODY, SimulatorName, make_simulator
+from ds_sim.registry import BULLET, SOFTBODY, SimulatorName
 from ds_sim.simulator import Outcome
 from ds_studies.explanation import Explanation, experiment_on, shapley, subsets
 from ds_studies.sensitivity import candidate_roads
@@ -42,10 +39,8 @@ def campaign(folder: Path, siblings: list[SimulatorName], conditions: Conditions
     store = Store(folder / "campaign.sqlite", config=config.identity())
     store.add_test(test)
     for name in siblings:
-        made = make_simulator(name)
-        run = drive_road(made, make_driver(AUTOPILOT, made.spec), test.road, test.seed, conditions)
-        store.add_execution(execution_of(test.test_id, SimulatorName(name), run))
-        made.close()
+        run = driven(name, test.road, test.seed, conditions)
+        store.add_execution(execution_of(test.test_id, name, run))
     store.close()
     return folder
 
@@ -53,25 +48,19 @@ def campaign(folder: Path, siblings: list[SimulatorName], conditions: Conditions
 def test_shapley_values_are_the_means_over_all_orders() -> None:
     rng = np.random.default_rng(4)
     value = {subset: float(rng.normal()) for subset in subsets(PARTS)}
-    added = {
-        part: [
-            value[frozenset(o[: o.index(part) + 1])] - value[frozenset(o[: o.index(part)])] for o in permutations(PARTS)
-        ]
-        for part in PARTS
-    }
+    added: dict[str, list[float]] = {part: [] for part in PARTS}
+    for order in permutations(PARTS):
+        for place, part in enumerate(order):
+            added[part].append(value[frozenset(order[: place + 1])] - value[frozenset(order[:place])])
     found = shapley(PARTS, value)
-    assert found == {part: pytest.approx(np.mean(of)) for part, of in added.items()}
+    assert found == pytest.approx({part: np.mean(of) for part, of in added.items()})
     assert sum(found.values()) == pytest.approx(value[frozenset(PARTS)] - value[frozenset()])
 
 
 def explanation(*losses: float) -> Explanation:
     """Losses with nothing of a, its camera, its vehicle, and both."""
-    return Explanation(
-        test_id="t",
-        fails=SimulatorName("a"),
-        against=SimulatorName("b"),
-        losses=dict(zip(subsets(("camera", "vehicle")), losses, strict=True)),
-    )
+    of_parts = dict(zip(subsets(("camera", "vehicle")), losses, strict=True))
+    return Explanation(test_id="t", fails=SimulatorName("a"), against=SimulatorName("b"), losses=of_parts)
 
 
 def test_the_sentence_says_what_is_the_cause_what_is_not_and_what_cures() -> None:
@@ -91,10 +80,8 @@ def test_a_planted_delay_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]), prepend=os.pathsep)
     late = made_name("bullet", "late_commands", 0.6)
     folder = campaign(tmp_path / "c", [BULLET, SimulatorName(late)])
-    refused = ds("explain", folder)
-    assert refused.returncode == 2 and "--trust" in refused.stderr
-    found_out = ds("explain", folder, "--workers", 1, "--trust", late, "--out", tmp_path / "out", "--json")
-    (found,) = json.loads(found_out.stdout)["tests"]
+    assert "--trust" in refusal("explain", folder)
+    (found,) = document("explain", folder, "--workers", 1, "--trust", late, "--out", tmp_path / "out")["tests"]
     assert (found["fails"], found["against"]) == (late, "bullet")
     assert found["shares"] == pytest.approx({"delays": 1.0, "vehicle": 0.0})
     assert found["sentence"].endswith("With the delays of bullet alone it completes there.")
@@ -110,9 +97,7 @@ def test_conditions_are_removed_and_what_cannot_be_explained_is_said(tmp_path: P
     experiment = experiment_on(data, "bullet-0-0000")
     assert list(experiment.parts) == ["camera", "look", "vehicle", "conditions"]
     name, test = experiment.drive(frozenset(("camera", "look", "vehicle")))
-    made = make_simulator(name)
-    run = drive_road(made, make_driver(AUTOPILOT, made.spec), test.road, test.seed, test.conditions)
-    made.close()
+    run = driven(name, test.road, test.seed, test.conditions)
     assert test.test_id == "plain-bullet-0-0000" and run.outcome is Outcome.COMPLETED
     for wrong, why in (
         (("bullet-0-0007",), "has no test"),
@@ -125,5 +110,4 @@ def test_conditions_are_removed_and_what_cannot_be_explained_is_said(tmp_path: P
 
 def test_the_command_refuses_in_one_line(tmp_path: Path) -> None:
     for wrong, why in ((("--sim", "bullet"), "give --test, too"), (("--engine", "graph"), "expected local or dask")):
-        refused = CliRunner().invoke(app, [str(tmp_path), *wrong])
-        assert why in str(refused.exception)
+        assert why in refusal("explain", tmp_path, *wrong)

@@ -10,11 +10,11 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from tests.drives import driven
 
 import ds_sim.gym_env
-from ds_driver import drive_road, make_driver
 from ds_road import Road, generate
-from ds_sim import CommandError, make_simulator
+from ds_sim import CommandError
 
 STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 ROAD = generate(np.random.default_rng(21), max_angle=120)
@@ -54,9 +54,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_another_road(env: g
 
 def test_an_episode_is_the_run_of_the_simulator(env: gymnasium.Env) -> None:
     """Given the reference run's commands, it passes through the same states, and the rewards sum to its progress."""
-    simulator = make_simulator("donkey")
-    run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
-    simulator.close()
+    run = driven("donkey", ROAD, 5)
     env.reset(options={"road": ROAD, "simulator_seed": 5})
     total, expected = 0.0, 0.0
     for index, command in enumerate(run.commands):

@@ -14,14 +14,14 @@ from pathlib import Path
 import pytest
 from tests.campaign.engines import MadeUpEngine, use_engines
 from tests.command_line import ds
+from tests.drives import driven
 
 from ds_bags.run_writer import write_bag
 from ds_base.installation import ds_command
-from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_orchestrator.campaign.config import read_config
 from ds_orchestrator.campaign.folder import store_of
-from ds_road import Road
-from ds_sim.registry import DONKEY, make_simulator
+from ds_sim.registry import DONKEY
+from ds_sim.testing import STRAIGHT
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -87,10 +87,7 @@ def test_a_verb_ends_with_what_comes_next(here: Path, verb: tuple[str, ...], wor
 
 
 def test_an_unfinished_bag_says_how_it_is_completed(here: Path) -> None:
-    simulator = make_simulator("donkey")
-    road = Road([(125.0, 25.0 * number) for number in range(9)])
-    run = drive_road(simulator, make_driver("autopilot", simulator.spec), road, 1)
-    write_bag(Path("my bag"), "/ds1", DONKEY, run, {"driver": "autopilot"}, "telemetry")
+    write_bag(Path("my bag"), "/ds1", DONKEY, driven("donkey", STRAIGHT), {"driver": "autopilot"}, "telemetry")
     Path("my bag/metadata.yaml").unlink()
     (file,) = Path("my bag").iterdir()
     file.write_bytes(file.read_bytes()[:-100])  # the recorder was killed before it wrote the end

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -15,6 +13,7 @@ import pytest
 from foreign_bags import foreign_bag
 from rosbags.rosbag2 import StoragePlugin
 from scipy.stats import wasserstein_distance
+from tests.command_line import ds
 from tubs import write_tub
 
 from ds_analysis.paper.open_loop import evaluate_recording
@@ -256,11 +255,7 @@ def test_density_and_distance_against_scipy(tub: Path) -> None:
 
 @pytest.mark.graph
 def test_the_command_writes_table_picture_and_rows(bags: Path, tub: Path, tmp_path: Path) -> None:
-    command = [
-        sys.executable, "-m", "ds_cli.main", "bag", "drive", str(bags / "compressed"), str(tub),
-        "--driver", "dave2", "--out", str(tmp_path / "out"), "--json",
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    done = ds("bag", "drive", bags / "compressed", tub, "--driver", "dave2", "--out", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert [(g["group"], g["images"], g["compared"]) for g in document["groups"]] == [("donkey", 41, 40), ("tub", 4, 3)]

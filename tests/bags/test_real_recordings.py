@@ -8,17 +8,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_bags import foreign_bag
+from tests import drives
 from tubs import write_tub
 
 from ds_bags.run_writer import write_bag
-from ds_driver import drive_road, make_driver
 from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.located import COLUMNS, Located, write_located
 from ds_recording.real_drive import is_recording, read_recording
 from ds_recording.track import Track
 from ds_road import Road
-from ds_sim.registry import DONKEY, make_simulator
+from ds_sim.registry import DONKEY
 from ds_sim.session import RunRecord
 
 pytestmark = pytest.mark.graph
@@ -28,9 +28,7 @@ ROAD = Road([(125.0, 20.0), (125.0, 45.0), (127.0, 70.0), (133.0, 94.0), (134.0,
 
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunRecord]:
-    simulator = make_simulator("donkey")
-    run = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 3)
-    simulator.close()
+    run = drives.driven("donkey", ROAD, 3)
     folder = tmp_path_factory.mktemp("real") / "bag"
     write_bag(folder, "/car", DONKEY, run, {"driver": "autopilot"})
     return folder, run

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import json
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.command_line import ds
 
 from ds_bags.layout import LEVELS, BagError, Level
 from ds_bags.run_writer import write_bag
@@ -35,8 +34,7 @@ def test_the_step_and_the_distance_of_a_changed_command_are_reported(run: RunRec
     write_bag(tmp_path / "bag", "/twin", DONKEY, replace(run, commands=commands), {})
     found = verify_bag(tmp_path / "bag")
     assert found.step is not None and 21 <= found.step <= 23 and "m away" in found.difference
-    command = [sys.executable, "-m", "ds_cli.main", "bag", "redrive", str(tmp_path / "bag"), "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = ds("bag", "redrive", tmp_path / "bag", "--json")
     assert done.returncode == 1 and f"at step {found.step}, " in done.stderr
     document = json.loads(done.stdout)
     assert not document["same"] and document["step"] == found.step == document["frames"]

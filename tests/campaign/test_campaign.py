@@ -26,7 +26,7 @@ from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import Engine, Watch
 from ds_orchestrator.campaign.executor import CampaignError, Listener, Stopped
-from ds_orchestrator.campaign.folder import read_campaign
+from ds_orchestrator.campaign.folder import read_campaign, store_of
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.graph.session import GraphEngine
@@ -51,11 +51,12 @@ CONFIG = CampaignConfig(
     retries=1,
     search=SearchConfig(population=2, iterations=2, runs=1, min_angle=40, max_angle=90),
 )
+ONE = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
 
 
 def run(folder: Path, engine: Engine, config: CampaignConfig = CONFIG) -> tuple[Campaign, Store]:
     folder.mkdir(exist_ok=True)
-    store = Store(folder / "campaign.sqlite", config=config.identity())
+    store = store_of(folder, config)
     campaign = Campaign(config, folder, store, engine, Listener())
     with suppress(Stopped):
         campaign.run()
@@ -107,24 +108,22 @@ def test_what_is_finished_survives_a_kill(tmp_path: Path, count: int) -> None:
 
 
 def test_errors_are_retried_and_never_enter_a_map(tmp_path: Path) -> None:
-    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    campaign, store = run(tmp_path / "a", EngineHere(errors=3), config)
+    campaign, store = run(tmp_path / "a", EngineHere(errors=3), ONE)
     assert campaign.failed_executions == 1 and len(store.executions()) == 3
     assert [error[3] for error in store.errors()] == ["DRIVER_SILENT"] * 3
     # A later session repeats only executions that ended in an error.
     again = EngineHere()
-    campaign, store = run(tmp_path / "a", again, config)
+    campaign, store = run(tmp_path / "a", again, ONE)
     assert campaign.failed_executions == 0 and len(store.executions()) == 4
 
 
 def test_a_search_that_continued_without_an_outcome_does_so_again(tmp_path: Path) -> None:
     """The second test has no outcome at first; once it has one, the following roads stay the same."""
-    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    _, store = run(tmp_path / "a", EngineHere(errors=2, errors_after=1), config)
+    _, store = run(tmp_path / "a", EngineHere(errors=2, errors_after=1), ONE)
     roads = [test.road.road_id for test in store.tests()]
     assert len(store.executions()) == 3 and len(store.given_up()) == 1
     again = EngineHere()
-    _, store = run(tmp_path / "a", again, config)
+    _, store = run(tmp_path / "a", again, ONE)
     assert again.roads == [(DONKEYS[1], roads[1])]
     assert [test.road.road_id for test in store.tests()] == roads
     assert len(store.executions()) == 4
@@ -137,12 +136,7 @@ def test_a_search_that_continued_without_an_outcome_does_so_again(tmp_path: Path
 
 def test_a_simulator_without_any_outcome_stops_the_campaign_and_spoils_nothing(tmp_path: Path) -> None:
     """Two attempts each at five tests in a row; once fixed, the campaign equals an undisturbed one."""
-    config = CONFIG.model_copy(
-        update={
-            "siblings": [DONKEYS[1]],
-            "search": SearchConfig(population=3, iterations=5, min_angle=40, max_angle=90, runs=1),
-        }
-    )
+    config = ONE.model_copy(update={"search": ONE.search.model_copy(update={"population": 3, "iterations": 5})})
     _, whole = run(tmp_path / "whole", EngineHere(), config)
     with pytest.raises(CampaignError, match=r"donkey gave no outcome for 5 tests in a row .*no command within 1 s"):
         run(tmp_path / "parts", EngineHere(errors=1000, errors_after=2), config)
@@ -155,22 +149,20 @@ def test_a_simulator_without_any_outcome_stops_the_campaign_and_spoils_nothing(t
 
 
 def test_a_cancelled_run_is_repeated(tmp_path: Path) -> None:
-    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
     executor = EngineHere(errors=1)
     executor.error = Outcome.CANCELLED
-    campaign, store = run(tmp_path / "a", executor, config)
+    campaign, store = run(tmp_path / "a", executor, ONE)
     assert campaign.failed_executions == 0 and len(store.executions()) == 4
     assert [row[3] for row in store.errors()] == ["CANCELLED"]
 
 
 def test_a_test_whose_road_has_changed_is_refused(tmp_path: Path) -> None:
-    config = CONFIG.model_copy(update={"siblings": [DONKEYS[1]]})
-    run(tmp_path / "a", EngineHere(runs=2), config)[1].close()
+    run(tmp_path / "a", EngineHere(runs=2), ONE)[1].close()
     db = sqlite3.connect(tmp_path / "a" / "campaign.sqlite")
     db.execute("UPDATE tests SET road_id='another' WHERE number=1")
     db.commit()
     with pytest.raises(StoreError, match="test donkey-0-0001 has another road than"):
-        run(tmp_path / "a", EngineHere(), config)
+        run(tmp_path / "a", EngineHere(), ONE)
 
 
 def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> None:
@@ -287,13 +279,10 @@ def test_a_campaign_in_the_left_lane_drives_the_same_roads_there_and_resumes(tmp
 
 
 def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
-    class Counting:
-        capacity: int | None = None
-
+    class Counting(EngineHere):
         def __init__(self) -> None:
-            self.busy = threading.Lock()
-            self.stopped = False
-            self.runs = 0
+            super().__init__()
+            self.busy, self.stopped, self.runs = threading.Lock(), False, 0
 
         def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
             assert self.busy.acquire(blocking=False), "two runs at once on one simulator of one worker"
@@ -324,9 +313,7 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
 def test_every_search_goes_on_where_it_was_stopped(tmp_path: Path, method: str) -> None:
     """With a feature of the run, whose cell is computed from the stored execution on replay."""
     search = CONFIG.search.model_copy(update={"method": method, "iterations": 4})
-    config = CONFIG.model_copy(
-        update={"siblings": [DONKEYS[1]], "search": search, "features": ["turns_count", "steering_deviation:2"]}
-    )
+    config = ONE.model_copy(update={"search": search, "features": ["turns_count", "steering_deviation:2"]})
     _, whole = run(tmp_path / "whole", MadeUpEngine(), config)
     run(tmp_path / "parts", MadeUpEngine(runs=3), config)[1].close()
     _, parts = run(tmp_path / "parts", MadeUpEngine(), config)
@@ -356,31 +343,23 @@ def test_maxitwo_compatible_drives_the_mutants_centre_line_and_migrates_elites_a
     assert first.roads == []
 
 
-class TimedEngine(MadeUpEngine):
-    """Sixteen drives at a time, of different lengths; adds up how long they take."""
+class SlowEngine(MadeUpEngine):
+    """Sixteen drives at a time, of different lengths."""
 
-    capacity = 16
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.busy, self._lock = 0.0, threading.Lock()
+    capacity, lock = 16, threading.Lock()
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        began = time.monotonic()
         time.sleep(0.05 + 0.1 * np.random.default_rng(request.seed).random())
-        with self._lock:
-            self.busy += time.monotonic() - began
+        with self.lock:
             return super().drive(request, watch)
 
 
 def test_searches_and_migration_keep_sixteen_workers_busy(tmp_path: Path) -> None:
     """Ten searches alone would leave six idle; the results are those of one drive after the other."""
     config = CONFIG.model_copy(update={"search": CONFIG.search.model_copy(update={"runs": 5, "iterations": 18})})
-    engine, one = TimedEngine(), MadeUpEngine()
+    engine, one = SlowEngine(), MadeUpEngine()
     one.capacity = 1
-    began = time.monotonic()
     _, parallel = run(tmp_path / "parallel", engine, config)
-    print(f"16 workers were used to {engine.busy / (16 * (time.monotonic() - began)):.0%}")
     _, serial = run(tmp_path / "serial", one, config)
     assert maps_text(parallel) == maps_text(serial) and list(parallel.tests()) == list(serial.tests())
     outcomes = [[(e.test_id, e.simulator, e.trajectory_sha256) for e in of.executions()] for of in (parallel, serial)]
@@ -405,10 +384,8 @@ def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     _, store = run(tmp_path / "a", MadeUpEngine(), config)
     results = {stage.name: stage for stage in stages_of(read_campaign(store))}
     assert (results[twin.name].done, results[twin.name].expected, results[twin.name].state) == (4, 4, "done")
-    assert results[search.name].failures == sum(
-        e.outcome.is_failure for e in store.executions() if e.simulator != "donkey"
-    )
-    store.set_result("maps", store.count_executions())
-    assert {s.name: s.state for s in stages_of(read_campaign(store))}["maps"] == "done"
-    store.set_result("maps", 1)
-    assert {s.name: s.state for s in stages_of(read_campaign(store))}["maps"] == "to do"
+    failed = [e.outcome.is_failure for e in store.executions() if e.simulator != "donkey"]
+    assert results[search.name].failures == sum(failed)
+    for executions, state in ((store.count_executions(), "done"), (1, "to do")):
+        store.set_result("maps", executions)
+        assert {s.name: s.state for s in stages_of(read_campaign(store))}["maps"] == state

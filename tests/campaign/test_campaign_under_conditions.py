@@ -8,17 +8,16 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from tests.drives import driven
 
 from ds_cli.campaign.run import stored_config
-from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.campaign.folder import ENGINE, CampaignData, open_store, read_campaign
 from ds_orchestrator.campaign.status import roads_of
 from ds_sim.conditions.text import format_conditions, parse_conditions
 from ds_sim.gates.gate import GateState, gate_of
-from ds_sim.registry import DONKEY, make_simulator
+from ds_sim.registry import DONKEY
 from ds_studies import whole_campaign as run
 
 TEXT = "line_contrast=0.1,visibility=80,steering_lag=0.05"
@@ -53,19 +52,16 @@ def data(folder: Path) -> CampaignData:
 
 
 def test_drives_and_gates_are_those_of_the_library(data: CampaignData) -> None:
-    simulator = make_simulator("donkey")
     executions = {e.test_id: e for e in data.executions}
     assert data.tests
     for test in data.tests:
         assert test.conditions == parse_conditions(TEXT)
-        driver = make_driver(AUTOPILOT, simulator.spec)
-        alone = drive_road(simulator, driver, test.road, test.seed, test.conditions, probed=True)
+        alone = driven("donkey", test.road, test.seed, test.conditions, probed=True)
         assert data.gates[test.test_id, DONKEY] == gate_of(alone)
         if gate_of(alone).state is GateState.VALID:
             assert executions[test.test_id].trajectory_sha256 == trajectory_sha256(alone)
         else:
             assert test.test_id not in executions
-    simulator.close()
 
 
 def test_it_resumes_with_what_drove_it_last(folder: Path, tmp_path: Path) -> None:
@@ -73,12 +69,8 @@ def test_it_resumes_with_what_drove_it_last(folder: Path, tmp_path: Path) -> Non
     assert (resumed.engine, resumed.workers) == ("local", 1)
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
-    for text in (
-        '{"engine": "graph", "workers": 65}',
-        '{"engine": "evil", "workers": 1}',
-        '{"engine": "graph"}',
-        "[" * 900,
-    ):
+    too_many, evil = '{"engine": "graph", "workers": 65}', '{"engine": "evil", "workers": 1}'
+    for text in (too_many, evil, '{"engine": "graph"}', "[" * 900):
         (copy / ENGINE).write_text(text)
         found = stored_config(copy, None)
         assert (found.engine, found.workers) == ("auto", 1)  # the defaults

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from typing import Any
 import pytest
 from tests.campaign.damaged_stores import change_store
 from tests.campaign.engines import MadeUpEngine
-from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text
+from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text, run
 
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_base.folder_files import StoreError
@@ -22,9 +21,7 @@ from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError, parse_config
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.executor import Listener, Stopped
-from ds_orchestrator.campaign.folder import read_campaign, store_of
-from ds_orchestrator.campaign.runner import Campaign
+from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.campaign.status import roads_of, stages_of
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
@@ -65,18 +62,9 @@ class GatedEngine(MadeUpEngine):
         )
 
 
-def run(folder: Path, engine: GatedEngine, config: Any = FOGGY) -> tuple[Campaign, Store]:
-    folder.mkdir(exist_ok=True)
-    store = store_of(folder, config)
-    campaign = Campaign(config, folder, store, engine, Listener())
-    with suppress(Stopped):
-        campaign.run()
-    return campaign, store
-
-
 def test_only_valid_tests_are_driven_and_the_others_enter_no_map(tmp_path: Path) -> None:
     executor = GatedEngine()
-    campaign, store = run(tmp_path / "a", executor)
+    campaign, store = run(tmp_path / "a", executor, FOGGY)
     data = read_campaign(store)
     assert len(data.gates) == len(executor.gated) == len(set(executor.gated)) == 16
     states = {key: gate.state for key, gate in data.gates.items()}
@@ -98,7 +86,7 @@ def test_only_valid_tests_are_driven_and_the_others_enter_no_map(tmp_path: Path)
 
 
 def test_excluded_tests_are_shown_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    _, store = run(tmp_path / "a", GatedEngine())
+    _, store = run(tmp_path / "a", GatedEngine(), FOGGY)
     data = read_campaign(store)
     excluded = {key: gate.state.value for key, gate in data.gates.items() if not gate.is_valid}
     counts = {name: Counter(state for (_, n), state in excluded.items() if n == name) for name in DONKEYS}
@@ -120,10 +108,10 @@ def test_excluded_tests_are_shown_apart(tmp_path: Path, capsys: pytest.CaptureFi
 
 @pytest.mark.parametrize("stop_after", [0, 2])
 def test_a_stopped_campaign_goes_on_and_gates_nothing_twice(tmp_path: Path, stop_after: int) -> None:
-    _, undisturbed = run(tmp_path / "whole", GatedEngine())
+    _, undisturbed = run(tmp_path / "whole", GatedEngine(), FOGGY)
     first, second = GatedEngine(runs=stop_after), GatedEngine()
-    run(tmp_path / "parts", first)[1].close()
-    _, store = run(tmp_path / "parts", second)
+    run(tmp_path / "parts", first, FOGGY)[1].close()
+    _, store = run(tmp_path / "parts", second, FOGGY)
     assert maps_text(store) == maps_text(undisturbed) and store.gates() == undisturbed.gates()
     assert len(first.gated) + len(second.gated) == 16 and not set(first.gated) & set(second.gated)
 
@@ -137,23 +125,18 @@ def test_an_error_of_the_autopilot_is_repeated_and_excludes_nothing(tmp_path: Pa
     assert store.gates() == undisturbed.gates()
 
 
-@pytest.mark.parametrize(
-    ("reason", "state"),
-    [(Reason.NOT_APPLICABLE, GateState.NOT_APPLICABLE), (Reason.OUT_OF_SIGHT, GateState.OUT_OF_SIGHT)],
-)
+@pytest.mark.parametrize("reason", [Reason.NOT_APPLICABLE, Reason.OUT_OF_SIGHT])
 @pytest.mark.parametrize("probed", [True, False])
-def test_a_simulator_that_cannot_judge_a_test_excludes_it_there(
-    tmp_path: Path, reason: Reason, state: GateState, probed: bool
-) -> None:
+def test_a_simulator_that_cannot_judge_a_test_excludes_it_there(tmp_path: Path, reason: Reason, probed: bool) -> None:
     class Refusing(GatedEngine):
         def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
             if request.probed is probed and request.simulator == DONKEYS[0]:
                 return request.ended(Outcome.SIM_ERROR, "cannot", reason)
             return super().drive(request)
 
-    _, store = run(tmp_path / "a", Refusing())
+    _, store = run(tmp_path / "a", Refusing(), FOGGY)
     of_first = {gate.state for (_, name), gate in store.gates().items() if name == DONKEYS[0]}
-    assert state in of_first and GateState.VALID not in of_first and not store.errors()
+    assert GateState[reason.name] in of_first and GateState.VALID not in of_first and not store.errors()
     assert {e.simulator for e in store.executions()} <= {DONKEYS[1]}
 
 
@@ -175,7 +158,7 @@ def test_every_test_is_gated_where_that_is_asked_for(tmp_path: Path) -> None:
     ],
 )
 def test_damaged_rows_get_one_line(tmp_path: Path, change: str, named: str) -> None:
-    run(tmp_path / "a", GatedEngine())[1].close()
+    run(tmp_path / "a", GatedEngine(), FOGGY)[1].close()
     change_store(tmp_path / "a" / "campaign.sqlite", change)
     with pytest.raises(StoreError, match=named) as refused:
         read_campaign(Store(tmp_path / "a" / "campaign.sqlite"))

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.campaign.own_parts import StraightSearch
-from tests.campaign.test_campaign import CONFIG
-from tests.campaign.test_gates import GatedEngine, run
+from tests.campaign.test_campaign import CONFIG, run
+from tests.campaign.test_gates import GatedEngine
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.extension import installed

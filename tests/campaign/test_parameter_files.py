@@ -9,29 +9,20 @@ from pathlib import Path
 
 import pytest
 from tests.campaign.engines import MadeUpEngine
+from tests.campaign.test_campaign import ONE, run
 
-from ds_driver.networks.driver_name import AUTOPILOT
-from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
-from ds_orchestrator.campaign.executor import Listener, Stopped
-from ds_orchestrator.campaign.runner import Campaign
-from ds_orchestrator.store.store import Store
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError
+from ds_orchestrator.campaign.executor import Stopped
 from ds_report.build import write_all
-from ds_sim.registry import DONKEY, SimulatorName, label_of
+from ds_sim.registry import SimulatorName, label_of
 from ds_studies.whole_campaign import run_campaign
 
 CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}\n"
 
 
 def config_with(file: Path) -> CampaignConfig:
-    return CampaignConfig(
-        siblings=[DONKEY],
-        twin=SimulatorName(f"donkey@{file}"),
-        driver=AUTOPILOT,
-        seed=7,
-        record="telemetry",
-        retries=0,
-        search=SearchConfig(population=2, iterations=1, runs=1, min_angle=40, max_angle=90),
-    )
+    file.write_text(CAR)
+    return ONE.model_copy(update={"twin": SimulatorName(f"donkey@{file}"), "record": "telemetry", "retries": 0})
 
 
 def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -42,7 +33,6 @@ def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch:
 
     monkeypatch.setattr("ds_orchestrator.graph.session.running_graph", stopped)
     file = tmp_path / "car.yaml"
-    file.write_text(CAR)
     config, out = config_with(file), tmp_path / "out"
     with pytest.raises(Stopped):
         run_campaign(config, out)
@@ -58,13 +48,9 @@ def test_a_campaign_does_not_go_on_with_another_car(tmp_path: Path, monkeypatch:
 def test_bags_maps_and_report_of_a_car_with_a_path(tmp_path: Path) -> None:
     folder = tmp_path / "a car's folder"
     folder.mkdir()
-    file = folder / "car.yaml"
-    file.write_text(CAR)
-    config, out = config_with(file), tmp_path / "out"
+    config, out = config_with(folder / "car.yaml"), tmp_path / "out"
     assert config.twin
-    (out / "bags").mkdir(parents=True)
-    store = Store(out / "campaign.sqlite", config=config.identity())
-    Campaign(config, out, store, MadeUpEngine(), Listener()).run()
+    _, store = run(out, MadeUpEngine(), config)
     bags = [out / execution.bag for execution in store.executions()]
     assert len(bags) == len(set(bags)) == len(store.tests()) * 2
     assert all(bag.parent == out / "bags" and (bag / "metadata.yaml").is_file() for bag in bags)

@@ -7,17 +7,18 @@ import sqlite3
 import struct
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from report_campaigns import make_tests
+from report_campaigns import make_campaign, make_tests
 from tests.campaign.damaged_stores import change_store, write_as_version_4
 from tests.campaign.test_hostile_folders import super_journal
-from tests.campaign.test_unusable_folders import content, ds
+from tests.campaign.test_unusable_folders import content
+from tests.command_line import ds, refusal
 
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName, received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
@@ -27,8 +28,6 @@ from ds_orchestrator.store.store import Store
 from ds_road import Side
 from ds_sim import DONKEY
 
-Ds = Callable[..., tuple[int, str]]
-__all__ = ["ds"]  # a fixture
 SEARCH = SearchConfig(population=1, iterations=1, runs=1)
 CONFIG = CampaignConfig(siblings=[DONKEY], twin=None, driver=AUTOPILOT, record="none", search=SEARCH)
 
@@ -36,12 +35,7 @@ CONFIG = CampaignConfig(siblings=[DONKEY], twin=None, driver=AUTOPILOT, record="
 def make(folder: Path, config: CampaignConfig = CONFIG) -> Path:
     """Create a finished campaign of two tests."""
     folder.mkdir()
-    store = Store(folder / "campaign.sqlite", config=config.identity())
-    for test, executions in make_tests(config, 2):
-        store.add_test(test)
-        for execution in executions:
-            store.add_execution(execution)
-    store.close()
+    make_campaign(folder, config, 2).close()
     return folder
 
 
@@ -66,28 +60,26 @@ def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @pytest.mark.parametrize("received", [{"siblings": ["evilmod:S"]}, {"twin": "evilmod:S"}, {"driver": "evilmod:D"}])
 def test_no_verb_imports_what_a_received_campaign_names(
-    tmp_path: Path, evil: Path, ds: Ds, received: dict[str, object]
+    tmp_path: Path, evil: Path, received: dict[str, object]
 ) -> None:
     config = CampaignConfig.model_validate({**CONFIG.model_dump(), **received})
     folder = make(tmp_path / "received", config)
     for verb, following in ((("campaign", "status"), "campaign resume"), (("maps",), "report")):
-        assert ds(*verb, folder) == (0, f"next: ds {following} {folder}")
-    status, said = ds("campaign", "resume", folder)
-    assert status == 2 and len(said.splitlines()) == 1 and "--trust 'evilmod:" in said
+        done = ds(*verb, folder)
+        assert (done.returncode, done.stderr) == (0, f"next: ds {following} {folder}\n")
+    assert "--trust 'evilmod:" in refusal("campaign", "resume", folder)
     assert not evil.exists()
 
 
-def test_the_report_leaves_out_pictures_of_an_unknown_simulator_until_it_is_trusted(
-    tmp_path: Path, evil: Path, ds: Ds
-) -> None:
+def test_the_report_leaves_out_pictures_of_an_unknown_simulator_until_it_is_trusted(tmp_path: Path, evil: Path) -> None:
     folder = make(tmp_path / "received", CampaignConfig(**{**CONFIG.model_dump(), "siblings": ["evilmod:S"]}))
-    status, said = ds("report", folder)
-    assert status == 0 and not evil.exists()
-    assert "report without its pictures: simulator 'evilmod:S'" in said and "--trust 'evilmod:S'" in said
+    done = ds("report", folder)
+    assert done.returncode == 0 and not evil.exists() and "--trust 'evilmod:S'" in done.stderr
+    assert "report without its pictures: simulator 'evilmod:S'" in done.stderr
     page = (folder / "report.html").read_text()
     assert "no picture: simulator &#39;evilmod:S&#39; is Python code" in page
-    status, said = ds("report", folder, "--trust", "evilmod:S")
-    assert status == 0 and evil.exists() and "without its pictures" not in said
+    done = ds("report", folder, "--trust", "evilmod:S")
+    assert done.returncode == 0 and evil.exists() and "without its pictures" not in done.stderr
 
 
 def test_a_received_driver_may_hold_numbers_and_no_program(tmp_path: Path) -> None:
@@ -139,19 +131,19 @@ IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
 
 
 @pytest.mark.parametrize("what", IMPOSSIBLE)
-def test_content_that_no_campaign_wrote_is_refused_in_one_line(tmp_path: Path, ds: Ds, what: str) -> None:
+def test_content_that_no_campaign_wrote_is_refused_in_one_line(tmp_path: Path, what: str) -> None:
     folder = make(tmp_path / "received")
     statement, values, reason = IMPOSSIBLE[what]
     change(folder, statement, *values)
     before = content(folder)
-    status, said = ds("report", folder)
-    assert status == 2 and reason in said and len(said.splitlines()) == 1 and len(said) < 400, said
+    said = refusal("report", folder)
+    assert reason in said and len(said) < 400, said
     assert content(folder) == before
 
 
 @pytest.mark.parametrize("lane", ["right", "left"])
 def test_a_campaign_of_an_earlier_version_is_read_as_it_is_and_rewritten_when_it_is_continued(
-    tmp_path: Path, lane: Side, ds: Ds
+    tmp_path: Path, lane: Side
 ) -> None:
     config = CONFIG.model_copy(update={"lane": lane})
     (tmp_path / "new").mkdir()
@@ -172,13 +164,13 @@ def test_a_campaign_of_an_earlier_version_is_read_as_it_is_and_rewritten_when_it
             return data.tests, drives, data.cells, data.config
 
     assert read("old") == read("new") and content(tmp_path / "old") == before
-    assert ds("report", tmp_path / "old")[0] == 0 and content(tmp_path / "old") != before
+    assert ds("report", tmp_path / "old").returncode == 0 and content(tmp_path / "old") != before
     assert read("old") == read("new")
     with closing(sqlite3.connect(tmp_path / "old" / "campaign.sqlite")) as db:
         assert db.execute("PRAGMA user_version").fetchone() == (5,)
 
 
-def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path, ds: Ds) -> None:
+def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path) -> None:
     import tracemalloc
 
     folder = make(tmp_path / "received")
@@ -187,17 +179,15 @@ def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path, ds
     bomb = first + again * 255  # no block refers to the previous one
     change(folder, "UPDATE executions SET trajectory=?", bomb)
     tracemalloc.start()
-    status, said = ds("report", folder)
-    assert status == 2 and "does not hold" in said
+    assert "does not hold" in refusal("report", folder)
     assert tracemalloc.get_traced_memory()[1] < 50_000_000
     tracemalloc.stop()
 
 
-def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path, ds: Ds) -> None:
+def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path) -> None:
     """SQLite deletes the file that a left-over rollback journal names as its super-journal."""
     folder = make(tmp_path / "received")
     victim = tmp_path / "victim"
     victim.write_bytes(b"nothing\0")
     (folder / "campaign.sqlite-journal").write_bytes(super_journal(victim))
-    status, said = ds("campaign", "status", folder)
-    assert status == 2 and "refers to other files" in said and victim.exists()
+    assert "refers to other files" in refusal("campaign", "status", folder) and victim.exists()

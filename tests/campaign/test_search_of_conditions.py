@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.campaign.test_campaign import CONFIG, maps_text
-from tests.campaign.test_gates import GatedEngine, run
+from tests.campaign.test_campaign import CONFIG, maps_text, run
+from tests.campaign.test_gates import GatedEngine
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
@@ -18,17 +18,16 @@ from ds_orchestrator.campaign.folder import read_campaign
 SEARCHED = {"line_contrast": {"low": 0.1, "high": 0.9}, "visibility": {"low": 20.0, "high": 200.0, "step": 0.5}}
 
 
-def config_of(**search: Any) -> CampaignConfig:
+def config_of(population: int, iterations: int, **more: Any) -> CampaignConfig:
+    """The campaign with another search, of these conditions, and the features that it then has."""
     raw = json.loads(CONFIG.identity())
-    return parse_config({**raw, "engine": "local", "search": {**raw["search"], **search}}, "here")
+    del raw["features"]
+    raw["search"] |= {"conditions": SEARCHED, "population": population, "iterations": iterations}
+    return parse_config({**raw, "engine": "local", **more}, "here")
 
 
 def test_a_stopped_search_of_conditions_goes_on_and_ends_the_same(tmp_path: Path) -> None:
-    config = config_of(population=3, iterations=4)
-    raw = json.loads(config.identity())
-    del raw["features"]
-    raw["search"]["conditions"] = SEARCHED
-    config = parse_config({**raw, "engine": "local"}, "here")
+    config = config_of(3, 4)
     assert config.features == ["lane_curvature", "line_contrast"]
     executor = GatedEngine()
     _, undisturbed = run(tmp_path / "whole", executor, config)
@@ -63,18 +62,12 @@ def test_maps_of_the_usual_conditions_are_drawn_beside_those_of_the_paper() -> N
 
 
 def test_a_search_by_measured_contrast_fills_its_cells(tmp_path: Path) -> None:
-    raw = json.loads(config_of(population=3, iterations=2).identity())
-    raw["features"] = ["turns_count", "visible_contrast"]
-    raw["search"]["conditions"] = SEARCHED
-    config = parse_config({**raw, "engine": "local"}, "here")
+    config = config_of(3, 2, features=["turns_count", "visible_contrast"])
     data = read_campaign(run(tmp_path, GatedEngine(), config)[1])
     own = {test.test_id: data.gates[test.test_id, test.sibling].visible_contrast for test in data.tests}
-    cells = {
-        i: cell[1]
-        for i, cell in data.cells.items()
-        if (i, next(t.sibling for t in data.tests if t.test_id == i))
-        in {(e.test_id, e.simulator) for e in data.executions}
-    }
+    driven = {(e.test_id, e.simulator) for e in data.executions}
+    by_own = {test.test_id for test in data.tests if (test.test_id, test.sibling) in driven}
+    cells = {i: cell[1] for i, cell in data.cells.items() if i in by_own}
     assert cells and all(0.05 * 2**bin_ <= own[i] < 0.05 * 2 ** (bin_ + 1) for i, bin_ in cells.items())
 
 

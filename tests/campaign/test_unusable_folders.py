@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -14,11 +13,10 @@ from pathlib import Path
 import pytest
 from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import run
+from tests.command_line import ds, refusal
 
 from ds_base.folder_files import StoreError, locked
-from ds_cli import main as cli
 from ds_orchestrator.campaign.config import read_config
-from ds_orchestrator.graph import signals as stopping
 from ds_orchestrator.store.store import Store
 
 CONFIG = """
@@ -29,24 +27,6 @@ seed: 7
 record: {record}
 search: {{population: 2, iterations: 2, runs: 1, min_angle: 40, max_angle: 90}}
 """
-Ds = Callable[..., tuple[int, str]]
-
-
-@pytest.fixture
-def ds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Iterator[Ds]:
-    """Run `ds` in this process; returns its exit status and standard error."""
-    before = {number: signal.getsignal(number) for number in stopping.SIGNALS}
-
-    def call(*arguments: object) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["ds", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        code = end.value.code
-        return (code if isinstance(code, int) else 0), capsys.readouterr().err.strip()
-
-    yield call
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture
@@ -124,76 +104,67 @@ SPOILT: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("how", SPOILT)
-def test_a_store_that_cannot_be_used_is_left_as_it_is(campaign: Path, config: Path, ds: Ds, how: str) -> None:
+def test_a_store_that_cannot_be_used_is_left_as_it_is(campaign: Path, config: Path, how: str) -> None:
     spoil, named = SPOILT[how]
     spoil(campaign)
     before = content(campaign)
     for arguments in (("campaign", "run", config, "--out", campaign), ("campaign", "status", campaign)):
-        status, said = ds(*arguments)
-        assert status == 2 and named in said and str(campaign) in said, said
-        assert len(said.splitlines()) == 1 and said.startswith("error: ")
+        said = refusal(*arguments)
+        assert named in said and str(campaign) in said and said.startswith("error: "), said
         assert content(campaign) == before
 
 
-def test_damage_within_a_run_is_named(tmp_path: Path, campaign: Path, ds: Ds) -> None:
+def test_damage_within_a_run_is_named(tmp_path: Path, campaign: Path) -> None:
     change(campaign, "UPDATE executions SET trajectory=x'ffff' WHERE test_id='donkey-0-0001'")
     before = content(campaign)
     for verb in (("report", campaign), ("campaign", "export", campaign, "--frames", "--out", tmp_path)):
-        status, said = ds(*verb)
-        assert (
-            status == 2
-            and "is damaged (the run of donkey-0-0001 on donkey cannot be read: trajectory is damaged)" in said
-        )
+        problem = "is damaged (the run of donkey-0-0001 on donkey cannot be read: trajectory is damaged)"
+        done = ds(*verb)
+        assert done.returncode == 2 and problem in done.stderr
         assert content(campaign) == before
 
 
-def test_only_verbs_that_need_trajectories_decode_them(campaign: Path, ds: Ds) -> None:
+def test_only_verbs_that_need_trajectories_decode_them(campaign: Path) -> None:
     change(campaign, "UPDATE executions SET trajectory=x'ffff', steering=x'ffff'")
     for verb in (("campaign", "status"), ("campaign", "roads"), ("maps",)):
-        status, said = ds(*verb, campaign)
-        assert status == 0, said
+        assert ds(*verb, campaign).returncode == 0
 
 
-def test_another_configuration_is_refused_key_by_key(campaign: Path, config: Path, ds: Ds) -> None:
+def test_another_configuration_is_refused_key_by_key(campaign: Path, config: Path) -> None:
     config.write_text(config.read_text().replace("seed: 7", "seed: 8").replace("iterations: 2", "iterations: 3"))
     before = content(campaign)
-    status, said = ds("campaign", "run", config, "--out", campaign)
-    assert status == 2 and "(search.iterations: 2 there, 3 now; seed: 7 there, 8 now)" in said
+    said = refusal("campaign", "run", config, "--out", campaign)
+    assert "(search.iterations: 2 there, 3 now; seed: 7 there, 8 now)" in said
     assert content(campaign) == before
 
 
-def test_a_folder_in_use_is_refused(campaign: Path, config: Path, ds: Ds) -> None:
+def test_a_folder_in_use_is_refused(campaign: Path, config: Path) -> None:
     before = content(campaign)
     with locked(campaign):
-        status, said = ds("campaign", "run", config, "--out", campaign)
-    assert status == 1 and said == f"error: {campaign} is in use by another run: wait for it, or choose another --out"
+        said = refusal("campaign", "run", config, "--out", campaign, status=1)
+    assert said == f"error: {campaign} is in use by another run: wait for it, or choose another --out"
     assert content(campaign) == before
 
 
-def test_a_folder_with_foreign_files_is_refused(tmp_path: Path, config: Path, ds: Ds) -> None:
+def test_a_folder_with_foreign_files_is_refused(tmp_path: Path, config: Path) -> None:
     (tmp_path / "mine" / "maps").mkdir(parents=True)
     (tmp_path / "mine" / "maps" / "maps.json").write_text("[]")
     before = content(tmp_path)
-    status, said = ds("campaign", "run", config, "--out", tmp_path / "mine")
-    assert status == 2 and "holds maps but no campaign" in said and content(tmp_path) == before
-    status, said = ds("campaign", "status", tmp_path / "mine")
-    assert status == 2 and "no campaign in" in said
-    status, said = ds("campaign", "run", config, "--out", config)
-    assert status == 2 and "is a file, expected a folder" in said and content(tmp_path) == before
+    assert "holds maps but no campaign" in refusal("campaign", "run", config, "--out", tmp_path / "mine")
+    assert "no campaign in" in refusal("campaign", "status", tmp_path / "mine")
+    assert "is a file, expected a folder" in refusal("campaign", "run", config, "--out", config)
+    assert content(tmp_path) == before
 
 
-def test_a_read_only_folder_is_read_and_not_run(
-    campaign: Path, config: Path, ds: Ds, mount: Callable[..., Path]
-) -> None:
+def test_a_read_only_folder_is_read_and_not_run(campaign: Path, config: Path, mount: Callable[..., Path]) -> None:
     mount(campaign, "--bind", "-o", "ro", str(campaign))
     before = content(campaign)
-    status, said = ds("campaign", "run", config, "--out", campaign)
-    assert status == 1 and "cannot be written" in said and len(said.splitlines()) == 1
-    assert ds("campaign", "status", campaign) == (0, f"next: ds campaign resume {campaign}")
+    assert "cannot be written" in refusal("campaign", "run", config, "--out", campaign, status=1)
+    status = ds("campaign", "status", campaign)
+    assert (status.returncode, status.stderr.strip()) == (0, f"next: ds campaign resume {campaign}")
     with pytest.raises(StoreError, match="cannot be written"):
         Store(campaign / "campaign.sqlite", config=read_config(config).identity())
-    status, said = ds("report", campaign)
-    assert status == 2 and len(said.splitlines()) == 1
+    assert refusal("report", campaign)
     assert content(campaign) == before
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from tests.command_line import ds_process
 
 from ds_orchestrator.campaign.config import parse_config
 
@@ -33,8 +32,7 @@ def test_the_documented_line_is_a_configuration() -> None:
 def test_the_whole_method_takes_a_third_sibling(tmp_path: Path) -> None:
     search = "search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}"
     (tmp_path / "c.yaml").write_text("\n".join((documented_line(), "twin: donkey", "driver: autopilot", search)))
-    command = [sys.executable, "-m", "ds_cli.main", "campaign", "run", "c.yaml", "--out", "out", "--json"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=280)
+    done = ds_process("campaign", "run", "c.yaml", "--out", "out", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
     document = json.loads(done.stdout)
     # Two tests from each of three searches, each on three siblings and on the twin.

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.drives import driven
 
-from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import Road
 from ds_sim.camera.rendered_scene import PaintedScene
@@ -197,7 +198,4 @@ def test_an_error_judges_no_test(outcome: Outcome) -> None:
 )
 def test_the_gates_of_real_drives(conditions: Conditions, state: GateState) -> None:
     road = Road([(125.0, 40.0), (125.0, 65.0), (128.0, 90.0), (131.0, 115.0), (131.0, 140.0)])
-    simulator = make_simulator("donkey")
-    run = drive_road(simulator, make_driver(AUTOPILOT, simulator.spec), road, 5, conditions, probed=True)
-    simulator.close()
-    assert gate_of(run).state is state
+    assert gate_of(driven("donkey", road, 5, conditions, probed=True)).state is state

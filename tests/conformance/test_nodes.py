@@ -3,19 +3,27 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from ds_interfaces.msg import VehicleState
+from ds_interfaces.srv import GetSimulatorInfo
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from tests.drives import driven
+from tests.waiting import wait_until
 
-from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.executor import trajectory_sha256
+from ds_orchestrator.graph.session import running_graph
 from ds_road import Road
-from ds_sim.registry import make_simulator
+from ds_sim.registry import spec_of
+from ds_sim.ros.node_thread import NodeThread
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
@@ -28,8 +36,6 @@ ROAD = Road([(120.0, 30.0), (120.0, 55.0), (126.0, 79.0), (142.0, 98.0), (165.0,
 @pytest.fixture(scope="module")
 def graph(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Every simulator with the autopilot, in one graph; yields (executor, simulator -> namespace)."""
-    from ds_orchestrator.graph.session import running_graph
-
     names = request.getfixturevalue("all_simulator_names")
     spaces = {name: f"/sim{index}" for index, name in enumerate(names)}
     logs: Path = tmp_path_factory.mktemp("logs")
@@ -40,9 +46,7 @@ def graph(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
 def test_a_node_drives_as_its_simulator_does(graph: Any, simulator_name: str) -> None:
     """Bit for bit, and again after another road."""
     executor, _ = graph
-    simulator = make_simulator(simulator_name)
-    here = drive_road(simulator, make_driver("autopilot", simulator.spec), ROAD, 5)
-    simulator.close()
+    here = driven(simulator_name, ROAD, 5)
     assert here.outcome is Outcome.COMPLETED
     scenarios = [Scenario(road, seed=seed) for road, seed in ((ROAD, 5), (ROAD.reversed(), 6), (ROAD, 5))]
     runs = [executor.execute(simulator_name, scenario) for scenario in scenarios]
@@ -54,9 +58,7 @@ def test_a_node_drives_as_its_simulator_does(graph: Any, simulator_name: str) ->
 
 def test_a_node_describes_its_simulator(graph: Any, simulator_name: str) -> None:
     executor, _ = graph
-    simulator = make_simulator(simulator_name)
-    spec, info = simulator.spec, executor.info(simulator_name)
-    simulator.close()
+    spec, info = spec_of(simulator_name), executor.info(simulator_name)
     assert (info.name, info.physics) == (spec.name, spec.physics)
     assert info.wheelbase == pytest.approx(spec.wheelbase)
     assert info.max_steering_angle == pytest.approx(spec.max_steering_angle)
@@ -64,56 +66,44 @@ def test_a_node_describes_its_simulator(graph: Any, simulator_name: str) -> None
 
 def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     """Odometry turns left where the road does, frames carry the namespace, images and info belong together."""
-    import cv2
-    from ds_interfaces.msg import VehicleState
-    from ds_interfaces.srv import GetSimulatorInfo
-    from nav_msgs.msg import Odometry
-    from rclpy.node import Node
-    from sensor_msgs.msg import CameraInfo, CompressedImage, Image
-
-    from ds_sim.ros.node_thread import NodeThread
-
     executor, spaces = graph
     space = spaces[simulator_name]
-    heard: dict[str, list[Any]] = {"odom": [], "info": [], "image": [], "jpeg": [], "state": []}
+    topics = {
+        "odom": Odometry,
+        "camera/camera_info": CameraInfo,
+        "camera/image_raw": Image,
+        "camera/image_raw/compressed": CompressedImage,
+        "state": VehicleState,
+    }
+    heard: dict[str, list[Any]] = {topic: [] for topic in topics}
     node = Node("listener", context=executor.context)
-    node.create_subscription(Odometry, f"{space}/odom", heard["odom"].append, 1000)
-    node.create_subscription(CameraInfo, f"{space}/camera/camera_info", heard["info"].append, 1000)
-    node.create_subscription(Image, f"{space}/camera/image_raw", heard["image"].append, 1000)
-    node.create_subscription(CompressedImage, f"{space}/camera/image_raw/compressed", heard["jpeg"].append, 1000)
-    node.create_subscription(VehicleState, f"{space}/state", heard["state"].append, 1000)
+    for topic, kind in topics.items():
+        node.create_subscription(kind, f"{space}/{topic}", heard[topic].append, 1000)
     # Whoever answers a client that was created after the subscriptions has heard of them.
     client = node.create_client(GetSimulatorInfo, f"{space}/get_info")
 
     listener = NodeThread(node)
     assert listener.ask(client, GetSimulatorInfo.Request(), 30.0)
     run = executor.execute(simulator_name, Scenario(ROAD, seed=5))
-    deadline = time.monotonic() + 30.0
-    while min(map(len, heard.values())) <= run.steps and time.monotonic() < deadline:
-        time.sleep(0.05)
+    wait_until(lambda: min(map(len, heard.values())) > run.steps)
     assert listener.end()
     node.destroy_node()
     assert run.outcome is Outcome.COMPLETED
     assert [len(messages) for messages in heard.values()] == [run.steps + 1] * 5
+    odoms, infos, images, jpegs, states = heard.values()
+    odom, info, image, jpeg, state = (messages[-1] for messages in heard.values())
     name = space.strip("/")
-    odom = heard["odom"][-1]
-    assert (
-        odom.child_frame_id == f"{name}/base_link"
-        and odom.header.frame_id == heard["state"][-1].header.frame_id == "road"
-    )
-    image = heard["image"][-1]
+    assert odom.child_frame_id == f"{name}/base_link"
+    assert odom.header.frame_id == state.header.frame_id == "road"
     assert (image.height, image.width, image.encoding, image.step) == (160, 320, "rgb8", 960)
     assert image.header.frame_id == f"{name}/camera_optical"
-    assert [image.header.stamp for image in heard["image"]] == [info.header.stamp for info in heard["info"]]
-    assert {message.header.frame_id for kind in ("info", "jpeg") for message in heard[kind]} == {image.header.frame_id}
-    assert heard["jpeg"][-1].header.stamp == image.header.stamp == heard["state"][-1].header.stamp
+    assert [image.header.stamp for image in images] == [info.header.stamp for info in infos]
+    assert {message.header.frame_id for message in [*infos, *jpegs]} == {image.header.frame_id}
+    assert jpeg.header.stamp == image.header.stamp == state.header.stamp
     seen = np.frombuffer(image.data, np.uint8).reshape(160, 320, 3)
-    decoded = cv2.imdecode(np.array(heard["jpeg"][-1].data), cv2.IMREAD_COLOR)
+    decoded = cv2.imdecode(np.array(jpeg.data), cv2.IMREAD_COLOR)
     assert decoded is not None and cv2.PSNR(decoded[..., ::-1], seen) > 30.0
-    info = heard["info"][-1]
-    simulator = make_simulator(simulator_name)
-    camera = simulator.spec.camera
-    simulator.close()
+    camera = spec_of(simulator_name).camera
     assert (info.height, info.width) == (160, 320)
     assert np.reshape(info.k, (3, 3)) == pytest.approx(camera.intrinsics)
     # The number of coefficients that OpenCV and image_proc expect of each model.
@@ -122,10 +112,10 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     assert list(info.d[: len(camera.distortion)]) == pytest.approx(list(camera.distortion))
     # Against the recorded run, in its order: equal x and y, yaw rate positive to the left, quaternion of the heading.
     recorded = iter(observation.vehicle for observation in run.observations)
-    for message in heard["odom"]:
+    for message in odoms:
         place, q = message.pose.pose.position, message.pose.pose.orientation
         here = pytest.approx((place.x, place.y), abs=1e-9)
-        vehicle = next((state for state in recorded if (state.x, state.y) == here), None)
+        vehicle = next((one for one in recorded if (one.x, one.y) == here), None)
         assert vehicle is not None
         yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
         assert np.cos(yaw - vehicle.yaw) == pytest.approx(1.0, abs=1e-4)

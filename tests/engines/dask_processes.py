@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -37,22 +36,11 @@ class DaskProcesses:
     def start_scheduler(self) -> None:
         self.scheduler = self._start("scheduler", "--host", "127.0.0.1", "--port", str(self.port), "--no-dashboard")
 
-    def worker(self, *arguments: str, threads: int = 1) -> subprocess.Popen[bytes]:
+    def worker(self, *arguments: str) -> subprocess.Popen[bytes]:
         """Start a worker, without a nanny, so that killing it ends it."""
         name = f"worker_{len(self._processes)}"
-        return self._start(
-            "worker",
-            self.address,
-            "--host",
-            "127.0.0.1",
-            "--nthreads",
-            str(threads),
-            "--no-nanny",
-            "--no-dashboard",
-            "--local-directory",
-            str(self._folder / name),
-            *arguments,
-        )
+        options = ["--host", "127.0.0.1", "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory"]
+        return self._start("worker", self.address, *options, str(self._folder / name), *arguments)
 
     def _start(self, kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         log = self._folder / f"{kind}_{len(self._processes)}.log"
@@ -65,9 +53,6 @@ class DaskProcesses:
             )
         self._processes.append(process)
         return process
-
-    def logs(self) -> str:
-        return "\n".join(path.read_text(errors="replace") for path in sorted(self._folder.glob("*.log")))
 
     def drive_workers(self) -> set[int]:
         """Process ids of what drives for this cluster; other tests' processes drive on the same machine."""
@@ -85,10 +70,3 @@ class DaskProcesses:
             process.send_signal(signal.SIGCONT)
             process.kill()
             process.wait()
-
-
-def wait_until(done: object, limit: float = 60.0) -> None:
-    deadline = time.monotonic() + limit
-    while not done():  # type: ignore[operator]
-        assert time.monotonic() < deadline, "not in time"
-        time.sleep(0.05)

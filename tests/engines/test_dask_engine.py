@@ -6,14 +6,15 @@ from __future__ import annotations
 import signal
 import subprocess
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.engines.dask_processes import DaskProcesses, wait_until
+from tests.engines.dask_processes import DaskProcesses
+from tests.waiting import wait_until
 
 from ds_base.progress import lines_to
 from ds_driver.closed_loop.drive_request import DriveRequest
@@ -27,9 +28,9 @@ from ds_road import generate
 from ds_sim import SimulatorName
 from ds_sim.run_codec import encode_run
 from ds_sim.scenario import Scenario
-from ds_sim.session import RunRecord
 
 QUICK, SLOW = (SimulatorName(f"tests.engines.quick_simulator:{name}") for name in ("QuickSimulator", "SlowSimulator"))
+SETTINGS = DriveSettings(siblings=(QUICK,), driver=AUTOPILOT, command_timeout=20.0)
 ROADS = [generate(np.random.default_rng(seed), max_angle=150) for seed in range(3)]
 
 
@@ -47,14 +48,13 @@ class Lines(list[str]):
         return any(str(part) in line for line in self)
 
 
+def request(simulator: SimulatorName, seed: int) -> DriveRequest:
+    return DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, simulator)
+
+
 @contextmanager
-def running(cluster: DaskProcesses, folder: Path, lines: Lines, simulator: str = SLOW) -> Iterator[DaskEngine]:
-    settings = DriveSettings(
-        siblings=(SimulatorName(simulator),),
-        driver=AUTOPILOT,
-        command_timeout=20.0,
-        cluster=ClusterOptions(scheduler=cluster.address),
-    )
+def running(cluster: DaskProcesses, folder: Path, lines: Lines) -> Iterator[DaskEngine]:
+    settings = replace(SETTINGS, siblings=(SLOW,), cluster=ClusterOptions(scheduler=cluster.address))
     with lines_to(lines.append), running_dask(settings, folder=folder) as engine:
         yield engine
 
@@ -64,10 +64,7 @@ def expected(folder: Path, count: int) -> list[bytes]:
     process = WorkerProcess(AUTOPILOT, command_timeout=20.0, log=folder / "here.log")
     try:
         with ThreadPoolExecutor(8) as pool:
-            runs = pool.map(
-                lambda seed: process.drive(DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, QUICK)),
-                range(count),
-            )
+            runs = pool.map(lambda seed: process.drive(request(QUICK, seed)), range(count))
             return [encode_run(run) for run in runs]
     finally:
         process.close()
@@ -76,14 +73,10 @@ def expected(folder: Path, count: int) -> list[bytes]:
 class Drives:
     """Drives in the background, at most 16 at a time."""
 
-    def __init__(self, engine: DaskEngine, simulator: str, count: int) -> None:
+    def __init__(self, engine: DaskEngine, simulator: SimulatorName, count: int) -> None:
         self._pool = ThreadPoolExecutor(16)
-        self._futures: list[Future[RunRecord]] = [
-            self._pool.submit(
-                engine.drive, DriveRequest(Scenario(ROADS[seed % 3], seed=seed), AUTOPILOT, SimulatorName(simulator))
-            )
-            for seed in range(count)
-        ]
+        requests = (request(simulator, seed) for seed in range(count))
+        self._futures = [self._pool.submit(engine.drive, one) for one in requests]
 
     @property
     def done(self) -> int:
@@ -168,8 +161,7 @@ def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses,
 @pytest.mark.long
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_an_own_cluster_of_any_size_gives_the_same_bytes(tmp_path: Path, count: int) -> None:
-    settings = DriveSettings(siblings=(QUICK,), driver=AUTOPILOT, workers=count, command_timeout=20.0)
-    with running_dask(settings, folder=tmp_path / "own") as engine:
+    with running_dask(replace(SETTINGS, workers=count), folder=tmp_path / "own") as engine:
         assert Drives(engine, QUICK, 60).encoded() == expected(tmp_path, 60)
 
 
@@ -190,13 +182,11 @@ def test_tls_by_files_and_a_certificate_of_somebody_else(tmp_path: Path) -> None
         cluster.worker()
         file = tmp_path / "cluster.yaml"
         file.write_text(f"scheduler: {cluster.address}\ntls: {{ca: {cert}, cert: {cert}, key: {key}}}\n")
-        right = read_cluster(file)
-        settings = DriveSettings(siblings=(QUICK,), driver=AUTOPILOT, command_timeout=20.0, cluster=right)
-        with running_dask(settings, folder=tmp_path) as engine:
+        with running_dask(replace(SETTINGS, cluster=read_cluster(file)), folder=tmp_path) as engine:
             assert len(Drives(engine, QUICK, 5).encoded()) == 5
         other = ClusterOptions(scheduler=cluster.address, tls=TlsFiles(ca=wrong, cert=wrong, key=wrong_key))
         refused = pytest.raises(ClusterError, match="refuses this TLS connection")
-        with refused, running_dask(replace(settings, cluster=other), folder=tmp_path):
+        with refused, running_dask(replace(SETTINGS, cluster=other), folder=tmp_path):
             pass
     finally:
         cluster.close()

@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,16 +13,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.drives import driven
 from tests.engines.quick_simulator import NONSENSE
 
 from ds_driver.closed_loop import worker_process
 from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import Phase, drive_road, make_driver
+from ds_driver.closed_loop.simulation import Phase
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate
 from ds_sim.conditions.model import Conditions
-from ds_sim.registry import DONKEY, SimulatorName, make_simulator
+from ds_sim.registry import DONKEY, SimulatorName
 from ds_sim.run_codec import encode_run
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
@@ -31,6 +32,11 @@ from ds_sim.simulator import Outcome
 QUICK = "tests.engines.quick_simulator"
 ROAD = generate(np.random.default_rng(3), max_angle=150)
 SHORT = Road(ROAD.control_points[:4])
+
+
+def request(simulator: str = "QuickSimulator", seed: int = 1, driver: DriverName = AUTOPILOT) -> DriveRequest:
+    """A drive of the road on a simulator of `quick_simulator.py`."""
+    return DriveRequest(Scenario(ROAD, seed=seed), driver, SimulatorName(f"{QUICK}:{simulator}"))
 
 
 class Processes:
@@ -77,24 +83,16 @@ def test_interleaved_drives_are_the_same_bytes_as_single_ones(worker: Processes,
     ]
     gate = DriveRequest(Scenario(SHORT, Conditions(visibility=100.0), seed=5), AUTOPILOT, DONKEY, probed=True)
     *runs, gated = drive_all(worker(driver), [*drives, gate])
-    for one, run in zip(drives, runs, strict=True):
-        simulator = make_simulator(one.simulator)
-        alone = drive_road(simulator, make_driver(driver, simulator.spec), one.road, one.seed)
-        simulator.close()
+    for one, run in zip([*drives, gate], [*runs, gated], strict=True):
+        alone = driven(one.simulator, one.road, one.seed, one.conditions, driver=one.driver, probed=one.probed)
         assert run.outcome.is_verdict and run.steps > 20
         assert encode_run(run) == encode_run(alone), f"{driver} on {one.simulator}"
-    simulator = make_simulator("donkey")
-    pilot = make_driver(AUTOPILOT, simulator.spec)
-    alone = drive_road(simulator, pilot, SHORT, 5, Conditions(visibility=100.0), probed=True)
-    simulator.close()
-    assert gated.visible_contrasts and encode_run(gated) == encode_run(alone)
+    assert gated.visible_contrasts
 
 
 def test_a_killed_process_loses_nothing(worker: Processes) -> None:
     process = worker()
-    drives = [
-        DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, SimulatorName(f"{QUICK}:SlowSimulator")) for seed in range(6)
-    ]
+    drives = [request("SlowSimulator", seed) for seed in range(6)]
     undisturbed = [encode_run(run) for run in drive_all(process, drives)]
     with ThreadPoolExecutor(len(drives)) as pool:
         futures = [pool.submit(process.drive, one) for one in drives]
@@ -115,7 +113,7 @@ def test_what_a_stopped_process_was_given_is_driven_by_another(
 ) -> None:
     """Also if it was stopped before it noted that its last drive is over."""
     monkeypatch.setattr(worker_process, "TAKE_TIME", 4.0)
-    process, drive = worker(), DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:QuickSimulator"))
+    process, drive = worker(), request()
     undisturbed, pid = process.drive(drive), process.pid
     assert pid is not None
     os.kill(pid, signal.SIGSTOP)
@@ -126,8 +124,7 @@ def test_what_a_stopped_process_was_given_is_driven_by_another(
 
 def test_what_a_stopped_process_drives_is_no_error(worker: Processes, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker_process, "FRAME_TIME", 2.0)
-    process = worker()
-    drive = DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:SlowSimulator"))
+    process, drive = worker(), request("SlowSimulator")
     undisturbed, pid = process.drive(drive), process.pid
     assert pid is not None
     with ThreadPoolExecutor(1) as pool:
@@ -144,8 +141,7 @@ def test_a_process_that_stops_in_the_middle_of_an_answer_loses_nothing(
 ) -> None:
     monkeypatch.setattr(worker_process, "TAKE_TIME", 2.0)
     monkeypatch.setenv("DS_TEST_ONCE", str(tmp_path / "once"))
-    simulator = SimulatorName(f"{QUICK}:HalfAnsweringSimulator")
-    drives = [DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, simulator) for seed in range(3)]
+    drives = [request("HalfAnsweringSimulator", seed) for seed in range(3)]
     process = worker()
     disturbed, again = drive_all(process, drives), drive_all(process, drives)
     assert all(run.outcome.is_verdict for run in disturbed)
@@ -154,50 +150,40 @@ def test_a_process_that_stops_in_the_middle_of_an_answer_loses_nothing(
 
 def test_a_drive_that_kills_its_process_ends_as_an_error_and_spares_the_others(worker: Processes) -> None:
     process = worker()
-    crash = process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:CrashingSimulator")))
+    crash = process.drive(request("CrashingSimulator"))
     assert crash.outcome is Outcome.SIM_ERROR and "signal 11" in crash.message and "\n" not in crash.message
-    assert process.drive(
-        DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:QuickSimulator"))
-    ).outcome.is_verdict
+    assert process.drive(request()).outcome.is_verdict
 
 
 @pytest.mark.parametrize("seed", range(len(NONSENSE)))
 def test_an_answer_that_makes_no_sense_ends_as_an_error(worker: Processes, seed: int) -> None:
-    run = worker().drive(
-        DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, SimulatorName(f"{QUICK}:BabblingSimulator"))
-    )
+    run = worker().drive(request("BabblingSimulator", seed))
     assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "its process ended 3 times: killed by signal 9")
 
 
-def test_a_simulator_that_cannot_be_made_is_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:RaisingSimulator")))
-    assert (run.outcome, run.message) == (Outcome.SIM_ERROR, "RuntimeError: no licence")
-
-
-def test_numbers_that_are_not_finite_are_an_error_of_one_line(worker: Processes) -> None:
-    run = worker().drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:DivergingSimulator")))
-    assert run.outcome is Outcome.SIM_ERROR and "finite" in run.message and "\n" not in run.message
+@pytest.mark.parametrize(
+    ("simulator", "message"), [("RaisingSimulator", "RuntimeError: no licence$"), ("DivergingSimulator", ".*finite")]
+)
+def test_a_simulator_that_cannot_be_made_or_diverges_is_an_error_of_one_line(
+    worker: Processes, simulator: str, message: str
+) -> None:
+    run = worker().drive(request(simulator))
+    assert run.outcome is Outcome.SIM_ERROR and re.match(message, run.message) and "\n" not in run.message
 
 
 def test_a_simulator_that_hangs_is_given_up_and_the_others_drive_on(
     worker: Processes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(worker_process, "FRAME_TIME", 2.0)
-    slow = [
-        DriveRequest(Scenario(ROAD, seed=seed), AUTOPILOT, SimulatorName(f"{QUICK}:SlowSimulator")) for seed in range(3)
-    ]
-    runs = drive_all(
-        worker(), [DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:HangingSimulator")), *slow]
-    )
+    slow = [request("SlowSimulator", seed) for seed in range(3)]
+    runs = drive_all(worker(), [request("HangingSimulator"), *slow])
     assert runs[0].outcome is Outcome.SIM_ERROR and "more than 2 s" in runs[0].message
     assert all(run.outcome.is_verdict for run in runs[1:])
 
 
 def test_a_driver_that_hangs_is_silent(worker: Processes) -> None:
     hanging = f"{QUICK}:HangingDriver"
-    run = worker(hanging, timeout=2.0).drive(
-        DriveRequest(Scenario(ROAD, seed=1), DriverName(hanging), SimulatorName(f"{QUICK}:QuickSimulator"))
-    )
+    run = worker(hanging, timeout=2.0).drive(request(driver=DriverName(hanging)))
     assert (run.outcome, run.message) == (Outcome.DRIVER_SILENT, "no command within 2 s")
 
 
@@ -209,14 +195,8 @@ def test_a_driver_that_cannot_be_loaded_is_named_in_one_line(worker: Processes) 
 def test_stop_ends_every_drive_at_once(worker: Processes) -> None:
     process = worker()
     process.start()
-    found: list[RunRecord] = []
-    thread = threading.Thread(
-        target=lambda: found.append(
-            process.drive(DriveRequest(Scenario(ROAD, seed=1), AUTOPILOT, SimulatorName(f"{QUICK}:HangingSimulator")))
-        )
-    )
-    thread.start()
-    time.sleep(0.5)
-    process.stop()
-    thread.join(60.0)
-    assert not thread.is_alive() and found[0].outcome is Outcome.CANCELLED
+    with ThreadPoolExecutor(1) as pool:
+        drive = pool.submit(process.drive, request("HangingSimulator"))
+        time.sleep(0.5)
+        process.stop()
+        assert drive.result(60.0).outcome is Outcome.CANCELLED

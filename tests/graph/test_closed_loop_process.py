@@ -15,15 +15,15 @@ from ds_interfaces.srv import GetSimulatorInfo
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
+from tests.drives import driven
 from tests.graph.processes import SPACE
 from tests.waiting import wait_until
 
-from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road
-from ds_sim.registry import DONKEY, make_simulator
+from ds_sim.registry import DONKEY, spec_of
 from ds_sim.ros.conversions import pixels_of
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.scenario import Scenario
@@ -66,11 +66,9 @@ def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Pat
 
 def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Path) -> None:
     """A subscriber that is there before a run gets whole images; without one, the crop is drawn."""
-    simulator = make_simulator("donkey")
-    here = drive_road(simulator, make_driver("dave2_short", simulator.spec), STRAIGHT, 1)
-    top = simulator.spec.crop_top
-    simulator.close()
-    with running_graph(SPACE, DriverName("dave2_short"), command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+    driver, top = DriverName("dave2_short"), spec_of("donkey").crop_top
+    here = driven("donkey", STRAIGHT, driver=driver)
+    with running_graph(SPACE, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
         unseen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
         node = Node("viewer", context=executor.context)

@@ -15,15 +15,15 @@ from ds_interfaces.msg import Condition
 from ds_interfaces.srv import LoadRoad
 from rclpy.action import ActionClient
 from rclpy.node import Node
+from tests.drives import driven
 
-from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.executor import trajectory_sha256 as digest
 from ds_orchestrator.graph import session, supervisor
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
-from ds_sim.registry import DONKEY, SimulatorName, make_simulator
+from ds_sim.registry import DONKEY, SimulatorName
 from ds_sim.ros import conversions as messages
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
@@ -53,10 +53,7 @@ def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 def of_library(conditions: Conditions) -> str:
-    simulator = make_simulator(DONKEY)
-    run = drive_road(simulator, make_driver("autopilot", simulator.spec), SHORT, 5, conditions)
-    simulator.close()
-    return digest(run)
+    return digest(driven(DONKEY, SHORT, 5, conditions))
 
 
 @pytest.mark.parametrize(

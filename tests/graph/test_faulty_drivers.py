@@ -58,8 +58,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     folder = tmp_path_factory.mktemp("faulty")
     orders = folder / "orders"
     orders.write_text("none 20 0.0")
-    module, parameters = "tests.graph.faulty_driver", {"orders": str(orders)}
-    driver = ProcessSpec(name="faulty", module=module, namespace="/ds1", parameters=parameters)
+    module = "tests.graph.faulty_driver"
+    driver = ProcessSpec(name="faulty", module=module, namespace="/ds1", parameters={"orders": str(orders)})
     with supervised([*simulator_processes(SPACE, LIMIT), driver], folder / "logs") as (supervisor, domain):
         executor = GraphClient(SPACE, domain=domain, command_timeout=LIMIT)
         executor.wait_until_ready(120.0)

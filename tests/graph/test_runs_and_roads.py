@@ -297,8 +297,8 @@ def test_two_simulators_in_one_namespace_are_noticed_until_one_is_gone(
     environment = os.environ | {"ROS_DOMAIN_ID": str(domain)}
     second = ended_with_this.start(command, environment=environment, log=logs / "second.log")
     try:
-        for log in (graph._supervisor._log("closed_loop_ds1"), logs / "second.log"):
-            wait_until(lambda log=log: "2 simulators live in /ds1" in log.read_text())
+        both = (graph._supervisor._log("closed_loop_ds1"), logs / "second.log")
+        wait_until(lambda: all("2 simulators live in /ds1" in log.read_text() for log in both))
         run = graph.execute("donkey", Scenario(ROAD, seed=1))
         assert (run.outcome, run.reason, run.steps) == (Outcome.SIM_ERROR, Reason.TWO_SIMULATORS, 0), run.message
     finally:

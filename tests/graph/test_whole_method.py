@@ -4,16 +4,16 @@
 from __future__ import annotations
 
 import json
-import sqlite3
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from benchmarks.kill import stored
+from tests.command_line import ds_process
 
 pytestmark = pytest.mark.graph
 
-DS = [sys.executable, "-m", "ds_cli.main"]
 WHOLE = """
 siblings: [bullet, softbody]
 twin: donkey
@@ -21,19 +21,6 @@ driver: dave2
 seed: 5
 search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 120}
 """
-
-
-def executions(folder: Path) -> dict[tuple[str, str], tuple[str, str]]:
-    """Read outcome and digest of every execution; empty until the campaign has created its tables."""
-    if not (folder / "campaign.sqlite").exists():
-        return {}
-    try:
-        rows = sqlite3.connect(folder / "campaign.sqlite").execute(
-            "SELECT test_id, simulator, outcome, trajectory_sha256 FROM executions"
-        )
-    except sqlite3.OperationalError:
-        return {}
-    return {(test_id, simulator): (outcome, sha) for test_id, simulator, outcome, sha in rows}
 
 
 @pytest.mark.long
@@ -46,9 +33,8 @@ def test_the_same_seed_gives_the_same_bytes_with_any_engine_also_on_a_busy_machi
         busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (name == "busy"))]
         engine = "graph" if name == "busy" else name
         try:
-            command = [*DS, "campaign", "run", str(tmp_path / "c.yaml"), "--out", str(tmp_path / name), "--json"]
-            command += ["--engine", engine, *options]
-            done = subprocess.run(command, capture_output=True, text=True, timeout=400)
+            words = ("campaign", "run", tmp_path / "c.yaml", "--out", tmp_path / name, "--json", "--engine", engine)
+            done = ds_process(*words, *options, timeout=400)
         finally:
             for process in busy:
                 process.kill()
@@ -57,12 +43,11 @@ def test_the_same_seed_gives_the_same_bytes_with_any_engine_also_on_a_busy_machi
         assert document["executions"] == 12 and document["executions_in_error"] == 0
         assert Path(document["report"]).is_file()
     first = tmp_path / "graph"
-    assert len(executions(first)) == 12
+    assert len(stored(first)) == 12
     files = {path.relative_to(first) for part in ("maps/*.json", "bags/*/*") for path in first.glob(part)}
     assert {Path("maps/merged.json"), Path("maps/twin_donkey.json")} <= files and len(files) > 24
     for name in ("busy", "local", "dask"):
-        assert executions(tmp_path / name) == executions(first), name
+        assert stored(tmp_path / name) == stored(first), name
         for file in sorted(files):
             assert (tmp_path / name / file).read_bytes() == (first / file).read_bytes(), f"{name}: {file}"
-    shown = subprocess.run([*DS, "maps", str(first), "--json"], capture_output=True, text=True, check=True)
-    assert json.loads(shown.stdout) == json.loads((first / "maps" / "maps.json").read_text())
+    assert document("maps", first) == json.loads((first / "maps" / "maps.json").read_text())
