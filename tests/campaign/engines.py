@@ -8,6 +8,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
+from tests.observations import made_observation
 
 from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import Autopilot
@@ -17,7 +18,7 @@ from ds_orchestrator.engines.start import ENGINES
 from ds_sim.registry import make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import HALF_LANE, Command, LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import HALF_LANE, Command, Outcome
 
 
 class EngineHere:
@@ -85,19 +86,7 @@ class MadeUpEngine(EngineHere):
         run = RunRecord(scenario=request.scenario, outcome=outcome)
         run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
         run.observations = [
-            Observation(
-                image=np.empty((0, 0, 3), np.uint8),
-                step=k,
-                time=k / 20,
-                vehicle=VehicleState(x=x, y=y + k, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
-                lane=LaneState(
-                    lateral_position=float(offset),
-                    lateral_distance=HALF_LANE - abs(float(offset)),
-                    preview_lateral_position=float(offset),
-                    arc_length=float(k),
-                ),
-                outcome=Outcome.RUNNING if k < 5 else run.outcome,
-            )
-            for k, offset in enumerate(lateral)
+            made_observation(k, offset, Outcome.RUNNING if k < 5 else outcome, (x, y + k))
+            for k, offset in enumerate(lateral.tolist())
         ]
         return run

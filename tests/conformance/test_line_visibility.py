@@ -10,44 +10,46 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tests.conformance.test_conditions import light as linear
+from tests.conformance.test_conditions import perfect
 from tests.drives import driven
+from tests.observations import made_observation
 
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_road import Road
 from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions
+from ds_sim.conditions.text import parse_conditions
 from ds_sim.gates.gate import GateState, gate_of
 from ds_sim.gates.visible_contrast import ContrastProbe, VisibleContrast
 from ds_sim.registry import make_simulator, spec_of
 from ds_sim.scenario import Scenario
-from ds_sim.session import NO_IMAGE, RunRecord, Session
-from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
+from ds_sim.session import RunRecord, Session
+from ds_sim.simulator import Outcome, VehicleState
+from ds_sim.testing import STRAIGHT
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
+IN_LANE = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
 NEAR, FAR = 10.0, 15.0
 """Distances between which the farthest 5 m within 1.8 s at 30 km/h lie, m."""
 
 
 def light(levels: Any) -> float:
     """Luminance of an sRGB colour in linear light (IEC 61966-2-1, ITU-R BT.709)."""
-    shares = np.asarray(levels, float) / 255.0
-    linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
-    return float(linear @ [0.2126, 0.7152, 0.0722])
+    return float(linear(levels) @ [0.2126, 0.7152, 0.0722])
 
 
 @cache
 def contrast(name: str, conditions: Conditions = DEFAULT, line_width: float = 0.6) -> float:
     """Contrast along the straight road, seen from the middle of its right lane by a camera without flaws."""
     spec = spec_of(name)
-    camera = replace(spec.camera, noise=0.0, gain=1.0, gamma=1.0, blur=0.0, exposure=0.0, latency=0)
+    camera = perfect(name)
     look = replace(spec.look, asphalt_grain=0.0, grass_grain=0.0, relief=0.0, line_width=line_width)
     scene = PaintedScene(camera, look)
     scene.load(STRAIGHT, np.random.default_rng(1), conditions)
-    state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
-    image = scene.still(state, np.random.default_rng(1))
+    image = scene.still(IN_LANE, np.random.default_rng(1))
     spec = replace(spec, camera=camera, look=look)
-    return VisibleContrast(STRAIGHT, spec, conditions).of(image, state, arc_length=35.0)
+    return VisibleContrast(STRAIGHT, spec, conditions).of(image, IN_LANE, arc_length=35.0)
 
 
 @pytest.mark.parametrize("name", ["bullet", "softbody", "donkey"])
@@ -67,20 +69,10 @@ def test_haze_takes_the_contrast_that_koschmieder_says(visibility: float) -> Non
 
 
 @pytest.mark.parametrize("name", ["bullet", "donkey"])
-@pytest.mark.parametrize(
-    "mount",
-    [
-        {"camera_pitch": 0.07},
-        {"camera_pitch": -0.05},
-        {"camera_yaw": 0.1},
-        {"camera_yaw": -0.1},
-        {"camera_height": 1.6},
-    ],
-    ids=str,
-)
-def test_lines_are_found_wherever_the_camera_is_mounted(name: str, mount: dict[str, float]) -> None:
+@pytest.mark.parametrize("mount", ["pitch=0.07", "pitch=-0.05", "yaw=0.1", "yaw=-0.1", "height=1.6"])
+def test_lines_are_found_wherever_the_camera_is_mounted(name: str, mount: str) -> None:
     """Half a line's width beside the line the contrast would be a fraction."""
-    assert contrast(name, Conditions(**mount)) == pytest.approx(contrast(name), rel=0.2)
+    assert contrast(name, parse_conditions(f"camera_{mount}")) == pytest.approx(contrast(name), rel=0.2)
 
 
 @pytest.mark.parametrize("name", ["bullet", "softbody", "donkey"])
@@ -92,19 +84,16 @@ def test_where_no_paint_is_none_is_seen(name: str) -> None:
     scene.load(STRAIGHT, rng, conditions)
     found = []
     for y in range(30, 150, 8):
-        state = VehicleState(x=127.0, y=float(y), yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
+        state = replace(IN_LANE, y=float(y))
         found.append(measured.of(scene.still(state, rng), state, y - 25.0))
     assert np.mean(np.array(found) < 0.05) > 0.5, found
 
 
 def test_a_picture_without_lines_has_no_contrast() -> None:
     spec = spec_of("bullet")
-    state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=0.0, yaw_rate=0.0, steering_angle=0.0)
-    measured = VisibleContrast(STRAIGHT, spec)
-    for level in (0, 97, 255):
+    measured, backwards = VisibleContrast(STRAIGHT, spec), replace(IN_LANE, yaw=-math.pi / 2)
+    for level, state in ((0, IN_LANE), (97, IN_LANE), (255, IN_LANE), (0, backwards)):
         assert measured.of(np.full((160, 320, 3), level, np.uint8), state, 35.0) == 0.0
-    backwards = replace(state, yaw=-math.pi / 2)
-    assert measured.of(np.zeros((160, 320, 3), np.uint8), backwards, 35.0) == 0.0
 
 
 @pytest.mark.parametrize("name", ["bullet", "softbody", "panda", "donkey"])
@@ -132,7 +121,7 @@ def test_a_still_is_what_a_camera_without_noise_shows() -> None:
     """Whatever rows the run draws, with the same dirt on the lens."""
     spec = spec_of("bullet")
     scene = PaintedScene(replace(spec.camera, noise=0.0), spec.look)
-    state = VehicleState(x=127.0, y=60.0, yaw=math.pi / 2, speed=7.0, yaw_rate=0.1, steering_angle=0.0)
+    state = replace(IN_LANE, speed=7.0, yaw_rate=0.1)
     conditions = Conditions(lens_dirt=0.3, visibility=60.0, camera_pitch=0.05)
     scene.load(STRAIGHT, np.random.default_rng(1), conditions)
     whole = scene.image(state)
@@ -144,21 +133,9 @@ def test_a_still_is_what_a_camera_without_noise_shows() -> None:
 
 def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRecord:
     """A run of 1 m a frame, with one contrast in ten frames."""
-    vehicle = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
     run = RunRecord(scenario=Scenario(STRAIGHT, seed=1), outcome=outcome, visible_contrasts=contrasts)
-    run.observations = [
-        Observation(
-            image=NO_IMAGE,
-            step=k,
-            time=k / 20,
-            vehicle=vehicle,
-            outcome=Outcome.RUNNING,
-            lane=LaneState(
-                lateral_position=0.0, lateral_distance=2.0, preview_lateral_position=0.0, arc_length=float(k)
-            ),
-        )
-        for k in range(10 * len(contrasts) + 1)
-    ]
+    frames = range(10 * len(contrasts) + 1)
+    run.observations = [made_observation(k, 0.0, Outcome.RUNNING, (0.0, 0.0)) for k in frames]
     return run
 
 

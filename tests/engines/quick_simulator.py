@@ -12,22 +12,13 @@ import time
 from pathlib import Path
 
 import numpy as np
+from tests.observations import made_observation
 
 from ds_driver.networks.pilot import Frame
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of
-from ds_sim.simulator import (
-    FRAME_TIME,
-    HALF_LANE,
-    Command,
-    LaneState,
-    Observation,
-    Outcome,
-    Simulator,
-    SimulatorSpec,
-    VehicleState,
-)
+from ds_sim.simulator import HALF_LANE, Command, Observation, Outcome, Simulator, SimulatorSpec
 
 FRAMES = 8
 
@@ -49,26 +40,12 @@ class QuickSimulator(Simulator):
         return self._observe()
 
     def _observe(self) -> Observation:
-        x, y = self._road.lane_centre[self._step].tolist()
-        distance = HALF_LANE - abs(self._lateral)
-        outcome = Outcome.RUNNING
-        if distance < 0:
+        outcome = Outcome.COMPLETED if self._step == FRAMES else Outcome.RUNNING
+        if abs(self._lateral) > HALF_LANE:
             outcome = Outcome.OUT_OF_BOUNDS
-        elif self._step == FRAMES:
-            outcome = Outcome.COMPLETED
-        return Observation(
-            image=np.zeros((160, 320, 3), np.uint8),
-            step=self._step,
-            time=self._step * FRAME_TIME,
-            vehicle=VehicleState(x=x, y=y, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
-            lane=LaneState(
-                lateral_position=self._lateral,
-                lateral_distance=distance,
-                preview_lateral_position=self._lateral,
-                arc_length=float(self._step),
-            ),
-            outcome=outcome,
-        )
+        image = np.zeros((160, 320, 3), np.uint8)
+        x, y = self._road.lane_centre[self._step].tolist()
+        return made_observation(self._step, self._lateral, outcome, (x, y), image)
 
 
 class SlowSimulator(QuickSimulator):
