@@ -17,7 +17,8 @@ import rclpy
 from benchmarks.kill import stored
 from diagnostic_msgs.msg import DiagnosticArray
 from ds_interfaces.action import DriveTests, RunCampaign
-from ds_interfaces.msg import CampaignState, Condition, MapLegend, TestOutcome
+from ds_interfaces.msg import CampaignState, Condition, MapLegend
+from ds_interfaces.msg import TestOutcome as DrivenTest
 from ds_interfaces.srv import GetMap, GetState, GetTest
 from nav_msgs.msg import OccupancyGrid
 from rclpy.action import ActionClient
@@ -147,7 +148,7 @@ def test_a_campaign_on_running_nodes_is_the_campaign_that_runs_without_ros(
 
 def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign: tuple[int, Any, list[Any]]) -> None:
     outcomes: list[Any] = []
-    graph.node.create_subscription(TestOutcome, "finished_tests", outcomes.append, LATCHED)
+    graph.node.create_subscription(DrivenTest, "finished_tests", outcomes.append, LATCHED)
     grids = dict.fromkeys(("maps/union_bullet", "maps/merged", "maps/twin_donkey"), OccupancyGrid)
     seen = graph.latest({"map_legend": MapLegend, "campaign_state": CampaignState, **grids})
     graph.node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: seen.update({m.status[0].name: m}), 10)
@@ -181,7 +182,7 @@ def test_whoever_comes_late_sees_outcomes_maps_and_state(graph: Graph, campaign:
 def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign: tuple[int, Any, list[Any]]) -> None:
     """Another campaign with its own seed and conditions, and then a goal that drives nothing."""
     steady: list[Any] = []
-    listener = graph.node.create_subscription(TestOutcome, "finished_tests", steady.append, 1000)  # volatile
+    listener = graph.node.create_subscription(DrivenTest, "finished_tests", steady.append, 1000)  # volatile
     graph.until(lambda: listener.get_publisher_count() == 1)
     fields: dict[str, Any] = {"conditions": [Condition(name="friction", value=0.8)], "seed": [7]}
     status, result = graph.run(RunCampaign, "run_campaign", config=CONFIG, folder="late", engine="local", **fields)
@@ -192,7 +193,7 @@ def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign
     )
     assert dict(late_one.conditions.changed) == {"friction": 0.8} and late_one.road != one_of_c.road
     late: list[Any] = []
-    graph.node.create_subscription(TestOutcome, "finished_tests", late.append, LATCHED)
+    graph.node.create_subscription(DrivenTest, "finished_tests", late.append, LATCHED)
     graph.until(lambda: len(late) >= DRIVES and len(steady) >= DRIVES)
     assert [one.campaign for one in late] == [one.campaign for one in steady] == ["late"] * DRIVES
     fields = {"conditions": fields["conditions"], "default_conditions": True}
@@ -201,7 +202,7 @@ def test_whoever_comes_late_sees_nothing_of_the_last_goal(graph: Graph, campaign
     grids = dict.fromkeys(("maps/merged", "maps/twin_donkey"), OccupancyGrid)
     seen = graph.latest({"map_legend": MapLegend, **grids})
     later: list[Any] = []
-    graph.node.create_subscription(TestOutcome, "finished_tests", later.append, LATCHED)
+    graph.node.create_subscription(DrivenTest, "finished_tests", later.append, LATCHED)
     graph.until(lambda: len(seen) == 3)
     assert [seen[name].info.width for name in ("maps/merged", "maps/twin_donkey")] == [0, 0]
     assert (seen["map_legend"].across, later) == ("", [])
