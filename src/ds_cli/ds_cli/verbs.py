@@ -27,7 +27,12 @@ class Verb(NamedTuple):
     name: str
     module: str
     summary: str
-    verbs: tuple[str, ...] = ()
+    within: str = ""
+
+    @property
+    def verbs(self) -> tuple[str, ...]:
+        """The verbs within it, in order."""
+        return tuple(self.within.split())
 
 
 GROUPS: dict[str, tuple[Verb, ...]] = {
@@ -35,54 +40,35 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
         Verb("check", "studies.check", "Show what a network sees, and say what is wrong with how it is connected."),
         Verb("drive", "drives", "Drive one road with one driver on one simulator."),
         Verb("test", "campaign.run", "Search roads on which a network fails, and report where and why."),
-        Verb(
-            "sensitivity",
-            "studies.causes",
-            "Find how strong each operating condition must be for a driver to fail.",
-        ),
+        Verb("sensitivity", "studies.causes", "Find how strong each operating condition must be for a driver to fail."),
         Verb("compare", "campaign.compare", "Compare two networks on the same tests: what got worse, what got better?"),
         Verb("report", "campaign.inspection", "Rebuild the report of a campaign, or write one of imported outcomes."),
     ),
     "Campaigns and suites": (
         Verb("demo", "campaign.run", "See where a shipped network fails, why, and what to do next."),
-        Verb(
-            "campaign",
-            "campaign.inspection",
-            "Run, resume and inspect campaigns.",
-            ("run", "resume", "status", "roads", "export"),
-        ),
+        Verb("campaign", "campaign.inspection", "Run, resume and inspect campaigns.", "run resume status roads export"),
         Verb("watch", "campaign.inspection", "Show a campaign in the browser while it runs."),
-        Verb("suite", "campaign.suites", "Freeze tests into a regression suite, and run it.", ("make", "run")),
+        Verb("suite", "campaign.suites", "Freeze tests into a regression suite, and run it.", "make run"),
         Verb("explain", "studies.causes", "Find out why tests of a campaign fail."),
         Verb("maps", "maps", "Show a campaign's feature maps, or those of imported outcomes, as coloured grids."),
     ),
     "The real car": (
         Verb("predict", "prediction.predict", "Predict where a car, or a simulator that was never driven, fails."),
-        Verb(
-            "real",
-            "prediction.real",
-            "Propose, record and use a few drives on a real car.",
-            ("propose", "record", "update"),
-        ),
+        Verb("real", "prediction.real", "Propose, record and use a few drives on a real car.", "propose record update"),
         Verb(
             "outcomes",
             "outcomes",
             "Import outcomes of any simulators and cars, and export outcomes of `ds`.",
-            ("import", "export"),
+            "import export",
         ),
         Verb(
             "recording",
             "recordings",
             "Test a network on a recording of your car: its track, a twin and a sibling.",
-            ("test", "locate", "calibrate", "roads"),
+            "test locate calibrate roads",
         ),
-        Verb("twin", "recordings", "Fit the digital twin to recorded drives.", ("fit",)),
-        Verb(
-            "sim2real",
-            "networks",
-            "Make simulated images look like photographs of a real track.",
-            ("train", "translate"),
-        ),
+        Verb("twin", "recordings", "Fit the digital twin to recorded drives.", "fit"),
+        Verb("sim2real", "networks", "Make simulated images look like photographs of a real track.", "train translate"),
     ),
     "Train": (
         Verb("collect", "networks", "Collect labelled driving data with the autopilot."),
@@ -95,16 +81,11 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
             "road",
             "roads",
             "Generate, check, draw, export, import and cut roads.",
-            ("generate", "check", "show", "export", "import", "cut"),
+            "generate check show export import cut",
         ),
-        Verb(
-            "bag",
-            "bags",
-            "Inspect, re-simulate and repair rosbag2 recordings.",
-            ("info", "recover", "redrive", "drive"),
-        ),
-        Verb("serve", "drives", "Serve a simulator to clients of the Donkey simulator.", ("donkey",)),
-        Verb("siblings", "siblings", "Compare how the simulators behave.", ("compare",)),
+        Verb("bag", "bags", "Inspect, re-simulate and repair rosbag2 recordings.", "info recover redrive drive"),
+        Verb("serve", "drives", "Serve a simulator to clients of the Donkey simulator.", "donkey"),
+        Verb("siblings", "siblings", "Compare how the simulators behave.", "compare"),
         Verb("evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."),
     ),
     "This installation": (
