@@ -119,13 +119,12 @@ def test_another_clients_run_goes_on_until_that_client_is_gone(graph: Any, caplo
 
 def test_a_simulator_in_the_wrong_namespace_is_noticed(graph: Any) -> None:
     graph.check_simulators()
-    graph._namespaces["bullet"] = "/ds1"
     graph._simulators["bullet"] = graph._simulators["donkey"]
     try:
         with pytest.raises(graph_client.GraphError, match="/ds1 is donkey, expected bullet"):
             graph.check_simulators()
     finally:
-        del graph._namespaces["bullet"], graph._simulators["bullet"]
+        del graph._simulators["bullet"]
 
 
 def test_bad_roads_are_refused_in_one_line_and_the_node_lives_on(graph: Any) -> None:

@@ -77,23 +77,18 @@ class GraphClient:
         command_timeout: float,
         supervisor: Supervisor | None = None,
     ) -> None:
-        self._namespaces = dict(namespaces)
-        self._timeout = command_timeout
-        self._supervisor = supervisor
+        self._timeout, self._supervisor = command_timeout, supervisor
         self._revival = threading.Lock()
-        self._renewed: dict[SimulatorName, float] = {}
-        """Monotonic time of the last restart of a simulator or its driver, s."""
-        self._starting: set[SimulatorName] = set()
-        """Simulators that were restarted, and whose driver has not answered yet."""
         self._start_time = START_TIME
-        self._absent: set[SimulatorName] = set()
-        """Simulators that this process did not start, and that were awaited in vain."""
         # A separate context, because one process may drive several graphs, each in its own domain.
         self._context = Context()
         init_ros(context=self._context, domain_id=domain)
         # Several clients may take turns on one simulator and find each other by these names.
         self._node = Node(f"orchestrator_{os.getpid()}_{next(_NUMBERS)}", context=self._context)
-        self._simulators = {name: _Simulator(self._node, space) for name, space in namespaces.items()}
+        self._simulators = {name: _Simulator(self._node, name, space) for name, space in namespaces.items()}
+        if supervisor is not None:
+            for simulator in self._simulators.values():
+                simulator.processes = supervisor.names_in(simulator.namespace)
         self._thread = NodeThread(self._node)
 
     @property
@@ -116,10 +111,10 @@ class GraphClient:
         if only is None:
             self._start_time = limit
         deadline, announced = time.monotonic() + limit, self._supervisor is not None or limit <= ABSENT_TIME
-        awaited = [only] if only else list(self._simulators)
-        while missing := [m for name in awaited if (m := self._simulators[name].missing())]:
+        awaited = [self._simulators[only]] if only else list(self._simulators.values())
+        while missing := list(filter(None, (simulator.missing() for simulator in awaited))):
             if self._supervisor is not None:
-                self._supervisor.check({p for name in awaited for p in self._processes(name)})
+                self._supervisor.check({process for simulator in awaited for process in simulator.processes})
             if not announced and time.monotonic() > deadline - limit + QUIET:
                 announced = True
                 LOG.info("%s: waiting %.0f s at most", missing[0], limit)
@@ -131,8 +126,8 @@ class GraphClient:
 
     def check_simulators(self) -> None:
         """Check that every namespace holds the simulator that is expected there, and answers; else GraphError."""
-        for name, namespace in self._namespaces.items():
-            actual, expected = self.info(name).name, spec_of(name).name
+        for name, simulator in self._simulators.items():
+            actual, expected, namespace = self.info(name).name, spec_of(name).name, simulator.namespace
             if actual != expected:
                 raise GraphError(f"{namespace} is {actual}, expected {expected}: start it under another namespace")
 
@@ -160,7 +155,8 @@ class GraphClient:
         With `conditions_of_node`, the operating conditions of the simulator's node take the place of default ones;
         `watch` is called from another thread with the simulator's feedback.
         """
-        self._simulators[simulator].watch = watch
+        one = self._simulators[simulator]
+        one.watch = watch
         # The goal carries the whole test, so that another client's load_road cannot interfere.
         goal = DriveRoad.Goal(
             road=messages.road_to_message(scenario.road),
@@ -173,10 +169,10 @@ class GraphClient:
             record = RunRecord(scenario=scenario)
             self._revive()
             began = time.monotonic()
-            record.outcome, record.message = self._execute(simulator, record, goal)
-            if record.commands and self._renewed.get(simulator, -math.inf) < began:
-                self._starting.discard(simulator)
-            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for(simulator, began, record)):
+            record.outcome, record.message = self._execute(one, record, goal)
+            if record.commands and one.renewed < began:
+                one.starting = False
+            if not (record.outcome is Outcome.DRIVER_SILENT and self._waits_for(one, began, record)):
                 break
         if self._thread.stopped and record.outcome.is_error:
             record.outcome = Outcome.CANCELLED
@@ -199,60 +195,50 @@ class GraphClient:
             self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def _processes(self, simulator: SimulatorName) -> set[str]:
-        """Names of the supervisor's processes with a simulator and its driver: usually one."""
-        return set() if self._supervisor is None else self._supervisor.names_in(self._namespaces[simulator])
-
-    def _restart(self, simulator: SimulatorName, began: float = math.inf) -> None:
+    def _restart(self, simulator: _Simulator, began: float = math.inf) -> None:
         """Restart a simulator and its driver if the supervisor runs them, unless restarted after this time."""
         if self._supervisor is None or self._thread.stopped:
             return
         with self._revival:
-            if self._renewed.get(simulator, -math.inf) < began:
-                for process in self._processes(simulator):
+            if simulator.renewed < began:
+                for process in simulator.processes:
                     self._supervisor.restart(process)
-                self._note_restart(simulator)
-
-    def _note_restart(self, simulator: SimulatorName) -> None:
-        self._renewed[simulator] = time.monotonic()
-        self._starting.add(simulator)
+                simulator.note_restart()
 
     def _revive(self) -> None:
         """Restart every process of the supervisor that has ended."""
         if self._supervisor is not None:
             with self._revival:
                 revived = set(self._supervisor.revive())
-                for simulator in self._namespaces:
-                    if revived & self._processes(simulator):
-                        self._note_restart(simulator)
+                for simulator in self._simulators.values():
+                    if revived & simulator.processes:
+                        simulator.note_restart()
 
-    def _waits_for(self, simulator: SimulatorName, began: float, record: RunRecord) -> bool:
+    def _waits_for(self, simulator: _Simulator, began: float, record: RunRecord) -> bool:
         """Check whether a restarted driver is still starting; discovery may still list the old one's publisher."""
-        renewed = self._renewed.get(simulator, -math.inf)
-        patient = simulator in self._starting and began - renewed < START_TIME and not self._thread.stopped
+        renewed = simulator.renewed
+        patient = simulator.starting and began - renewed < START_TIME and not self._thread.stopped
         # A run from before the new driver, or one that the new driver answered in any way, keeps its outcome.
         answered = bool(record.commands) or record.reason is Reason.COMMAND_REFUSED
         return patient and renewed < began and not answered
 
-    def _execute(self, name: SimulatorName, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
-        simulator = self._simulators[name]
+    def _execute(self, simulator: _Simulator, record: RunRecord, goal: DriveRoad.Goal) -> tuple[Outcome, str]:
         began = time.monotonic()
         try:
-            self.wait_until_ready(ABSENT_TIME if name in self._absent else self._start_time, only=name)
-            self._absent.discard(name)
+            self.wait_until_ready(ABSENT_TIME if simulator.absent else self._start_time, only=simulator.name)
+            simulator.absent = False
         except GraphError as error:  # it stopped between two runs
-            if self._supervisor is None:
-                self._absent.add(name)
-            self._restart(name, began)
+            simulator.absent = self._supervisor is None
+            self._restart(simulator, began)
             return Outcome.SIM_ERROR, str(error)
         except RuntimeError as error:
             return Outcome.SIM_ERROR, str(error)
         # A goal must not be sent twice, but a service may be called until a simulator that has just started answers.
-        limit = START_TIME if name in self._starting else SERVICE_TIME
+        limit = START_TIME if simulator.starting else SERVICE_TIME
         if self._thread.ask(simulator.info, GetSimulatorInfo.Request(), limit) is None:
-            self._restart(name)
+            self._restart(simulator)
             return Outcome.SIM_ERROR, f"get_info was not answered within {limit:.0f} s"
-        result = self._drive(name, goal)
+        result = self._drive(simulator, goal)
         if isinstance(result, str):
             return Outcome.SIM_ERROR, result
         try:
@@ -261,19 +247,18 @@ class GraphClient:
             return Outcome.SIM_ERROR, f"the result makes no sense: {error}"
         outcome = Outcome(result.outcome.value)
         hangs = outcome is Outcome.DRIVER_SILENT and record.reason is not Reason.COMMAND_REFUSED
-        if hangs and not self._waits_for(name, began, record):
-            self._restart(name, began)
+        if hangs and not self._waits_for(simulator, began, record):
+            self._restart(simulator, began)
         return outcome, result.message
 
-    def _drive(self, name: SimulatorName, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
+    def _drive(self, simulator: _Simulator, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         """Send a goal and return its result, or one line on the error.
 
         Waits for a simulator that drives for another client, and ends a run that lost its client.
         """
-        simulator = self._simulators[name]
         deadline, reported = time.monotonic() + BUSY_TIME, False
         while True:
-            result = self._drive_once(name, goal)
+            result = self._drive_once(simulator, goal)
             if isinstance(result, str) or result.reason.value != Reason.BUSY:
                 return result
             others = simulator.other_clients()
@@ -285,36 +270,34 @@ class GraphClient:
             if time.monotonic() > deadline or self._thread.pause(0.5 if others else 0.2):
                 return result
 
-    def _drive_once(self, name: SimulatorName, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
-        simulator = self._simulators[name]
+    def _drive_once(self, simulator: _Simulator, goal: DriveRoad.Goal) -> DriveRoad.Result | str:
         simulator.alive, simulator.frame = simulator.clock.now(), 0
         handle = self._thread.call(lambda: simulator.drive.send_goal_async(goal, simulator.on_feedback), SERVICE_TIME)
         if handle is None:
-            self._restart(name)
+            self._restart(simulator)
             return f"the goal was not answered within {SERVICE_TIME:.0f} s"
         if not handle.accepted:
             return "the goal was rejected: is this simulator of another version?"
-        result = self._await_result(name, handle)
+        result = self._await_result(simulator, handle)
         if result is not None and result.status == GoalStatus.STATUS_UNKNOWN:  # of a node that never had the goal
             return f"the simulator was started anew during the run, {simulator.place}"
         if result is not None:
             return cast(DriveRoad.Result, result.result)
         if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
             self._thread.call(handle.cancel_goal_async, 1.0)
-        if self._supervisor is not None and (dead := self._processes(name) & set(self._supervisor.dead())):
+        if self._supervisor is not None and (dead := simulator.processes & set(self._supervisor.dead())):
             return f"{', '.join(sorted(dead))} ended during the run, {simulator.place}"
-        self._restart(name)
+        self._restart(simulator)
         if self._supervisor is None and not self._thread.stopped:
             seconds = simulator.clock.now() - simulator.alive
-            return f"{name} has not answered for {seconds:.0f} s, {simulator.place}: is its node alive?"
+            return f"{simulator.name} has not answered for {seconds:.0f} s, {simulator.place}: is its node alive?"
         return f"the simulator fell silent during the run, {simulator.place}"
 
-    def _await_result(self, name: SimulatorName, handle: Any) -> Any:
+    def _await_result(self, simulator: _Simulator, handle: Any) -> Any:
         """Wait for the result of a goal; None if the simulator has shown no sign of life for too long."""
         future = self._thread.send(handle.get_result_async, SERVICE_TIME)
         if future is None:
             return None
-        simulator = self._simulators[name]
         # A slow driver may use the whole timeout for every frame between two feedback messages.
         silence = messages.FEEDBACK_EVERY * self._timeout + SERVICE_TIME
         asked = simulator.clock.now()
@@ -325,7 +308,7 @@ class GraphClient:
             # A result that comes while neither node knows the other is lost.
             if now - max(asked, simulator.alive) > ASK_AGAIN:
                 asked, future = now, self._thread.send(handle.get_result_async, SERVICE_TIME) or future
-            if self._supervisor is not None and self._processes(name) & set(self._supervisor.dead()):
+            if self._supervisor is not None and simulator.processes & set(self._supervisor.dead()):
                 return None
             self._thread.wait(future, 0.5)
             if self._supervisor is None and not future.done() and not self._answers(simulator):
@@ -350,9 +333,8 @@ class GraphClient:
 class _Simulator:
     """Clients of one simulator's node."""
 
-    def __init__(self, node: Node, namespace: str) -> None:
-        self._node = node
-        self.namespace = namespace
+    def __init__(self, node: Node, name: SimulatorName, namespace: str) -> None:
+        self._node, self.name, self.namespace = node, name, namespace
         self.info = node.create_client(GetSimulatorInfo, f"{namespace}/get_info")
         self.reset = node.create_client(Trigger, f"{namespace}/reset")
         self.drive = ActionClient(node, DriveRoad, f"{namespace}/drive_road")
@@ -364,6 +346,18 @@ class _Simulator:
         self.answered = 0.0
         """Time of the last answer to a query during a run, s."""
         self.watch: Watch | None = None
+        self.processes: set[str] = set()
+        """Names of the supervisor's processes with it and its driver: usually one."""
+        self.renewed = -math.inf
+        """Monotonic time of the last restart of it or its driver, s."""
+        self.starting = False
+        """Whether it was restarted, and its driver has not answered yet."""
+        self.absent = False
+        """Whether this process did not start it, and awaited it in vain."""
+
+    def note_restart(self) -> None:
+        """Remember that it was restarted now."""
+        self.renewed, self.starting = time.monotonic(), True
 
     def on_feedback(self, message: Any) -> None:
         """Record a sign of life, and pass the feedback on."""
