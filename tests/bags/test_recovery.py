@@ -19,10 +19,9 @@ from rosbags.highlevel import AnyReader
 from ds_bags.copying import UNFINISHED, recover
 from ds_bags.info import describe
 from ds_bags.layout import BagError, partial_path
-from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
-from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
-from ds_bags.run_writer import write_bag
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of, typestore
+from ds_bags.run_writer import message_builder, write_bag
 from ds_bags.verification import verify_bag
 from ds_sim.registry import DONKEY
 from ds_sim.session import RunRecord
@@ -66,7 +65,7 @@ def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
 
     def work() -> None:
         writer = Rosbag2Writer(tmp_path / "bag", {"seed": str(seed)})
-        channel = writer.channel(topic_of(store, "/x", KIND, depth=1))
+        channel = writer.channel(topic_of("/x", KIND, depth=1))
         with (tmp_path / "told").open("wb", buffering=0) as told:
             for number in range(400):
                 writer.write(channel, number, message(number))
@@ -131,7 +130,7 @@ def test_what_cannot_be_recovered_is_reported(bags: Path, run: RunRecord, tmp_pa
     with pytest.raises(BagError, match="is whole"):
         recover(bags / "raw")
     with Rosbag2Writer(tmp_path / "bag", {}) as writer:
-        channel = writer.channel(topic_of(typestore(), "/outcome", "ds_interfaces/msg/Outcome", depth=1))
+        channel = writer.channel(topic_of("/outcome", "ds_interfaces/msg/Outcome", depth=1))
         writer.write(channel, 1, bytes(6))
     with pytest.raises(BagError, match="before its first flush"):
         recover(tmp_path / "bag")

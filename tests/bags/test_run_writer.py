@@ -19,10 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from ds_bags.info import describe, info_in_words
 from ds_bags.layout import LEVELS, BagError, Level
-from ds_bags.messages import message_builder, typestore
 from ds_bags.reader import BagReader, read_run
-from ds_bags.rosbag2_writer import Rosbag2Writer
-from ds_bags.run_writer import write_bag
+from ds_bags.rosbag2_writer import Rosbag2Writer, typestore
+from ds_bags.run_writer import message_builder, write_bag
 from ds_sim.camera.lens import optical_axes
 from ds_sim.messages import MessageBuilder
 from ds_sim.registry import DONKEY, SOFTBODY, make_simulator

@@ -101,7 +101,7 @@ sys.path[:] = [{str(tmp_path / "site")!r}] + [p for p in sys.path if "ds_" not i
 sys.modules.update(rclpy=None, ds_interfaces=None)
 import ds_sim
 assert ds_sim.__file__.startswith({str(tmp_path)!r})
-from ds_bags.messages import typestore
+from ds_bags.rosbag2_writer import typestore
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_orchestrator import read_config
 from ds_base.installation import share_folders

@@ -24,9 +24,8 @@ from ds_bags.layout import (
     partial_path,
     regular_file,
 )
-from ds_bags.messages import typestore
 from ds_bags.reader import STATE, BagReader
-from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic
+from ds_bags.rosbag2_writer import ABOUT_RECORD, Rosbag2Writer, Topic, typestore
 from ds_base.bounded_file import open_regular
 from ds_base.bounded_yaml import BoundedYamlError, load_yaml
 from ds_base.installation import ds_command

@@ -16,17 +16,22 @@ from typing import Any
 
 import yaml
 from mcap.writer import Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ds_bags.layout import MAX_TOPICS, BagError
 from ds_base.atomic_files import write_whole
+from ds_base.bounded_file import read_words
 from ds_base.bounded_yaml import load_yaml
+from ds_base.errors import InputError
 from ds_base.folder_files import make_parents
+from ds_base.installation import share_folders
 
 CHUNK_SIZE = 64 * 1024
 """Bytes of a chunk before compression; small, so a killed writer loses few messages."""
 ABOUT_RECORD = "digital_siblings"
 """Name of the MCAP metadata record with the facts known at the start of the recording."""
+_OWN_MESSAGES = ("Outcome", "Road", "VehicleState", "DriveCommand")
 _NEVER = {"sec": 9223372036, "nsec": 854775807}
 """Infinite duration as rmw writes it."""
 
@@ -55,15 +60,30 @@ def _yaml(value: Any) -> str:
     return str(yaml.dump(value, Dumper=_Dumper))
 
 
+@lru_cache(maxsize=1)
+def typestore() -> Typestore:
+    """Message types of Jazzy and of `ds_interfaces`, the latter read from their installed definitions."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for share in share_folders("ds_interfaces"):
+        folder = share / "msg"
+        if (folder / "Road.msg").exists():
+            types: dict[str, Any] = {}
+            for name in _OWN_MESSAGES:
+                types.update(get_types_from_msg(read_words(folder / f"{name}.msg"), f"ds_interfaces/msg/{name}"))
+            store.register(types)
+            return store
+    raise InputError("ds_interfaces is not on AMENT_PREFIX_PATH: build the workspace and source its setup file")
+
+
 @lru_cache
-def topic_of(typestore: Typestore, name: str, message_type: str, *, depth: int, latched: bool = False) -> Topic:
+def topic_of(name: str, message_type: str, *, depth: int, latched: bool = False) -> Topic:
     """Make a topic with reliable QoS for a type of the typestore."""
-    definition, _ = typestore.generate_msgdef(message_type, ros_version=2)
+    definition, _ = typestore().generate_msgdef(message_type, ros_version=2)
     return Topic(
         name=name,
         message_type=message_type,
         definition=definition,
-        digest=typestore.hash_rihs01(message_type),
+        digest=typestore().hash_rihs01(message_type),
         qos=_yaml([_qos(depth, latched)]),
     )
 

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED, BagError, Level, partial_path
-from ds_bags.messages import message_builder, typestore
-from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
+from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of, typestore
 from ds_base.folder_files import place_folder
 from ds_base.installation import versions
 from ds_road import road_to_json
 from ds_sim.conditions.text import format_conditions
-from ds_sim.messages import ROAD_FRAME, START
+from ds_sim.messages import ROAD_FRAME, START, MessageBuilder
 from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.session import RunRecord, resimulate
 from ds_sim.simulator import Observation, SimulatorSpec
@@ -43,6 +42,12 @@ _TOPICS = {
 Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to the translated one that the driver saw, both (rows, columns, 3) uint8 RGB."""
 _IMAGE_TOPIC = {"compressed": "camera/image_raw/compressed", "raw": "camera/image_raw"}
+
+
+def message_builder(namespace: str) -> MessageBuilder:
+    """Make the builder of the messages of one simulator's bag, whose namespace prefixes its tf frames."""
+    types = typestore().types
+    return MessageBuilder(lambda name: types[name.replace("/", "/msg/")], np.asarray, namespace)
 
 
 def facts_of(simulator: SimulatorName, run: RunRecord, level: Level) -> dict[str, str]:
@@ -149,7 +154,7 @@ def _write_run(
     for topic, (kind, depth, latched) in _TOPICS.items():
         if topic in pictured_topics or not topic.startswith(("camera/", TRANSLATED)):
             name = topic if topic[0] == "/" else f"{namespace}/{topic}"
-            channels[topic] = writer.channel(topic_of(store, name, kind, depth=depth, latched=latched))
+            channels[topic] = writer.channel(topic_of(name, kind, depth=depth, latched=latched))
 
     def put(topic: str, nanoseconds: int, message: Any) -> None:
         writer.write(channels[topic], nanoseconds, bytes(store.serialize_cdr(message, _TOPICS[topic][0])))

@@ -12,7 +12,6 @@ from benchmarks.twin_drives import coast, hard_bends, hidden_and_start, manoeuvr
 from progress_lines import ProgressLines
 from tubs import write_tub
 
-from ds_bags.messages import typestore
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_report.fit_picture import draw_fit
 from ds_sim.simulator import FRAME_TIME
@@ -202,7 +201,7 @@ def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
 def test_a_bag_of_several_runs_is_refused(tmp_path: Path) -> None:
     writer = Rosbag2Writer(tmp_path / "runs", {})
     for run in ("a", "b"):
-        writer.channel(topic_of(typestore(), f"/{run}/ds1/state", "ds_interfaces/msg/VehicleState", depth=1))
+        writer.channel(topic_of(f"/{run}/ds1/state", "ds_interfaces/msg/VehicleState", depth=1))
     writer.close({})
     with pytest.raises(LogError, match="states of 2 runs.*give bags of one run"):
         read_log(tmp_path / "runs")
