@@ -22,16 +22,17 @@ from ds_analysis.comparison.analysis import (
     answer_of,
     cautions_of,
     compare_networks,
+    is_sure,
     sentences_of,
 )
 from ds_analysis.comparison.ci_results import Criteria, MaxFailures, cases_of, junit_of
 from ds_analysis.comparison.paired_drives import (
-    ComparedTest,
     PairedCounts,
     PairedDrive,
     adjusted,
     difference_interval,
     fewest_changes,
+    sequential_evidence,
 )
 from ds_analysis.comparison.tables import cell_table, document_of, markdown_of
 from ds_base.palette import FAIL, PASS, rgb
@@ -65,10 +66,10 @@ def test_the_interval_is_close_to_that_of_agresti_and_min(counts: tuple[int, int
     assert difference_interval(*counts) == pytest.approx((middle - half, middle + half), abs=0.012)
 
 
-def test_the_interval_contains_the_observed_difference() -> None:
-    for counts in ((1, 0, 0, 0), (0, 2, 0, 0), (0, 0, 1, 0)):
-        low, high = difference_interval(*counts)
-        assert low <= (counts[0] - counts[1]) / sum(counts) <= high
+@pytest.mark.parametrize("counts", [(1, 0, 0, 0), (0, 2, 0, 0), (0, 0, 1, 0)])
+def test_the_interval_contains_the_observed_difference(counts: tuple[int, int, int, int]) -> None:
+    low, high = difference_interval(*counts)
+    assert low <= (counts[0] - counts[1]) / sum(counts) <= high
 
 
 def test_the_fewest_changes_are_the_first_that_reach_significance() -> None:
@@ -100,9 +101,8 @@ def test_a_network_that_newly_fails_often_is_worse_and_is_not_merged() -> None:
 
 def test_one_newly_failing_test_asks_for_a_look() -> None:
     found = compared(pairs("bullet", (1, 0, 0, 9)))
-    assert advice_of(found) == "look first" and answer_of(found).startswith(
-        "Merge? Look first: 1 drive newly fails, none is"
-    )
+    assert advice_of(found) == "look first"
+    assert answer_of(found).startswith("Merge? Look first: 1 drive newly fails, none is")
     assert "Too few tests change" in cautions_of(found)[-1]
 
 
@@ -118,8 +118,8 @@ def test_what_happened_is_said_before_what_is_significant() -> None:
     assert 2 * binomtest(6, 6, 0.5).pvalue == pytest.approx(0.0625)
     better = compared(pairs("bullet", (0, 1, 0, 0)))
     assert sentences_of(better)[0].startswith("bullet: 1 of 1 test failed and now passes, none the other way: on these")
-    texts = [markdown_of(found, {}), json.dumps(document_of(found, {}), ensure_ascii=False)]
-    assert all("6 of 6 tests passed and now fail" in text for text in texts)
+    for text in (markdown_of(found, {}), json.dumps(document_of(found, {}), ensure_ascii=False)):
+        assert "6 of 6 tests passed and now fail" in text
 
 
 def test_tests_that_were_searched_against_the_reference_show_no_improvement() -> None:
@@ -163,31 +163,60 @@ def test_missing_drives_are_never_a_reason_to_merge() -> None:
 
 
 def test_identical_drives_are_said_to_be_identical() -> None:
-    same = [
-        PairedDrive(
-            test=ComparedTest(name="a-0-0000", scenario=drive.test.scenario),
-            simulator=BULLET,
-            reference=outcome(True, key="same"),
-            candidate=outcome(True, key="same"),
-        )
-        for drive in pairs("bullet", (0, 0, 1, 0))
-    ]
-    assert "identically, to the bit" in sentences_of(compared(same))[0]
-    assert answer_of(compared(same)) == "Merge? Nothing changes: every drive is the same."
+    (failing,) = pairs("bullet", (0, 0, 1, 0))
+    same = outcome(True, key="same")
+    found = compared([replace(failing, reference=same, candidate=same)])
+    assert "identically, to the bit" in sentences_of(found)[0]
+    assert answer_of(found) == "Merge? Nothing changes: every drive is the same."
 
 
 def test_cells_pool_their_own_tests_on_each_simulator() -> None:
     found = compared([*pairs("bullet", (2, 0, 0, 4)), *pairs("donkey", (0, 0, 0, 6))])
-    numbers = {(one.simulator, one.cell): (one.counts.newly_fail, one.counts.tests) for one in found.cells}
-    assert numbers == {
-        ("bullet", (0, 10)): (1, 3),
-        ("bullet", (1, 10)): (1, 3),
-        ("donkey", (0, 10)): (0, 3),
-        ("donkey", (1, 10)): (0, 3),
-    }
+    numbers = {(one.simulator, one.cell[0]): (one.counts.newly_fail, one.counts.tests) for one in found.cells}
+    assert numbers == {("bullet", 0): (1, 3), ("bullet", 1): (1, 3), ("donkey", 0): (0, 3), ("donkey", 1): (0, 3)}
     # One changed test says nothing, however many cells there are.
     assert all(one.p_adjusted == 1.0 for one in found.cells)
     assert len(cell_table(found).rows) == 2
+
+
+def test_bets_multiply_as_their_definition_says() -> None:
+    """Against no difference, a newly failing test pays 1 + c to who bets on it, 1 - c to who bets against it."""
+    stakes = (0.2, 0.5, 0.95)
+    capital = [1.0]
+    for n in (1, 2, 3):
+        capital.append(sum((1 + c) ** n + (1 - c) ** n for c in stakes) / 6)
+    assert sequential_evidence((1, 1, 1))[0] == pytest.approx(1 / max(capital))
+    assert sequential_evidence(()) == (1.0, (-1.0, 1.0))
+    p, (low, high) = sequential_evidence((-1,) * 12)
+    assert p < 0.05 and low == -1.0 and high < 0.0
+    assert sequential_evidence((1,) * 9 + (0,) * 100)[0] < 0.05  # what was sure stays sure
+
+
+@pytest.mark.parametrize(("newly", "fixed"), [(0.0, 0.0), (0.1, 0.1), (0.3, 0.3), (0.3, 0.0), (0.05, 0.2)])
+def test_the_truth_is_hardly_ever_missed_by_who_stops_when_it_suits(newly: float, fixed: float) -> None:
+    """Looking after each of 60 tests, and stopping at the worst moment: at most 5%, and the noise of 400 series."""
+    rng = np.random.default_rng(37)
+    draws = rng.choice([1, -1, 0], size=(400, 60), p=[newly, fixed, 1 - newly - fixed])
+    missed = false = 0
+    for series in draws:
+        looks = [sequential_evidence(tuple(map(int, series[:n]))) for n in range(5, 61, 5)]
+        missed += any(not low - 0.005 <= newly - fixed <= high + 0.005 for _, (low, high) in looks)
+        false += newly == fixed and any(p < 0.05 for p, _ in looks)
+    assert missed <= 400 * 0.08 and false <= 400 * 0.08
+
+
+def test_an_answer_is_sure_when_it_is_worse_somewhere_or_bounded_everywhere() -> None:
+    def sure_answer(*counts: tuple[int, int, int, int]) -> tuple[bool, str]:
+        drives = [drive for k, one in enumerate(counts) for drive in pairs(f"sim{k}", one)]
+        found = compared(drives, sequential=True)
+        return is_sure(found), answer_of(found)
+
+    assert sure_answer((15, 0, 0, 5), (0, 0, 0, 20)) == (True, "Merge? No: it is worse.")
+    assert not sure_answer((3, 0, 0, 17), (0, 0, 0, 20))[0]
+    assert not sure_answer((0, 0, 2, 18))[0]
+    sure, answer = sure_answer((0, 0, 2, 78), (0, 0, 0, 80))
+    assert sure and "Nothing speaks against it" in answer
+    assert "at most 10 more" in answer or int(answer.split("at most ")[1].split()[0]) <= 10
 
 
 def test_criteria_name_what_they_miss() -> None:
@@ -236,9 +265,8 @@ def test_the_markdown_answers_first_and_escapes_names() -> None:
     found = compared(pairs("bullet", (12, 1, 3, 24)), source="Tests of my_campaign|x")
     text = markdown_of(found, {"test-0-0000": "worse/test-0-0000.json"}, ["12 tests newly fail"])
     lines = [line for line in text.splitlines() if line]
-    assert lines[1] == "**Merge? No: it is worse.**" and lines[2].startswith(
-        "- bullet: 12 of 40 tests passed and now fail"
-    )
+    assert lines[1] == "**Merge? No: it is worse.**"
+    assert lines[2].startswith("- bullet: 12 of 40 tests passed and now fail")
     assert "my\\_campaign\\|x" in text
     assert "ds drive --sim bullet --driver new --road worse/test-0-0000.json --video test-0-0000-bullet.mp4" in text
     rows = [line for line in lines if line.startswith("|")]

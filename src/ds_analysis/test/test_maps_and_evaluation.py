@@ -8,15 +8,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_executions import made_execution
 from scipy.stats import beta
+from sklearn.metrics import average_precision_score
 from statsmodels.stats.proportion import proportion_confint
 
-from ds_analysis.common.statistics import Array
-from ds_analysis.paper.correlation import check_robustness, correlate, paired_differences
+from ds_analysis.common.statistics import Array, auc_prc
+from ds_analysis.paper.correlation import RobustnessCheck, check_robustness, correlate, paired_differences
 from ds_base.intervals import jeffreys_interval
 from ds_orchestrator.maps.algebra import apply, merge, merged_interval, union
 from ds_orchestrator.maps.campaign_maps import MapPlan, build_maps, cells_of, elites_of
@@ -109,20 +111,10 @@ def test_excluded_tests_are_counted_apart_and_in_no_probability() -> None:
     done = [e for e in EXECUTIONS if (e.test_id, e.simulator) not in excluded]
     maps = build_maps(SIBLINGS, TWIN, TESTS, done, gates=gates)
     x = CELLS[X]
-    found = {map_id.name: feature_map.excluded for map_id, feature_map in maps.items() if feature_map.excluded}
-    search, migration, on_twin = MapId.search(ON_A), MapId.migration(ON_B, ON_C), MapId.migration(ON_B, TWIN)
-    assert found == {
-        map_id.name: {x: count}
-        for map_id, count in {
-            search: 1,
-            migration: 1,
-            on_twin: 1,
-            MapId.union(ON_A): 1,
-            MapId.union(ON_C): 1,
-            MapId.twin(TWIN): 1,
-            M: 2,
-        }.items()
-    }
+    searched = [MapId.search(ON_A), MapId.migration(ON_B, ON_C), MapId.migration(ON_B, TWIN)]
+    once = [*searched, MapId.union(ON_A), MapId.union(ON_C), MapId.twin(TWIN)]
+    found = {map_id: feature_map.excluded for map_id, feature_map in maps.items() if feature_map.excluded}
+    assert found == {**dict.fromkeys(once, {x: 1}), M: {x: 2}}
     assert probabilities(maps[MapId.union(ON_A)])[x] == (8, pytest.approx(2 / 8))
     document = json.loads(json.dumps(to_json(maps), allow_nan=False))
     assert document[M.name]["excluded"] == [{"turns_count": x[0], "curvature": x[1], "tests": 2}]
@@ -247,22 +239,18 @@ def test_migrated_elites_and_the_published_way() -> None:
     assert probabilities(chosen[MapId.union(ON_B)]) == {x: (3, pytest.approx(2 / 3)), y: (3, pytest.approx(1 / 3))}
     assert probabilities(chosen[MapId.twin(TWIN)]) == {x: (3, pytest.approx(2 / 3)), y: (3, 0.0)}
     assert probabilities(chosen[MapId.merged()])[x] == (3, pytest.approx(2 / 3 * 2 / 3 * 2 / 3))
-    maxitwo_compatible = build_maps(
-        SIBLINGS, TWIN, TESTS, EXECUTIONS, MapPlan(elites_only=True, maxitwo_compatible=True, quality_loss="maximum")
-    )
-    assert all(value.tests == 1 for value in maxitwo_compatible[MapId.search(ON_A)].cells.values())
-    assert maxitwo_compatible[MapId.search(ON_A)].cells.keys() <= {
-        (r.turns_count_maxitwo, int(100 * r.curvature)) for r in ROADS.values()
-    }
+    plan = MapPlan(elites_only=True, maxitwo_compatible=True, quality_loss="maximum")
+    on_a = build_maps(SIBLINGS, TWIN, TESTS, EXECUTIONS, plan)[MapId.search(ON_A)].cells
+    assert all(value.tests == 1 for value in on_a.values())
+    assert on_a.keys() <= {(r.turns_count_maxitwo, int(100 * r.curvature)) for r in ROADS.values()}
 
 
 @pytest.mark.parametrize(
     ("operator", "expected"),
-    [("product", 0.02), ("minimum", 0.1), ("maximum", 0.5), ("mean", 1 / 3), ("weighted_mean", 0.3)],
+    [("product", 0.02), ("minimum", 0.1), ("maximum", 0.5), ("mean", 1 / 3), ("weighted_mean", 0.32)],
 )
 def test_operators(operator: str, expected: float) -> None:
     """Values 0.5, 0.1 and 0.4 of 4, 4 and 2 tests; weighted (2 + 0.4 + 0.8) / 10 = 0.32."""
-    expected = 0.32 if operator == "weighted_mean" else expected
     assert apply(operator, [0.5, 0.1, 0.4], [4, 4, 2]) == pytest.approx(expected)
     assert apply(operator, [0.4, 0.5, 0.1], [2, 4, 4]) == apply(operator, [0.5, 0.1, 0.4], [4, 4, 2])
 
@@ -293,41 +281,32 @@ def test_the_interval_of_a_product_is_that_of_its_distribution() -> None:
 
 
 def test_the_authors_rules_on_the_same_counts() -> None:
-    """Against the authors' rules on plain dictionaries: pooled unions, merges, -2 in empty cells, average precision."""
+    """Against the authors' rules by pandas: pooled unions, merges, -2 in empty cells, average precision."""
     rng = np.random.default_rng(3)
     names, where = ["a", "b", "twin"], [(i, j) for i in range(4) for j in range(5, 9)]
-    counted: dict[tuple[str, str], dict[Cell, list[tuple[bool, float]]]] = {}
+    rows: list[tuple[Any, ...]] = []
     for origin in "ab":
-        filled = [where[k] for k in rng.choice(len(where), 9, replace=False)]
-        sizes = rng.integers(1, 5, len(filled))
-        hard = rng.random(len(filled))
-        for target in names:
-            counted[origin, target] = {
-                cell: [(bool(rng.random() < h), float(rng.random())) for _ in range(size)]
-                for cell, size, h in zip(filled, sizes, hard, strict=True)
-            }
+        for place in rng.choice(len(where), 9, replace=False):
+            repeats, rate = range(rng.integers(1, 5)), rng.random()
+            rows += [(origin, on, where[place], rng.random() < rate, rng.random()) for on in names for _ in repeats]
+    drives = pd.DataFrame(rows, columns=["origin", "on", "cell", "failed", "quality"])
 
-    def feature_map(individuals: dict[Cell, list[tuple[bool, float]]]) -> FeatureMap:
+    def feature_map(origin: str, on: str) -> FeatureMap:
         cells: dict[Cell, MapCell] = {}
-        for cell, group in individuals.items():
-            n, q = sum(failed for failed, _ in group), sum(value for _, value in group) / len(group)
+        for cell, group in drives[(drives.origin == origin) & (drives.on == on)].groupby("cell"):
+            n, q = int(group.failed.sum()), float(group.quality.mean())
             cells[cell] = MapCell(
                 tests=len(group), failures=n, probability=n / len(group), quality_loss=q, pooled_quality_loss=q
             )
         return FeatureMap(id=M, cells=cells)
 
-    def pooled(target: str) -> dict[Cell, list[tuple[bool, float]]]:
-        one, other = counted["a", target], counted["b", target]
-        return {cell: one.get(cell, []) + other.get(cell, []) for cell in {*one, *other}}
-
     unions = {}
-    for target in names:
-        parts = [feature_map(counted[origin, target]) for origin in "ab"]
-        united = union(MapId.union(SimulatorName(target)), parts, pooled_quality_loss=True)
-        for cell, group in pooled(target).items():
-            assert united.cells[cell].probability == sum(failed for failed, _ in group) / len(group)
-            assert united.cells[cell].quality_loss == pytest.approx(sum(value for _, value in group) / len(group))
-        unions[target] = united
+    for on in names:
+        parts = [feature_map(origin, on) for origin in "ab"]
+        unions[on] = union(MapId.union(SimulatorName(on)), parts, pooled_quality_loss=True)
+        pooled = drives[drives.on == on].groupby("cell")[["failed", "quality"]].mean()
+        assert {c: v.probability for c, v in unions[on].cells.items()} == pytest.approx(pooled.failed.to_dict())
+        assert {c: v.quality_loss for c, v in unions[on].cells.items()} == pytest.approx(pooled.quality.to_dict())
     a, b, twin = (unions[name].cells for name in names)
     assert set(a) == set(b) == set(twin)
     rules = {
@@ -347,31 +326,24 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     found = correlate(merged, unions["twin"], "probability")
     assert found.r == pytest.approx(np.corrcoef(score, truth)[0, 1])
     fails = np.array(truth) > 0
-    assert found.auc == pytest.approx(average_precision(score, fails)) and found.baseline == fails.mean()
-    searches = {MapId.search(SimulatorName(n)): feature_map(counted[n, n]) for n in "ab"}
-    own = {MapId.migration(SimulatorName(n), TWIN): feature_map(counted[n, "twin"]) for n in "ab"}
-    maps = {**searches, **own, MapId.union(ON_A): unions["a"], MapId.union(ON_B): unions["b"], MapId.merged(): merged}
-    others = check_robustness({**maps, MapId.twin(TWIN): unions["twin"]}, [ON_A, ON_B], TWIN)
-    (filled_row,) = [v for v in others if "-2" in v.what and v.map == MapId.merged() and v.value == "probability"]
+    assert found.auc == pytest.approx(average_precision_score(fails, score)) and found.baseline == fails.mean()
+    maps = {MapId.union(ON_A): unions["a"], MapId.union(ON_B): unions["b"], MapId.merged(): merged}
+    maps |= {MapId.search(SimulatorName(n)): feature_map(n, n) for n in "ab"}
+    maps |= {MapId.migration(SimulatorName(n), TWIN): feature_map(n, "twin") for n in "ab"}
+    checks = check_robustness({**maps, MapId.twin(TWIN): unions["twin"]}, [ON_A, ON_B], TWIN)
+
+    def of_merged(what: str) -> RobustnessCheck:
+        """The check of the merged map's probability that says so."""
+        return next(v for v in checks if what in v.what and v.map == MapId.merged() and v.value == "probability")
+
     low, high = np.min(sorted(a), axis=0), np.max(sorted(a), axis=0)
     grid = [(i, j) for i in range(low[0], high[0] + 1) for j in range(low[1], high[1] + 1)]
     with_fillers = [[m[c].probability if c in m else -2.0 for c in grid] for m in (merged.cells, twin)]
-    assert len(grid) > len(a) and filled_row.cells == len(grid)
-    assert filled_row.r == pytest.approx(np.corrcoef(with_fillers[0], with_fillers[1])[0, 1])
-    (both,) = [v for v in others if "above 0" in v.what and v.map == MapId.merged() and v.value == "probability"]
-    assert both.cells == sum(s > 0 and t > 0 for s, t in zip(score, truth, strict=True))
-    averaged = [v for v in others if v.what == "merged by mean" and v.value == "probability"]
-    assert averaged[0].r == pytest.approx(np.corrcoef([rules["mean"][c] for c in sorted(a)], truth)[0, 1])
-
-
-def average_precision(score: list[float], fails: np.ndarray[Any, Any]) -> float:
-    """Compute the sum over thresholds of (gain in recall) x precision."""
-    total, last = 0.0, 0.0
-    for threshold in sorted(set(score), reverse=True):
-        chosen = np.array(score) >= threshold
-        recall, precision = fails[chosen].sum() / fails.sum(), fails[chosen].mean()
-        total, last = total + (recall - last) * precision, recall
-    return total
+    assert len(grid) > len(a) and of_merged("-2").cells == len(grid)
+    assert of_merged("-2").r == pytest.approx(np.corrcoef(with_fillers[0], with_fillers[1])[0, 1])
+    assert of_merged("above 0").cells == sum(s > 0 and t > 0 for s, t in zip(score, truth, strict=True))
+    means = [rules["mean"][c] for c in sorted(a)]
+    assert of_merged("merged by mean").r == pytest.approx(np.corrcoef(means, truth)[0, 1])
 
 
 def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
@@ -397,7 +369,7 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
     for gain, theirs in ((over_a, good), (over_b, bad)):
         assert gain.r == pytest.approx(more(theirs))
         assert gain.r_interval == pytest.approx(np.quantile([more(theirs, k) for k in drawn], [0.025, 0.975]), abs=0.05)
-        precisions = [average_precision(m.tolist(), truth > 0) for m in (merged, theirs)]
+        precisions = [average_precision_score(truth > 0, m) for m in (merged, theirs)]
         assert gain.auc == pytest.approx(precisions[0] - precisions[1])
     assert over_a.r is not None and over_b.r is not None and over_a.r < over_b.r
     # One sibling: no differences. A twin without failures: both numbers are undefined.
@@ -406,13 +378,6 @@ def test_what_merging_adds_is_a_difference_over_the_same_cells() -> None:
     assert {(g.r, g.r_interval, g.auc, g.auc_interval) for g in paired_differences(safe, [ON_A, ON_B], TWIN)} == {
         (None,) * 4
     }
-
-
-def test_an_auc_that_is_not_defined_says_why() -> None:
-    for truth, reason in (([0.0] * 3, "no cell"), ([0.5, 1.0, 0.2], "every cell")):
-        found = correlate(row([0.1, 0.2, 0.3]), row(truth), "probability")
-        assert found.auc is None and reason in found.auc_reason
-    assert "no cells" in correlate(row([]), row([]), "probability").auc_reason
 
 
 def test_a_feature_of_the_run_takes_the_run_on_the_sibling_that_generated_the_test() -> None:
@@ -442,10 +407,6 @@ def row(values: list[float]) -> FeatureMap:
 
 
 def test_auc_prc_has_the_bits_of_scikit_learn() -> None:
-    from sklearn.metrics import average_precision_score
-
-    from ds_analysis.common.statistics import auc_prc
-
     rng = np.random.default_rng(1)
     for decimals in (1, 8):  # with equal predictions, and without
         for _ in range(50):
@@ -454,9 +415,16 @@ def test_auc_prc_has_the_bits_of_scikit_learn() -> None:
 
 
 @pytest.mark.parametrize(
-    ("ours", "truth", "reason"),
-    [([0.1, 0.2], [0.0, 1.0], "2 cells"), ([0.0, 0.5, 1.0], [0.0] * 3, "twin"), ([0.5] * 3, [0.0, 1.0, 0.0], "map")],
+    ("ours", "truth", "r", "auc"),
+    [
+        ([], [], "0 cells", "no cells"),
+        ([0.1, 0.2], [0.0, 1.0], "2 cells", None),
+        ([0.0, 0.5, 1.0], [0.0] * 3, "twin", "no cell"),
+        ([0.1, 0.2, 0.3], [0.5, 1.0, 0.2], None, "every cell"),
+        ([0.5] * 3, [0.0, 1.0, 0.0], "map", None),
+    ],
 )
-def test_a_correlation_that_is_not_defined_says_why(ours: list[float], truth: list[float], reason: str) -> None:
+def test_what_is_not_defined_says_why(ours: list[float], truth: list[float], r: str | None, auc: str | None) -> None:
     found = correlate(row(ours), row(truth), "probability")
-    assert found.r is None and found.p is None and reason in found.reason
+    assert (found.r is None) is (found.p is None) is (r is not None) and (r or "") in found.reason
+    assert (found.auc is None) is (auc is not None) and (auc or "") in found.auc_reason
