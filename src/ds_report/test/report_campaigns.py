@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_report.build import write_report
 from ds_road import Road, generate
+from ds_sim import SimulatorName
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import label_of
 from ds_sim.scenario import Scenario
@@ -27,6 +29,8 @@ from ds_sim.simulator import Outcome
 
 EVIL = "nowhere:</script><script>alert('&')</script>"
 """Name of a simulator that cannot be created; it holds HTML that the page must escape."""
+NOWHERE = CampaignConfig(siblings=["a:One", "b:Two"], twin=SimulatorName("c:Three"), seed=7)  # type: ignore[list-item]
+"""Simulators that nobody can make, so that pages have no camera pictures."""
 
 
 @cache
@@ -82,6 +86,12 @@ def make_campaign(
             bag = f"bags/{test.test_id}-on-{label_of(execution.simulator)}" if bags else ""
             store.add_execution(replace(execution, bag=bag))
     return store
+
+
+def campaign_data(folder: Path, config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> CampaignData:
+    """What such a store holds."""
+    with closing(make_campaign(folder, config, per_sibling, roads=roads)) as store:
+        return read_campaign(store)
 
 
 def results(data: CampaignData) -> tuple[dict[MapId, FeatureMap], list[Correlation]]:

@@ -12,25 +12,21 @@ import numpy as np
 import pandas
 import pyarrow.parquet as pq
 import pytest
-from report_campaigns import make_campaign
+from report_campaigns import campaign_data
 
 from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.outcomes.columns import Columns
 from ds_analysis.outcomes.frames import COLUMNS, write_frames
 from ds_analysis.outcomes.study import import_outcomes, read_study, study_of, write_rows, write_study
-from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_road import generate
-from ds_sim import BULLET, DONKEY, SOFTBODY, SimulatorName
+from ds_sim import SimulatorName
 from ds_sim.conditions.model import DEFAULT, Conditions
-
-CONFIG = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=DONKEY, driver=DriverName("dave2"))
 
 
 def test_frames_are_the_stored_trajectories(tmp_path: Path) -> None:
-    with closing(make_campaign(tmp_path, CONFIG, 4, bags=True)) as store:
-        data = read_campaign(store)
+    data = campaign_data(tmp_path, CampaignConfig(), 4)
     path = write_frames(tmp_path / "tables", data)
     frames = pandas.read_parquet(path)
     with closing(sqlite3.connect(tmp_path / "campaign.sqlite")) as db:
@@ -44,7 +40,7 @@ def test_frames_are_the_stored_trajectories(tmp_path: Path) -> None:
         assert rows["steering"].notna().sum() == steps and np.isnan(rows["steering"].iloc[-1])
     assert write_frames(tmp_path / "again", data).read_bytes() == path.read_bytes()
     assert [field.metadata[b"unit"].decode() for field in pq.read_schema(path)] == [u for _, u, _ in COLUMNS.values()]
-    assert pq.read_table(write_frames(tmp_path / "none", CampaignData(config=CONFIG))).num_rows == 0
+    assert pq.read_table(write_frames(tmp_path / "none", CampaignData(config=data.config))).num_rows == 0
 
 
 def test_an_export_has_a_column_for_each_condition_that_was_changed(tmp_path: Path) -> None:

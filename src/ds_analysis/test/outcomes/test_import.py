@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outcomes from elsewhere: tables in, one line where they are wrong, the same table out again."""
+"""Outcomes from elsewhere: tables in, also with gaps and words, one line where they are wrong, and out again."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from ds_analysis.common.outcome_table import OutcomeTableError, State
 from ds_analysis.outcomes.columns import Columns, read_columns
 from ds_analysis.outcomes.known_before import ImportNotes
 from ds_analysis.outcomes.reading import read_table
-from ds_analysis.outcomes.study import Study, import_outcomes, read_study, write_rows, write_study
+from ds_analysis.outcomes.study import Study, import_outcomes, read_frame, read_study, write_rows, write_study
+from ds_analysis.outcomes.study_results import maps_of_study
 from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.real.proposal import propose
 from ds_analysis.real.records import read_drives
 from ds_base.left_out import LeftOut
+from ds_orchestrator.maps.feature_map import MapId
 from ds_report.study_page import write_study_page
 from ds_sim import SimulatorName
 
@@ -50,10 +52,8 @@ LONG: dict[str, Any] = {
 }
 
 
-def imported(folder: Path, frame: pd.DataFrame, columns: dict[str, Any] | None, *more: Path) -> Study:
+def imported(folder: Path, frame: pd.DataFrame, columns: dict[str, Any], *more: Path) -> Study:
     frame.to_csv(folder / "t.csv", index=False)
-    if columns is None:
-        return import_outcomes([folder / "t.csv", *more], Columns())
     (folder / "c.yaml").write_text(yaml.safe_dump(columns))
     return import_outcomes([folder / "t.csv", *more], read_columns(folder / "c.yaml"))
 
@@ -91,14 +91,9 @@ def test_a_wide_table_with_rules_and_features_in_a_second_file(tmp_path: Path) -
         "features": ["length", "a"],
     }
     study = imported(tmp_path, wide, columns, tmp_path / "f.csv")
-    found = {(row.test_id, row.simulator): row.failed for row in study.rows.itertuples()}
-    assert found == {
-        ("1-0", "lo"): False,
-        ("1-1", "lo"): True,
-        ("2-0", "lo"): False,
-        ("1-0", "hi"): False,
-        ("1-1", "hi"): True,
-        ("2-0", "hi"): True,
+    assert study.rows.pivot(index="test_id", columns="simulator", values="failed").to_dict() == {
+        "lo": {"1-0": False, "1-1": True, "2-0": False},
+        "hi": {"1-0": False, "1-1": True, "2-0": True},
     }
     assert study.rows["length"].tolist() == [3.0, 4.0, 5.0] * 2 and np.isnan(study.rows["margin"]).all()
 
@@ -126,10 +121,7 @@ def test_a_car_s_rows_are_its_drives(tmp_path: Path) -> None:
     assert {int(one.test_id): one.failed for one in drives} == truth.to_dict() and not any(one.drawn for one in drives)
     car = predict_car(tmp_path, table)
     assert car.sentence.startswith("Of the 20 tests that the car has not driven, ") and car.certificate is None
-    assert (
-        f"The car drove 20 tests and failed {int(truth.sum())}" in car.sentence and "without a real" not in car.sentence
-    )
-    (tmp_path / "real").mkdir()
+    assert f"The car drove 20 tests and failed {truth.sum()}" in car.sentence and "without a real" not in car.sentence
     driven = {one.test_id for one in drives}
     found = propose(tmp_path, table, car.prediction, driven, 20)
     assert not driven & {one.test_id for one in found}
@@ -144,10 +136,8 @@ def test_a_car_s_rows_are_its_drives(tmp_path: Path) -> None:
         "car_drawn": True,
         "simulators": {name: {"margin": {"column": name, "limit": 1.2}} for name in ("lofi", "hifi", "car")},
     }
-    folder = tmp_path / "wide"
-    folder.mkdir()
-    write_study(folder, imported(folder, wide, columns))
-    certificate = predict_car(folder, read_table(folder)).certificate
+    write_study(tmp_path / "wide", imported(tmp_path, wide, columns))
+    certificate = predict_car(tmp_path / "wide", read_table(tmp_path / "wide")).certificate
     assert certificate is not None and (certificate.drawn, certificate.tests) == (20, 40)
     assert certificate.low <= int(truth.sum()) + 10 and certificate.high < 40
 
@@ -204,17 +194,222 @@ def test_what_is_wrong_gets_one_line(tmp_path: Path, columns: dict[str, Any], sa
 
 
 def test_a_number_that_differs_between_drives_of_a_test_is_no_feature(tmp_path: Path) -> None:
+    frame = long_table()
+    frame["wind"] = frame.rep + 0.1 * frame.route
+    study, notes = read(tmp_path, frame, Columns.model_validate(LONG))
+    assert study.features == ("speed", "curve")
+    assert notes.columns.line().startswith("1 of 3 columns left out: wind (differs between drives of 40")
+    with pytest.raises(OutcomeTableError, match="differs between drives of 40 tests, as 0: it is no feature"):
+        read(tmp_path, frame, Columns.model_validate({**LONG, "features": ["curve", "wind"]}))
+
+
+WEATHERS = ["rain", "clear", "fog", None]
+SPEEDS = np.random.default_rng(4).uniform(5.0, 20.0, 24).round(2)
+
+
+def leaderboard() -> pd.DataFrame:
+    """24 routes on two simulators, with words, identifiers, remarks, and a speed that route 3 does not have."""
     rows = [
-        f"t{n},{sim},{run},{int(n > 20)},{0.01 * n},{5 + n % 7},{30 + run + 0.1 * n}"
-        for n in range(30)
-        for sim in "ab"
-        for run in (1, 2)
+        {
+            "test_id": f"RouteScenario_{route}",
+            "simulator": simulator,
+            "failed": "Failed" if route % 3 == 0 else "Completed",
+            "town": f"Town0{route % 2 + 1}",
+            "weather": WEATHERS[route % 4],
+            "speed": None if route == 3 else SPEEDS[route],
+            "turns": route % 5,
+            "save_name": f"run_{route}",
+            "remark": f"note {route % 13}",
+            "status": "as planned" if route % 2 else "late",
+            "route_index": route,
+            "score_composed": 100.0 - route,
+        }
+        for route in range(24)
+        for simulator in ("carla", "lgsvl")
     ]
-    path = tmp_path / "t.csv"
-    path.write_text("test_id,simulator,run,failed,curve,speed,duration_s\n" + "\n".join(rows))
-    left_out = LeftOut("columns")
-    study = import_outcomes([path], Columns(repeat="run"), ImportNotes(columns=left_out))
-    assert study.features == ("curve", "speed")
-    assert left_out.line().startswith("1 of 3 columns left out: duration_s (differs between drives of 30")
-    with pytest.raises(OutcomeTableError, match="differs between drives of 30 tests, as t0: it is no feature"):
-        import_outcomes([path], Columns(repeat="run", features=["curve", "duration_s"]))
+    return pd.DataFrame(rows)
+
+
+def read(
+    folder: Path, frame: pd.DataFrame, columns: Columns, *more: Path, strict: bool = False
+) -> tuple[Study, ImportNotes]:
+    frame.to_csv(folder / "t.csv", index=False)
+    notes = ImportNotes(rows=LeftOut("rows", strict))
+    return import_outcomes([folder / "t.csv", *more], columns, notes), notes
+
+
+def test_words_become_levels_and_gaps_the_median_with_an_indicator(tmp_path: Path) -> None:
+    frame = leaderboard()
+    study, notes = read(tmp_path, frame, Columns())
+    of_test = frame.drop_duplicates("test_id").set_index("test_id")
+    expected = pd.get_dummies(of_test[["town", "weather"]], prefix_sep="=", dtype=float)
+    expected["weather missing"] = of_test["weather"].isna().astype(float)
+    expected["speed"] = of_test["speed"].astype(float).fillna(np.median(np.delete(SPEEDS, 3)))
+    expected["speed missing"] = (of_test.index == "RouteScenario_3").astype(float)
+    expected["turns"] = of_test["turns"].astype(float)
+    found = study.rows.drop_duplicates("test_id").set_index("test_id")[list(study.features)].astype(float)
+    pd.testing.assert_frame_equal(found, expected, check_like=True)
+    assert list(study.axes) == ["speed", "turns"]
+    reasons = dict(notes.columns.items)
+    assert set(reasons) == {"save_name", "remark", "status", "route_index", "score_composed"}
+    assert "13 different" in reasons["remark"]
+    assert notes.features == [
+        "town: a feature of 0 and 1 for each of Town01, Town02",
+        "weather: a feature of 0 and 1 for each of clear, fog, rain",
+        "weather missing: 1 for the 6 of 24 tests without it",
+        f"speed missing: 1 for the 1 of 24 tests without it, which count as the median, {expected.speed.iloc[3]:.4g}",
+    ]
+    # Exported and imported again, nothing changes.
+    write_rows(tmp_path / "again.csv", study)
+    again = import_outcomes([tmp_path / "again.csv"], Columns())
+    pd.testing.assert_frame_equal(again.rows, study.rows)
+    assert (again.features, again.axes) == (study.features, study.axes)
+    write_study(tmp_path, study)
+    assert read_study(tmp_path).features == study.features
+    named, _ = read(tmp_path, frame, Columns(features=["weather", "speed", "route_index"]))
+    assert {"weather=fog", "route_index"} <= set(named.features)
+    words, _ = read(tmp_path, frame, Columns(features=["town", "weather"]))
+    assert list(words.axes) == ["town=Town01", "weather=clear"]  # not two words of one column
+    with pytest.raises(OutcomeTableError, match="remark has 13 different words, expected numbers or at most 12 words"):
+        read(tmp_path, frame, Columns(features=["remark", "speed"]))
+    with pytest.raises(OutcomeTableError, match="speed is no finite number, or empty, for test RouteScenario_3"):
+        read(tmp_path, frame, Columns(features=["speed", "turns"]), strict=True)
+
+
+def test_rows_that_cannot_be_read_are_counted_and_named(tmp_path: Path) -> None:
+    frame = leaderboard()
+    frame.loc[0, "test_id"] = None  # line 2
+    frame.loc[5, "simulator"] = " "  # line 7
+    frame.loc[10, "failed"] = None  # line 12
+    frame.loc[21, "failed"] = "aborted"  # line 23
+    study, notes = read(tmp_path, frame, Columns())
+    good = frame.drop(index=[0, 5, 10, 21])
+    assert len(study.rows) == 44
+    assert study.rows["test_id"].tolist() == good["test_id"].tolist()
+    assert study.rows["failed"].tolist() == (good["failed"] == "Failed").tolist()
+    assert notes.rows.line() == (
+        "4 of 48 rows left out: line 2 (test_id is empty); line 7 (simulator is empty); line 12 (failed is empty); "
+        "and 1 more"
+    )
+    with pytest.raises(OutcomeTableError, match=r"t.csv, line 2 \(test_id=nan.*: test_id is empty"):
+        read(tmp_path, frame, Columns(), strict=True)
+
+
+@pytest.mark.parametrize(
+    ("rules", "failed", "unread"),
+    [
+        # status, collisions: (ok, 0), (ok, none), (none, 0), (none, 2), (bad, none), (ok, 1), (ok, 0)
+        ([{"column": "status", "is_not": "ok"}, {"column": "hits", "above": 0}], [0, 0, 0, 1, 1, 1, 0], [1, 2]),
+        ([{"column": "status", "is": "bad"}], [0, 0, 0, 0, 1, 0, 0], [2, 3]),
+        ([{"column": "hits", "is_not": ""}], [1, 0, 1, 1, 0, 1, 1], []),
+    ],
+)
+def test_a_verdict_is_never_guessed(
+    tmp_path: Path, rules: list[dict[str, Any]], failed: list[int], unread: list[int]
+) -> None:
+    status, hits = ["ok", "ok", None, None, "bad", "ok", "ok"], [0, None, 0, 2, None, 1, 0]
+    frame = pd.DataFrame({"test_id": range(7), "simulator": "a", "status": status, "hits": hits})
+    more = frame.assign(test_id=range(7, 14), status="ok", hits=0)
+    both = pd.concat([frame, *[more.assign(test_id=more.test_id + 7 * k) for k in range(3)]], ignore_index=True)
+    both["x"], both["y"] = both.test_id * 1.5, both.test_id % 3
+    columns = Columns.model_validate({"failed": rules, "features": ["x", "y"]})
+    study, notes = read(tmp_path, both, columns)
+    found = study.rows.set_index("test_id")["failed"]
+    assert {k: bool(found[str(k)]) for k in range(7) if str(k) in found} == {
+        k: bool(failed[k]) for k in range(7) if k not in unread
+    }
+    assert [name for name, _ in notes.rows.items] == [f"line {k + 2}" for k in unread]
+
+
+@pytest.mark.parametrize(("word", "said"), [("crash", "failed is 'crash', expected"), (None, "failed is empty")])
+def test_leaving_out_every_failure_is_refused(tmp_path: Path, word: str | None, said: str) -> None:
+    """Where all other rows say the same, leaving out those without a verdict would decide the outcome."""
+    frame = leaderboard()
+    frame["failed"] = [word if one == "Failed" else one for one in frame["failed"]]
+    with pytest.raises(OutcomeTableError, match=f"line 2 .*{said}.*without such rows no verdict differs"):
+        read(tmp_path, frame, Columns())
+
+
+def test_needed_margins_and_second_tables_with_gaps(tmp_path: Path) -> None:
+    rows = [(f"t{k}", sim, float(k), None if k == 4 else 0.1 * k, 7 * k % 10, k % 3) for k in range(12) for sim in "ab"]
+    frame = pd.DataFrame(rows, columns=["test_id", "simulator", "run", "xte", "x", "y"])
+    frame.loc[3, "run"] = None
+    pd.DataFrame({"test_id": [f"t{k}" for k in range(11)] + [None], "width": range(12)}).to_csv(tmp_path / "w.csv")
+    columns = Columns.model_validate({"margin": {"column": "xte", "limit": 0.55}, "repeat": "run"})
+    study, notes = read(tmp_path, frame, columns, tmp_path / "w.csv")
+    assert notes.rows.line() == (
+        "3 of 24 rows left out: line 5 (run is no whole number from 0 to 2147483648); line 10 (xte or its limit is not "
+        "a finite number); line 11 (xte or its limit is not a finite number)"
+    )
+    assert set(study.rows[study.rows.failed].test_id) == {f"t{k}" for k in range(6, 12)}
+    of_test = study.rows.drop_duplicates("test_id").set_index("test_id")
+    assert of_test.loc["t11", ["width", "width missing"]].tolist() == [np.median([*range(4), *range(5, 11)]), 1.0]
+
+
+def test_maps_count_tests_not_their_repeats(tmp_path: Path) -> None:
+    """By hand: three tests share a cell, driven three times each; they fail in 0, 1 and 2 of them, so one fails."""
+    tests = (("a", 1.0, 0), ("b", 1.5, 1), ("c", 1.9, 2), ("d", 7.0, 3))
+    rows = [(test, "x", run, run < failures, speed, 0.5) for test, speed, failures in tests for run in range(3)]
+    frame = pd.DataFrame(rows, columns=["test_id", "simulator", "repeat", "failed", "speed", "curve"])
+    study, _ = read(tmp_path, frame, Columns(features=["speed", "curve"], map={"speed": 5.0, "curve": 1.0}))
+    cells = maps_of_study(study)[MapId.union(SimulatorName("x"))].cells
+    assert {cell: (one.tests, one.failures) for cell, one in cells.items()} == {(0, 0): (3, 1), (1, 0): (1, 1)}
+    assert cells[0, 0].probability == cells[0, 0].quality_loss == pytest.approx(1 / 3)
+
+
+def test_types_of_parquet(tmp_path: Path) -> None:
+    frame = pd.DataFrame({"test_id": range(20), "simulator": "a", "failed": [k % 3 == 0 for k in range(20)]})
+    frame["kind"] = pd.Categorical([["x", "y", None][k % 3] for k in range(20)])
+    frame["begun"] = pd.date_range("2024-01-01", periods=20)  # a time is no number
+    frame["lit"] = pd.array([None if k == 3 else k % 2 == 0 for k in range(20)], dtype="boolean")
+    frame["lanes"] = pd.array([None if k == 3 else k % 4 for k in range(20)], dtype="Int64")
+    frame.to_parquet(tmp_path / "t.parquet")
+    study = import_outcomes([tmp_path / "t.parquet"], Columns(), ImportNotes(rows=LeftOut("rows")))
+    assert study.features == ("kind=x", "kind=y", "kind missing", "lit", "lit missing", "lanes", "lanes missing")
+    assert study.rows["lit"].tolist() == [float(k % 2 == 0) if k != 3 else 1.0 for k in range(20)]
+    assert study.rows["lanes"].iloc[3] == np.median([k % 4 for k in range(20) if k != 3])
+
+
+def drives_once(failing: int = 20) -> pd.DataFrame:
+    """Tests that one simulator drove once: two causes, and columns that the drive itself made."""
+    rng = np.random.default_rng(0)
+    failed = np.arange(60) < failing
+    return pd.DataFrame(
+        {
+            "test_id": [f"t{k}" for k in range(60)],
+            "simulator": "a",
+            "failed": failed,
+            "bend": rng.uniform(0.0, 1.0, 60).round(3),
+            "speed": rng.uniform(10.0, 20.0, 60).round(2),
+            "frames": np.where(failed, 200, 500) + rng.integers(0, 99, 60),
+            "arrival_x": np.where(failed, 10.0, 60.0) + rng.uniform(0.0, 40.0, 60).round(2),
+            "gone_after": np.where(failed, rng.uniform(1.0, 9.0, 60), np.nan),
+            "how": np.where(failed, "off", "goal"),
+            "duration_s": rng.uniform(10.0, 30.0, 60),
+        }
+    )
+
+
+def test_what_only_a_drive_can_know_is_left_out_by_evidence(tmp_path: Path) -> None:
+    study, notes = read(tmp_path, drives_once(), Columns())
+    assert study.features == ("bend", "speed", "arrival_x")
+    reasons = dict(notes.columns.items)
+    assert set(reasons) == {"frames", "gone_after", "how", "duration_s"}
+    assert reasons["gone_after"] == "is filled in for exactly the tests that fail"
+    (said,) = notes.features  # it may be the one cause of all failures
+    assert said == "arrival_x tells failing tests from others exactly: leave it out if it is known only after a drive"
+    named, _ = read(tmp_path, drives_once(), Columns(features=["bend", "frames"]))
+    assert named.features == ("bend", "frames")
+    few, notes = read(tmp_path, drives_once(failing=4), Columns())  # too few to say
+    assert {"frames", "how=off"} <= set(few.features) and dict(notes.columns.items).keys() == {"duration_s"}
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_decimal_commas_are_numbers(tmp_path: Path, separator: str) -> None:
+    frame = drives_once()[["test_id", "simulator", "failed", "bend", "speed"]].assign(place="1,5 km")
+    frame.to_csv(tmp_path / "t.csv", sep=separator, decimal=",", index=False)
+    study = import_outcomes([tmp_path / "t.csv"], Columns(), ImportNotes())
+    assert study.features == ("bend", "speed")
+    np.testing.assert_array_equal(study.rows[["bend", "speed"]], frame[["bend", "speed"]])
+    frame.assign(place="1,5").to_csv(tmp_path / "t.csv", sep=separator, index=False)  # points: a comma is none
+    assert read_frame(tmp_path / "t.csv")["place"].eq("1,5").all()

@@ -3,29 +3,29 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from report_campaigns import make_campaign
+from report_campaigns import make_campaign, set_conditions
 
 from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTableError, State, table_of_campaign
 from ds_analysis.common.statistics import families_of
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
-from ds_orchestrator.store.model import Origin, Test
-from ds_road import MutationError, Road, generate, mutate
+from ds_road import MutationError, generate, mutate
 from ds_sim import BULLET, DONKEY, PANDA
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import not_applicable
-from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
 
 CONFIG = CampaignConfig(search=SearchConfig(population=10, iterations=0, runs=1))
 
 
-def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8) -> CampaignData:
-    store = make_campaign(folder, config, per_sibling, roads=64)
+def data_of(folder: Path) -> CampaignData:
+    store = make_campaign(folder, CONFIG, 8, roads=64)
     store.add_error("bullet-0-0001", "bullet", 0, Outcome.SIM_ERROR, "made up")
     data = read_campaign(store)
     store.close()
@@ -34,18 +34,12 @@ def data_of(folder: Path, config: CampaignConfig = CONFIG, per_sibling: int = 8)
 
 def test_families_are_those_of_a_recorded_pedigree() -> None:
     rng = np.random.default_rng(1)
-    roads: list[Road] = []
-    roots: list[int] = []
-    for root in range(6):
-        roads.append(generate(rng, max_angle=220))
-        roots.append(root)
+    roads, roots = [generate(rng, max_angle=220) for _ in range(6)], list(range(6))
     while len(roads) < 80:
         parent = int(rng.integers(len(roads)))
-        try:
+        with suppress(MutationError):
             roads.append(mutate(roads[parent], rng))
-        except MutationError:
-            continue
-        roots.append(roots[parent])
+            roots.append(roots[parent])
     assert families_of(roads).tolist() == roots
 
 
@@ -81,15 +75,8 @@ def test_excluded_tests_and_errors_never_count(tmp_path: Path) -> None:
     data = data_of(tmp_path)
     excluded = {("bullet-0-0000", BULLET): not_applicable("made up"), ("bullet-0-0002", DONKEY): not_applicable("x")}
     gone = {*excluded, ("bullet-0-0001", "bullet")}
-    table = table_of_campaign(
-        CampaignData(
-            config=data.config,
-            tests=data.tests,
-            gates=excluded,
-            errors=data.errors,
-            executions=tuple(e for e in data.executions if (e.test_id, e.simulator) not in gone),
-        )
-    )
+    executions = tuple(e for e in data.executions if (e.test_id, e.simulator) not in gone)
+    table = table_of_campaign(replace(data, gates=excluded, executions=executions))
     assert [State(s) for s in table.states[:3, 0]][:2] == [State.EXCLUDED, State.ERROR]
     assert not table.known(BULLET)[:2].any() and not table.failed(BULLET)[:2].any()
     assert table.on_siblings.tolist() == [False, False] + [True] * 14
@@ -101,14 +88,10 @@ def test_searched_conditions_are_features_on_their_scale(tmp_path: Path) -> None
     data = data_of(tmp_path)
     values = (20.0, 40.0, 80.0)
     tests = tuple(
-        Test(
-            t.test_id,
-            Scenario(t.road, Conditions(visibility=values[k % 3], line_contrast=0.5), seed=t.seed),
-            Origin(t.sibling, t.run, t.number),
-        )
-        for k, t in enumerate(data.tests)
+        set_conditions(test, Conditions(visibility=values[k % 3], line_contrast=0.5))
+        for k, test in enumerate(data.tests)
     )
-    table = table_of_campaign(CampaignData(config=data.config, tests=tests, executions=data.executions))
+    table = table_of_campaign(replace(data, tests=tests))
     assert table.feature_names[-1] == "visibility"  # line_contrast is the same in all
     # The reciprocal is the extinction of the air: 1/20 at the range's lower end, 0 at clear air.
     assert table.features[:3, -1] == pytest.approx([0.0, 0.5, 0.75])

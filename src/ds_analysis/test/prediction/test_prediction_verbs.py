@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs that predict a car: what they print and write, and one line for bad input."""
+"""Verbs that predict a car, before and after it drives: what they print and write, and one line for bad input."""
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ds_analysis.real.proposal import read_proposed
+from ds_analysis.real.records import read_drives
 from ds_cli.application import run
 from ds_road import Road, generate, write_roads
 
@@ -25,10 +28,8 @@ def write_comparison(folder: Path, roads: list[Road] = ROADS) -> Path:
     rows = [
         {
             "road_id": road.road_id,
-            "failed": {name: bool(margins[k, s] > 0) for s, name in enumerate(names)},
-            "max_lateral_position": {
-                name: float(min(2.0 * np.exp(margins[k, s]), 2.0)) for s, name in enumerate(names)
-            },
+            "failed": dict(zip(names, (margins[k] > 0).tolist(), strict=True)),
+            "max_lateral_position": dict(zip(names, np.minimum(2.0 * np.exp(margins[k]), 2.0).tolist(), strict=True)),
         }
         for k, road in enumerate(roads)
     ]
@@ -37,6 +38,15 @@ def write_comparison(folder: Path, roads: list[Road] = ROADS) -> Path:
     (folder / "siblings.json").write_text(json.dumps(document))
     write_roads(roads, folder / "roads.json")
     return folder
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """The one line of a command that is refused."""
+    assert run(list(map(str, arguments))) == 2
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if line.startswith("error")]
+    assert captured.out == "" and len(lines) == 1, captured.err
+    return lines[0]
 
 
 @pytest.fixture
@@ -78,22 +88,12 @@ def test_bad_input_is_one_line(compared: Path, tmp_path: Path, capsys: pytest.Ca
     (former / "siblings.json").rename(former / "comparison.json")
     assert run(["predict", str(former), "--json"]) == 0
     capsys.readouterr()
-    networks = tmp_path / "networks"
-    networks.mkdir()
-    (networks / "comparison.json").write_text('{"version": 1, "tests": [], "simulators": {}}')
-    damaged = tmp_path / "damaged"
-    damaged.mkdir()
-    (damaged / "comparison.json").write_text('{"outcomes": 3}')
-    for named, arguments in (
-        ("holds no campaign.sqlite, siblings.json or outcomes.parquet", ["predict", str(tmp_path)]),
-        ("no simulator 'carla', expected one of bullet", ["predict", str(compared), "--twin", "carla"]),
-        ("holds no comparison: expected", ["predict", str(damaged)]),
-        ("expected the --out of `ds siblings compare`", ["predict", str(networks)]),
-    ):
-        assert run(arguments) == 2
-        captured = capsys.readouterr()
-        lines = [line for line in captured.err.splitlines() if line.startswith("error")]
-        assert captured.out == "" and len(lines) == 1 and named in lines[0], captured.err
+    assert "holds no campaign.sqlite, siblings.json or outcomes.parquet" in refusal(capsys, "predict", tmp_path)
+    assert "no simulator 'carla', expected one of bullet" in refusal(capsys, "predict", compared, "--twin", "carla")
+    (former / "comparison.json").write_text('{"outcomes": 3}')
+    assert "holds no comparison: expected" in refusal(capsys, "predict", former)
+    (former / "comparison.json").write_text('{"version": 1, "tests": [], "simulators": {}}')
+    assert "expected the --out of `ds siblings compare`" in refusal(capsys, "predict", former)
 
 
 def test_too_few_tests_still_have_failure_rates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,3 +109,56 @@ def test_too_few_tests_still_have_failure_rates(tmp_path: Path, capsys: pytest.C
     assert run(["predict", str(few), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["simulators"]
     assert {name: one["failures"] for name, one in found.items()} == counts
+
+
+def test_drives_are_proposed_recorded_and_used(compared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = compared
+    before = (folder / "siblings.json").read_bytes()
+    assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
+    proposed = json.loads(capsys.readouterr().out)["drives"]
+    place = folder / "real/round_1"
+    assert len(list(place.glob("*.png"))) == 3 and len(list(place.glob("[123]_*.csv"))) == 3
+    text = (place / "README.md").read_text()
+    assert all(one["test_id"] in text and one["drawn"] for one in proposed)
+    # The siblings fail half of the time; the car never does.
+    rows = list(csv.reader((place / "outcomes.csv").read_text().splitlines()))
+    filled = place / "filled.csv"
+    rows[1:] = [[row[0], "completed", "Ada", "2026-03-01", "0.01", ""] for row in rows[1:]]
+    filled.write_text("\n".join(map(",".join, rows)))
+    assert run(["real", "record", str(folder), str(filled), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["failures"][1] < document["failures"][0] - 0.05
+    assert document["certificate"]["drawn"] == 3 and document["certificate"]["high"] < document["certificate"]["tests"]
+    assert document["help"]["drives"] == 3 and document["help"]["answer"] == "open" and document["open"] == []
+    driven = {one["test_id"] for one in document["verdicts"]["tests"] if one["driven"]}
+    assert driven == {one["test_id"] for one in proposed}
+    assert [drive.who for drive in read_drives(folder)] == ["Ada"] * 3
+    # A drive decides its test, but alone no cell.
+    cells = [one for one in document["verdicts"]["cells"] if one["driven"] == one["tests"] == 1]
+    assert all(0.0 < one["rate"] < one["interval"][1] for one in cells)
+    assert {"before.png", "after.png", "update.json"} <= {path.name for path in (folder / "real").iterdir()}
+    # Again, which changes nothing; then further drives, which are others.
+    assert run(["real", "record", str(folder), str(filled)]) == 0
+    shown = capsys.readouterr().out
+    assert "The car drove 3 tests and failed 0" in shown and "it is open whether your simulators" in shown
+    assert "Certain with 95%, whenever you stop: the car fails on 0 to " in shown
+    assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
+    more = {one["test_id"] for one in json.loads(capsys.readouterr().out)["drives"]}
+    assert not more & driven and len(read_proposed(folder).tests) == 6
+    assert (folder / "siblings.json").read_bytes() == before
+
+
+def test_bad_requests_are_one_line(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "drives.csv"
+    file.write_text("test_id,outcome,who,when\na,completed,Ada,2026-03-01\n")
+    propose = ("real", "propose", compared, "--drives")
+    assert "there is no test 'a'" in refusal(capsys, "real", "record", compared, file)
+    assert "40 tests can be proposed, expected a budget of at most 40" in refusal(capsys, *propose, 41)
+    assert "--drives" in refusal(capsys, *propose, 0)
+    assert "has no real drives" in refusal(capsys, "real", "update", compared)
+    assert run(["real", "propose", str(compared), "--drives", "1"]) == 0
+    capsys.readouterr()
+    assert "which test is it? expected --test with one of" in refusal(capsys, "real", "record", compared, tmp_path)
+    assert "drives of a car of 1:16 were proposed before" in refusal(capsys, *propose, 1, "--scale", 10)
+    (compared / "real/drives.json").write_text("[{}]")
+    assert "drives.json cannot be read" in refusal(capsys, "real", "update", compared)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A few drives on a real car: which are chosen, what they change, and what is refused."""
+"""A few drives on a real car: which are chosen, what is certain after them, and what is refused."""
 
 from __future__ import annotations
 
@@ -7,21 +7,19 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from prediction_tables import table_of_margins
-from test_prediction_verbs import ROADS, write_comparison
+from prediction_tables import ROAD, real_drive, table_of_margins
 
 from ds_analysis.common.outcome_table import OutcomeTable, State
-from ds_analysis.prediction.betting import Bet, certify
+from ds_analysis.common.statistics import Array, Bools, Indices
+from ds_analysis.prediction.betting import Bet, certify, drives_until
 from ds_analysis.prediction.car import CarPrediction, drives_in_order
 from ds_analysis.prediction.experts import RateExpert
 from ds_analysis.prediction.mixture import Prediction
 from ds_analysis.real.proposal import BudgetError, Proposed, ProposedDrive, propose, read_proposed
-from ds_analysis.real.records import RealDrive, RecordError, added, read_csv, read_drives
-from ds_cli.application import run
+from ds_analysis.real.records import RealDrive, RecordError, added, read_csv
 from ds_report.drives_on_the_car import draw_sheet, sheet_of, write_drives_to_do
 from ds_sim.conditions.text import parse_conditions
 
@@ -55,7 +53,6 @@ def test_the_certificate_holds_whoever_proposes_records_and_stops(tmp_path: Path
     for seed in range(runs):
         table, truth = simulated(seed, tests, rate)
         rng, folder = np.random.default_rng([9, seed]), tmp_path / str(seed)
-        (folder / "real").mkdir(parents=True)
         failing, drives, outside = sum(truth.values()), dict[str, RealDrive](), False
         while len(drives) < tests - 6:
             for _ in range(int(rng.integers(1, 4))):  # proposes again before anything is recorded
@@ -77,24 +74,9 @@ def test_the_certificate_holds_whoever_proposes_records_and_stops(tmp_path: Path
     assert wrong / runs <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / runs)
 
 
-def real_drive(test_id: str, failed: bool, **more: Any) -> RealDrive:
-    outcome = "failed" if failed else "completed"
-    return RealDrive(
-        test_id=test_id,
-        failed=bool(failed),
-        outcome=outcome,
-        max_lateral_position=None,
-        who="A",
-        when="",
-        source="",
-        **more,
-    )
-
-
 def test_proposals_continue_one_random_order_and_a_drive_counts_once(tmp_path: Path) -> None:
     """Three proposals before anything is recorded are thirty tests; recorded, each of the first ten counts once."""
-    table, truth = simulated(1, 132, 0.1)
-    (tmp_path / "real").mkdir()
+    table, _ = simulated(1, 132, 0.1)
     undriven = car_of(table, [], Proposed()).undriven
     rounds = [[one.test_id for one in propose(tmp_path, table, undriven, (), 10)] for _ in range(3)]
     assert len({test for one in rounds for test in one}) == 30
@@ -113,7 +95,6 @@ def test_proposals_continue_one_random_order_and_a_drive_counts_once(tmp_path: P
 
 def test_drives_after_one_that_was_left_out_are_not_drawn(tmp_path: Path) -> None:
     table, _ = simulated(2, 40, 0.2)
-    (tmp_path / "real").mkdir()
     order = [one.test_id for one in propose(tmp_path, table, car_of(table, [], Proposed()).undriven, (), 8)]
     drives = [real_drive(test_id, False) for test_id in order if test_id != order[3]]
     ordered = drives_in_order(table, drives, read_proposed(tmp_path))
@@ -129,11 +110,10 @@ def test_drives_that_were_not_proposed_count_and_certify_only_if_drawn(tmp_path:
     assert car_of(table, drives, Proposed()).certificate is None
     said = car_of(table, [replace(one, drawn=True) for one in drives], Proposed()).certificate
     assert said is not None and said.drawn == 5 and said.tests == 40
-    (tmp_path / "real").mkdir()
     driven = {one.test_id for one in drives}
-    found = propose(tmp_path, table, car_of(table, drives, Proposed()).prediction, driven, 35)
-    assert not driven & {one.test_id for one in found}
-    everything = [*drives, *(real_drive(one.test_id, truth[one.test_id]) for one in found)]
+    found = [one.test_id for one in propose(tmp_path, table, car_of(table, drives, Proposed()).prediction, driven, 35)]
+    assert not driven.intersection(found)
+    everything = [*drives, *(real_drive(one, truth[one]) for one in found)]
     last = car_of(table, everything, read_proposed(tmp_path)).certificate
     assert last is not None and last.low == last.high == sum(truth.values()) and last.drawn == 35
 
@@ -142,15 +122,14 @@ def test_an_excluded_test_is_not_proposed(tmp_path: Path) -> None:
     table, _ = simulated(4, 20, 0.3)
     states = table.states.copy()
     states[5, 1], states[6, :] = State.EXCLUDED, State.MISSING
-    (tmp_path / "real").mkdir()
     limited = replace(table, states=states)
     found = propose(tmp_path, limited, car_of(table, [], Proposed()).undriven, (), 18)
     assert {one.test_id for one in found} == {*table.test_ids} - {table.test_ids[5], table.test_ids[6]}
 
 
-def test_a_road_is_taped_out_at_the_car_s_size(tmp_path: Path) -> None:
-    sheet = sheet_of(ROADS[0], 16.0)
-    assert sheet.lane_width == 0.25 and sheet.stations[-1] == pytest.approx(ROADS[0].length / 16, rel=1e-3)
+def test_a_road_is_taped_out_at_the_car_s_size() -> None:
+    sheet = sheet_of(ROAD, 16.0)
+    assert sheet.lane_width == 0.25 and sheet.stations[-1] == pytest.approx(ROAD.length / 16, rel=1e-3)
     rows = list(csv.DictReader(sheet.csv().splitlines()))
     for row in rows[:: len(rows) // 7]:
         left, right, lane, centre = (
@@ -175,7 +154,7 @@ def test_conditions_are_set_in_the_car_s_own_lengths_and_speeds(tmp_path: Path) 
     )
     drive = ProposedDrive(
         test_id="a",
-        road=ROADS[0],
+        road=ROAD,
         conditions=conditions,
         features={},
         scale=16.0,
@@ -233,71 +212,59 @@ def test_outcomes_that_cannot_be_are_refused_in_one_line(tmp_path: Path, row: st
     assert named in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_drives_are_proposed_recorded_and_used(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_comparison(tmp_path / "compared")
-    before = (folder / "siblings.json").read_bytes()
-    assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
-    proposed = json.loads(capsys.readouterr().out)["drives"]
-    place = folder / "real/round_1"
-    assert len(list(place.glob("*.png"))) == 3 and len(list(place.glob("[123]_*.csv"))) == 3
-    text = (place / "README.md").read_text()
-    assert all(one["test_id"] in text and one["drawn"] for one in proposed)
-    # The siblings fail half of the time; the car never does.
-    rows = list(csv.reader((place / "outcomes.csv").read_text().splitlines()))
-    filled = place / "filled.csv"
-    filled.write_text(
-        "\n".join(
-            ",".join(row)
-            for row in [rows[0], *([r[0], "completed", "Ada", "2026-03-01", "0.01", ""] for r in rows[1:])]
-        )
-    )
-    assert run(["real", "record", str(folder), str(filled), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["failures"][1] < document["failures"][0] - 0.05
-    assert document["certificate"]["drawn"] == 3 and document["certificate"]["high"] < document["certificate"]["tests"]
-    assert document["help"]["drives"] == 3 and document["help"]["answer"] == "open" and document["open"] == []
-    driven = {one["test_id"] for one in document["verdicts"]["tests"] if one["driven"]}
-    assert driven == {one["test_id"] for one in proposed}
-    assert [drive.who for drive in read_drives(folder)] == ["Ada"] * 3
-    # A drive decides its test, but alone no cell.
-    cells = [one for one in document["verdicts"]["cells"] if one["driven"] == one["tests"] == 1]
-    assert all(0.0 < one["rate"] < one["interval"][1] for one in cells)
-    assert {"before.png", "after.png", "update.json"} <= {path.name for path in (folder / "real").iterdir()}
-    # Again, which changes nothing; then further drives, which are others.
-    assert run(["real", "record", str(folder), str(filled)]) == 0
-    shown = capsys.readouterr().out
-    assert "The car drove 3 tests and failed 0" in shown and "it is open whether your simulators" in shown
-    assert "Certain with 95%, whenever you stop: the car fails on 0 to " in shown
-    assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
-    more = {one["test_id"] for one in json.loads(capsys.readouterr().out)["drives"]}
-    assert not more & driven and len(read_proposed(folder).tests) == 6
-    assert (folder / "siblings.json").read_bytes() == before
+def bets_of(truth: Bools, predicted: Array, order: Indices, drawn: Bools) -> list[Bet]:
+    left = np.ones(len(truth), bool)
+    found = []
+    for row, by_chance in zip(order, drawn, strict=True):
+        guess, mean = float(predicted[row]), float(predicted[left].mean())
+        found.append(Bet(failed=bool(truth[row]), drawn=bool(by_chance), predicted=guess, mean_predicted=mean))
+        left[row] = False
+    return found
 
 
-def test_bad_requests_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = write_comparison(tmp_path / "compared")
-    file = tmp_path / "drives.csv"
-    file.write_text(CSV + "a,completed,Ada,2026-03-01,,\n")
-    damaged = write_comparison(tmp_path / "damaged")
-    (damaged / "real").mkdir()
-    (damaged / "real/drives.json").write_text("[{}]")
-    for named, arguments in (
-        ("there is no test 'a'", ["real", "record", str(folder), str(file)]),
-        (
-            "40 tests can be proposed, expected a budget of at most 40",
-            ["real", "propose", str(folder), "--drives", "41"],
-        ),
-        ("--drives", ["real", "propose", str(folder), "--drives", "0"]),
-        ("has no real drives", ["real", "update", str(folder)]),
-        ("drives.json cannot be read", ["real", "update", str(damaged)]),
-    ):
-        assert run(arguments) == 2
-        captured = capsys.readouterr()
-        lines = [line for line in captured.err.splitlines() if line.startswith("error")]
-        assert captured.out == "" and len(lines) == 1 and named in lines[0], captured.err
-    assert run(["real", "propose", str(folder), "--drives", "1"]) == 0
-    capsys.readouterr()
-    assert run(["real", "record", str(folder), str(tmp_path)]) == 2
-    assert "which test is it? expected --test with one of" in capsys.readouterr().err
-    assert run(["real", "propose", str(folder), "--drives", "1", "--scale", "10"]) == 2
-    assert "drives of a car of 1:16 were proposed before" in capsys.readouterr().err
+def mixed_order(truth: Bools, predicted: Array, rng: np.random.Generator) -> tuple[Indices, Bools]:
+    """Every other test is chosen: here adversarially, the likeliest to fail; the others are drawn."""
+    left, order = set(range(len(truth))), []
+    for place in range(len(truth)):
+        rows = np.array(sorted(left))
+        row = int(rng.choice(rows)) if place % 2 else int(rows[np.argmax(predicted[rows] + truth[rows])])
+        order.append(row)
+        left.remove(row)
+    return np.array(order, np.intp), np.arange(len(truth)) % 2 == 1
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.05, 0.3, 0.5, 0.9])
+@pytest.mark.parametrize("chosen", [False, True])
+def test_the_truth_is_hardly_ever_excluded_at_any_time(rate: float, chosen: bool) -> None:
+    """Stopped at the worst moment of all: whenever the truth is outside for the first time, or never."""
+    wrong, runs, tests = 0, 150, 60
+    for seed in range(runs):
+        rng = np.random.default_rng([seed, int(100 * rate)])
+        truth = rng.random(tests) < rate
+        predicted = np.clip(truth + rng.normal(0.0, 0.4, tests), 0.01, 0.99)  # any predictions are allowed
+        order, drawn = mixed_order(truth, predicted, rng) if chosen else (rng.permutation(tests), np.ones(tests, bool))
+        bets = bets_of(truth, predicted, order, drawn)
+        ends = [certify(bets[:k], tests) for k in range(1, tests + 1, 3)]
+        wrong += any(not one.low <= truth.sum() <= one.high for one in ends)
+    assert wrong / runs <= 0.05 + 2 * np.sqrt(0.05 * 0.95 / runs)
+
+
+def test_good_predictions_narrow_the_bounds_and_bad_ones_cost_little() -> None:
+    widths: dict[str, list[int]] = {"good": [], "none": [], "bad": []}
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        truth = rng.random(200) < 0.4
+        order = rng.permutation(200)[:60]
+        good, none, bad = np.where(truth, 0.97, 0.03), np.full(200, 0.4), rng.permutation(truth) * 1.0
+        for name, predicted in (("good", good), ("none", none), ("bad", bad)):
+            found = certify(bets_of(truth, predicted, order, np.ones(60, bool)), 200)
+            widths[name].append(found.high - found.low)
+    assert np.mean(widths["good"]) < np.mean(widths["none"]) and np.mean(widths["bad"]) < 1.25 * np.mean(widths["none"])
+
+
+def test_drives_needed_are_those_after_which_the_bound_is_reached() -> None:
+    needed = drives_until(0.1, 200)
+    assert needed is not None and 24 < needed < 60  # Jeffreys, with a size fixed beforehand: 24
+    passes = [Bet(failed=False, drawn=True)]
+    assert certify(passes * needed, 200).high <= 20 < certify(passes * (needed - 1), 200).high
+    assert drives_until(0.0, 20) == 20

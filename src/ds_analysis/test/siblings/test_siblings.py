@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a sibling adds, on synthetic outcomes whose nesting and information are known."""
+"""What a sibling adds, on synthetic outcomes whose information is known, and how failures leave the lane."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.stats import beta
 from sklearn.metrics import roc_auc_score
+from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.common.cross_validation import auc_roc_by_ranks, predict_failures
 from ds_analysis.common.driven_road import GRID, DrivenRoad
-from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State
-from ds_analysis.failures import nestings
+from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State, table_of_runs
+from ds_analysis.failures import KINDS, Departure, departure, departures_of, nestings
 from ds_analysis.siblings.analysis import SiblingAnalysis, analyse, analysis_tables
 from ds_analysis.siblings.beyond_features import AddedInformation, baseline_of, information_about, residual_correlations
 from ds_driver.closed_loop.simulation import drive_road, make_driver
@@ -27,9 +27,9 @@ from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import SOFTBODY, SimulatorName, make_simulator
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Command, Observation, Outcome
 
-A_NAME, TWIN = map(SimulatorName, ("a", "twin"))
+A_NAME, B_NAME, TWIN = map(SimulatorName, ("a", "b", "twin"))
 
 Array = NDArray[np.float64]
 ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(60))
@@ -99,13 +99,9 @@ def test_a_sibling_that_equals_the_twin_adds_what_the_features_leave() -> None:
 def test_a_sibling_of_noise_is_not_said_to_add_anything() -> None:
     """Three of them, beside a twin that fails by a feature and by chance."""
     twin = 2 * RIGHT / HARD + 0.15 * noise(2)
-    verdicts = [
-        information_about(made_up({"noise": 2 + noise(seed), "twin": twin}), TWIN, [SimulatorName("noise")], repeats=1)[
-            0
-        ].verdict
-        for seed in range(10, 13)
-    ]
-    assert set(verdicts) == {"nothing shown"}
+    for seed in range(10, 13):
+        outcomes = made_up({"a": 2 + noise(seed), "twin": twin})
+        assert information_about(outcomes, TWIN, [A_NAME], repeats=1)[0].verdict == "nothing shown"
 
 
 def test_a_condition_that_decides_is_a_feature() -> None:
@@ -116,7 +112,7 @@ def test_a_condition_that_decides_is_a_feature() -> None:
     conditions = [Conditions(line_contrast=one) for one in contrasts.tolist()]
     outcomes = made_up({"a": lateral, "twin": 1.1 * lateral}, conditions=conditions)
     assert outcomes.feature_names == (*ROAD_FEATURES, "line_contrast")
-    blind, seeing = baseline_of(plain, TWIN, repeats=1), baseline_of(outcomes, SimulatorName("twin"), repeats=1)
+    blind, seeing = baseline_of(plain, TWIN, repeats=1), baseline_of(outcomes, TWIN, repeats=1)
     assert blind.best is not None and seeing.best is not None
     assert blind.best.auc < 0.7 and seeing.best.auc > 0.98 and seeing.chosen == {"line_contrast": 1.0}
     assert information_about(plain, TWIN, [A_NAME], repeats=1)[0].verdict == "adds information"
@@ -178,13 +174,8 @@ def test_no_prediction_depends_on_the_outcome_that_it_predicts() -> None:
 
 def test_what_two_simulators_share_beyond_the_feature_is_their_residual_correlation() -> None:
     shared = noise(6)
-    outcomes = made_up(
-        {
-            "a": 1.9 * RIGHT / HARD + 0.15 * shared,
-            "b": 1.9 * RIGHT / HARD + 0.15 * shared,
-            "c": 1.9 * RIGHT / HARD + 0.15 * noise(7),
-        }
-    )
+    beyond = {"a": shared, "b": shared, "c": noise(7)}
+    outcomes = made_up({name: 1.9 * RIGHT / HARD + 0.15 * own for name, own in beyond.items()})
     same, apart, _ = residual_correlations(outcomes, repeats=1)
     assert same.roads == pytest.approx(1.0) and same.roads_interval is None  # of no width: 1 in every resample
     assert apart.plain is not None and apart.plain > 0.7
@@ -217,13 +208,8 @@ def test_nesting_is_a_share_with_the_interval_of_clopper_and_pearson() -> None:
     (found,) = nestings(made_up({"a": one, "b": other}))
     assert (found.both, found.only_first, found.only_second, found.neither) == (20, 5, 10, 15)
     assert (found.second_given_first, found.first_given_second) == (20 / 25, 20 / 30)
-    for interval, count, total in (
-        (found.second_given_first_interval, 20, 25),
-        (found.first_given_second_interval, 20, 30),
-    ):
-        assert interval == pytest.approx(
-            (beta(count, total - count + 1).ppf(0.025), beta(count + 1, total - count).ppf(0.975))
-        )
+    assert found.second_given_first_interval == pytest.approx(proportion_confint(20, 25, method="beta"))
+    assert found.first_given_second_interval == pytest.approx(proportion_confint(20, 30, method="beta"))
     (never,) = nestings(made_up({"a": np.full(3, 0.5), "b": np.full(3, 2.5)}))
     assert never.second_given_first is None and never.second_given_first_interval is None
     assert never.first_given_second == 0.0 and never.first_given_second_interval is not None
@@ -235,7 +221,7 @@ def test_nesting_of_near_copies_is_that_of_their_families() -> None:
     alike = np.full((40, 2), True)
     apart = alike & np.column_stack((np.arange(40) >= 0, np.arange(40) // 4 > 1))
     made = made_up({"a": np.full(40, 2.5), "b": np.full(40, 2.5)}, roads=copies)
-    for failed, ends in ((alike, (beta(10, 1).ppf(0.025), 1.0)), (apart, (0.5, 1.0))):
+    for failed, ends in ((alike, proportion_confint(10, 10, method="beta")), (apart, (0.5, 1.0))):
         (found,) = nestings(replace(made, states=states_of(failed)))
         assert found.second_given_first == failed[:, 1].mean()
         assert found.second_given_first_interval == pytest.approx(ends, abs=0.05)
@@ -293,3 +279,58 @@ def test_a_stored_drive_is_compared_as_its_run_to_the_bit() -> None:
     assert (one.road, one.outcome, one.max_lateral_position) == (other.road, other.outcome, other.max_lateral_position)
     assert len(one.profile) > 200 and one.profile.tobytes() == other.profile.tobytes()
     assert one.path.tobytes() == other.path.tobytes()
+
+
+RIGHT_BEND = Road([(60, 20), (60, 45), (60, 70), (70, 92), (92, 102), (117, 102), (142, 102), (167, 102)])
+"""25 m straight on to the north, then right to the east with a radius of about 25 m, then straight on."""
+IN_BEND, ON_STRAIGHT = 38.0, 8.0
+MIRRORED: dict[Departure, Departure] = {
+    "wide in a right bend": "wide in a left bend",
+    "cuts a right bend": "cuts a left bend",
+    "right, straight on": "left, straight on",
+}
+
+
+def leave(road: Road, steering: float, after: float) -> DrivenRoad:
+    """Drive by the autopilot, and from an arc length on with additional steering, right positive."""
+    simulator = make_simulator("softbody")
+    autopilot = make_driver("autopilot", simulator.spec)
+
+    def steer(seen: Observation) -> Command:
+        found = autopilot(seen)
+        away = steering if seen.lane.arc_length >= after else 0.0
+        return Command(float(np.clip(found.steering + away, -1.0, 1.0)), found.throttle)
+
+    run = drive_road(simulator, steer, road, 1)
+    simulator.close()
+    return DrivenRoad.of_run(run)
+
+
+@pytest.mark.parametrize(
+    ("steering", "after", "kind"),
+    [
+        (-0.8, IN_BEND, "wide in a right bend"),
+        (0.8, IN_BEND, "cuts a right bend"),
+        (0.8, ON_STRAIGHT, "right, straight on"),
+    ],
+)
+def test_a_drive_that_is_steered_out_of_its_lane_leaves_it_there(
+    steering: float, after: float, kind: Departure
+) -> None:
+    runs = [leave(RIGHT_BEND, steering, after), leave(RIGHT_BEND.mirrored(), -steering, after)]
+    assert [run.outcome for run in runs] == [Outcome.OUT_OF_BOUNDS] * 2
+    for run, expected in zip(runs, (kind, MIRRORED[kind]), strict=True):
+        (found,) = departures_of(table_of_runs({SOFTBODY: [run]}))
+        assert found.failures == 1 and [name for name in KINDS if found.counts[name]] == [expected]
+
+
+def test_failures_in_the_lane_stay_in_it_and_the_table_counts_each_failure_once() -> None:
+    assert departure(RIGHT_BEND, np.full(60, 1.0), 1.0) == "stays in the lane"
+    assert departure(RIGHT_BEND, np.empty(0), 2.0) == "not recorded"
+    out, kept = leave(RIGHT_BEND, 0.8, IN_BEND), leave(RIGHT_BEND, 0.0, IN_BEND)
+    assert kept.outcome is Outcome.COMPLETED
+    found = analyse(table_of_runs({A_NAME: [out, kept], B_NAME: [kept, kept]}), [B_NAME], repeats=1)
+    table = analysis_tables(found)[0]
+    assert table.name == "sibling_departures" and [row[0] for row in table.rows] == ["a", "b"]
+    assert [sum(row[2:]) for row in table.rows] == [row[1] for row in table.rows] == [1, 0]  # type: ignore[arg-type]
+    assert found.document()["departures"][0]["counts"]["cuts a right bend"] == 1

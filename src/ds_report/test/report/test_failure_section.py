@@ -4,16 +4,14 @@
 from __future__ import annotations
 
 import re
-from contextlib import closing
 from pathlib import Path
 
 import pytest
-from report_campaigns import make_campaign
+from report_campaigns import campaign_data
 
 from ds_analysis.failures import FailureReason
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
-from ds_orchestrator.campaign.folder import read_campaign
 from ds_report.pages import render
 from ds_report.sections import failure_section
 from ds_sim import BULLET, SOFTBODY
@@ -21,9 +19,8 @@ from ds_sim import BULLET, SOFTBODY
 
 def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_path: Path) -> None:
     config = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=None, driver=AUTOPILOT)
-    with closing(make_campaign(tmp_path, config, 6, roads=12)) as store:
-        data = read_campaign(store)
-        section = failure_section(data)
+    data = campaign_data(tmp_path, config, 6, roads=12)
+    section = failure_section(data)
     assert section is not None
     failed = {(e.test_id, e.simulator) for e in data.executions if e.outcome.is_failure}
     sizes = [failures for failures, *_ in section.groups]
@@ -43,8 +40,7 @@ def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wide: int, said: str
 ) -> None:
     config = CampaignConfig(siblings=[BULLET], twin=None, driver=AUTOPILOT)
-    with closing(make_campaign(tmp_path, config, 16, roads=16)) as store:
-        data = read_campaign(store)
+    data = campaign_data(tmp_path, config, 16, roads=16)
     kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
     made = [FailureReason(test.test_id, BULLET, kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
     monkeypatch.setattr("ds_report.sections.reasons_of", lambda data: made)

@@ -3,45 +3,35 @@
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from report_campaigns import make_campaign
+from report_campaigns import NOWHERE, campaign_data
 
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
-from ds_orchestrator.campaign.folder import CampaignData, read_campaign
+from ds_orchestrator.campaign.folder import CampaignData
 from ds_report.first_screen import first_screen
-from ds_sim import SimulatorName
 from ds_sim.simulator import Outcome
-
-CONFIG = CampaignConfig(
-    siblings=[SimulatorName("a:One"), SimulatorName("b:Two")], twin=SimulatorName("c:Three"), seed=7
-)
 
 
 def with_outcomes(folder: Path, config: CampaignConfig, failing: dict[str, set[int]]) -> CampaignData:
     """A campaign of 16 roads, in which each simulator fails exactly the given ones, by position."""
     tests = 16 // len(config.siblings)
     config = config.model_copy(update={"search": SearchConfig(population=tests - 1, iterations=1, runs=1)})
-    with closing(make_campaign(folder, config, tests, roads=16)) as store:
-        data = read_campaign(store)
+    data = campaign_data(folder, config, tests, roads=16)
     place = {test.test_id: k for k, test in enumerate(data.tests)}
-    executions = tuple(
-        replace(
-            one,
-            outcome=Outcome.OUT_OF_BOUNDS if place[one.test_id] in failing[one.simulator] else Outcome.COMPLETED,
-            fitness=-0.1 if place[one.test_id] in failing[one.simulator] else 1.0,
-        )
-        for one in data.executions
-    )
-    return replace(data, executions=executions)
+    executions = []
+    for one in data.executions:
+        failed = place[one.test_id] in failing[one.simulator]
+        outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
+        executions.append(replace(one, outcome=outcome, fitness=-0.1 if failed else 1.0))
+    return replace(data, executions=tuple(executions))
 
 
 def test_the_sibling_that_does_as_the_twin_is_believed(tmp_path: Path) -> None:
     failing = {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))}
-    first = first_screen(with_outcomes(tmp_path, CONFIG, failing))
+    first = first_screen(with_outcomes(tmp_path, NOWHERE, failing))
 
     assert "disagree on 10 of 16 tests" in first.believe
     assert "with a:One in 9 and with b:Two in 1: where it has not driven, believe a:One" in first.believe
@@ -50,13 +40,13 @@ def test_the_sibling_that_does_as_the_twin_is_believed(tmp_path: Path) -> None:
 
 def test_siblings_that_are_right_equally_often_are_not_believed(tmp_path: Path) -> None:
     failing = {"a:One": set(range(8)), "b:Two": set(), "c:Three": set(range(4))}
-    first = first_screen(with_outcomes(tmp_path, CONFIG, failing))
+    first = first_screen(with_outcomes(tmp_path, NOWHERE, failing))
 
     assert "with a:One in 4 and with b:Two in 4: too few or too mixed" in first.believe
 
 
 def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
-    config = CONFIG.model_copy(update={"twin": None})
+    config = NOWHERE.model_copy(update={"twin": None})
     first = first_screen(with_outcomes(tmp_path, config, {"a:One": {0, 1}, "b:Two": {1}}))
 
     assert "only drives on a twin or on your car can say" in first.believe and first.command == "ds real propose ."
@@ -82,13 +72,13 @@ def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
 def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
     tmp_path: Path, failing: set[int], where: str, said: str, command: str
 ) -> None:
-    first = first_screen(with_outcomes(tmp_path, CONFIG, dict.fromkeys(CONFIG.simulators, failing)))
+    first = first_screen(with_outcomes(tmp_path, NOWHERE, dict.fromkeys(NOWHERE.simulators, failing)))
 
     assert where in first.where and command in first.command
     assert "The siblings a:One and b:Two agree on all 16 tests: they " in first.believe and said in first.believe
 
 
-ALONE = CONFIG.model_copy(update={"siblings": ["a:One"]})
+ALONE = NOWHERE.model_copy(update={"siblings": ["a:One"]})
 PAIR = "The siblings a:One and b:Two agree on all 16 tests: they "
 
 
@@ -103,12 +93,12 @@ PAIR = "The siblings a:One and b:Two agree on all 16 tests: they "
             "a:One failed 3 of 16 tests, of which the twin fails 2, and missed 1 of the 3 failures",
         ),
         (
-            CONFIG,
+            NOWHERE,
             set(),
             {4},
             f"{PAIR}completed all 16 tests and missed every one of the 1 failure that the twin c:Three",
         ),
-        (CONFIG, {4}, set(), f"{PAIR}failed 1 of 16 tests, and the twin c:Three failed none."),
+        (NOWHERE, {4}, set(), f"{PAIR}failed 1 of 16 tests, and the twin c:Three failed none."),
         (
             ALONE.model_copy(update={"twin": None}),
             {4},
@@ -125,7 +115,7 @@ def test_siblings_that_never_disagree_are_measured_by_the_twin(
 
 
 def test_a_road_that_was_driven_twice_counts_once(tmp_path: Path) -> None:
-    data = with_outcomes(tmp_path, CONFIG, {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))})
+    data = with_outcomes(tmp_path, NOWHERE, {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))})
     again = replace(data.tests[0], test_id="a-0-0099")
     drives = [replace(one, test_id="a-0-0099") for one in data.executions if one.test_id == data.tests[0].test_id]
     repeated = replace(data, tests=(*data.tests, again), executions=(*data.executions, *drives))
@@ -134,7 +124,7 @@ def test_a_road_that_was_driven_twice_counts_once(tmp_path: Path) -> None:
 
 
 def test_an_unfinished_campaign_is_to_be_finished(tmp_path: Path) -> None:
-    data = with_outcomes(tmp_path, CONFIG, {name: {0} for name in CONFIG.simulators})
+    data = with_outcomes(tmp_path, NOWHERE, {name: {0} for name in NOWHERE.simulators})
     first = first_screen(replace(data, executions=data.executions[:-3]))
 
     assert first.command == "ds campaign resume ."
