@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_networks import write_recorded
 from numpy.typing import NDArray
 from progress_lines import ProgressLines
 from scipy.stats import nct, norm, t, wasserstein_distance, wilcoxon
@@ -16,16 +17,15 @@ from ds_analysis.paper.open_loop import OpenLoopError, predict
 from ds_analysis.paper.paper_tables import error_tables, network_of
 from ds_analysis.paper.steering_error_stats import check_error_robustness, cohens_d, compare_errors, densities, shares
 from ds_base.progress import SILENT
-from ds_driver.data.dataset import write_drive
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.pilot import Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
-from ds_sim.camera.encodings import jpeg
 
 RNG = np.random.default_rng(4)
 ONE = np.abs(RNG.normal(0, 0.12, 400))
 OTHER = np.abs(RNG.normal(0, 0.16, 300))
 TWIN = np.abs(RNG.normal(0, 0.15, 500))
+GREY = np.full((160, 320, 3), 100, np.uint8)
 
 
 def counted(errors: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
@@ -70,8 +70,7 @@ def test_effect_and_power_are_the_textbooks() -> None:
 
 def test_equal_errors_have_no_test_and_no_effect() -> None:
     for row in compare_errors({"a": TWIN}, TWIN):
-        assert (row.distance, row.p, row.power, row.enough, row.alike) == (0.0, None, None, None, None)
-        assert row.effect == 0.0
+        assert (row.distance, row.p, row.power, row.enough, row.alike, row.effect) == (0.0, *[None] * 4, 0.0)
     constant = np.full(5, 0.1)
     assert compare_errors({"a": constant}, constant)[0].effect is None
 
@@ -107,23 +106,8 @@ def test_predictions_over_a_data_set(tmp_path: Path) -> None:
             value.zero_()
         list(network.parameters())[-1].fill_(1.25)
     save_weights(network, tmp_path / "biased.safetensors", architecture="chauffeur")
-    image = jpeg(np.full((160, 320, 3), 90, np.uint8))
     for simulator, labels in (("bullet", [0.5, 1.0, 0.75]), ("donkey", [1.0, 0.9])):
-        rows: list[dict[str, object]] = [
-            {
-                "image": image,
-                "steering": label,
-                "throttle": 0.1,
-                "speed": 5.0,
-                "lateral_position": 0.0,
-                "step": k,
-                "simulator": simulator,
-                "road_id": "r",
-                "direction": "forward",
-            }
-            for k, label in enumerate(labels)
-        ]
-        write_drive(tmp_path / "data" / simulator / "r-forward.parquet", rows)
+        write_recorded(tmp_path / "data", simulator, [GREY] * len(labels), labels)
     told = ProgressLines()
     biased = DriverName(str(tmp_path / "biased.safetensors"))
     found = predict(tmp_path / "data", biased, told)
@@ -147,32 +131,26 @@ class Summing:
 
 
 def test_a_network_with_memory_is_shown_drives_in_order_and_none_with_gaps(tmp_path: Path) -> None:
-    image = jpeg(np.full((160, 320, 3), 100, np.uint8))
-
-    def written(folder: Path, steps: list[int]) -> Path:
+    for folder, every in (("whole", 1), ("thin", 3)):
         for direction in ("forward", "reverse"):
-            drive = {"simulator": "bullet", "road_id": "r", "direction": direction, "image": image, "speed": 0.1}
-            rows: list[dict[str, object]] = [{**drive, "steering": 0.0, "step": step} for step in steps]
-            write_drive(folder / "bullet" / f"r-{direction}.parquet", rows)
-        return folder
-
+            write_recorded(tmp_path / folder, "bullet", [GREY] * 3, [0.0] * 3, direction=direction, every=every)
     name = DriverName(f"{__name__}:Summing")
     each = 100 / 25500 + 0.1
-    whole = predict(written(tmp_path / "whole", [0, 1, 2]), name, SILENT)["bullet"]
+    whole = predict(tmp_path / "whole", name, SILENT)["bullet"]
     assert whole.answered == pytest.approx([each, 2 * each, 3 * each] * 2, abs=1e-3)
     few = predict(tmp_path / "whole", name, SILENT, images=4)["bullet"]
     assert few.answered == pytest.approx([each, 2 * each, 3 * each, each], abs=1e-3)
     with pytest.raises(OpenLoopError, match="leaves out frames of bullet, and .* remembers .*: collect with --every 1"):
-        predict(written(tmp_path / "thin", [0, 3, 6]), name, SILENT)
+        predict(tmp_path / "thin", name, SILENT)
 
 
 def test_a_network_has_an_architecture_whatever_its_name(tmp_path: Path) -> None:
     save_weights(make_network("chauffeur"), tmp_path / "mine.safetensors", architecture="chauffeur")
     assert network_of(DriverName.parse(str(tmp_path / "mine.safetensors"))) == ("chauffeur", "sim")
-    names = [DriverName.parse(name) for name in ("dave2", "dave2_short", "dave2_short@onnx")]
-    assert {network_of(name) for name in names} == {("dave2", "sim")}
-    others = [DriverName.parse(name) for name in ("autopilot", "missing.safetensors", "my_driver:Driver")]
-    assert {network_of(name) for name in others} == {None}
+    for name in ("dave2", "dave2_short", "dave2_short@onnx"):
+        assert network_of(DriverName.parse(name)) == ("dave2", "sim")
+    for name in ("autopilot", "missing.safetensors", "my_driver:Driver"):
+        assert network_of(DriverName.parse(name)) is None
 
 
 def test_the_table_stands_beside_the_papers() -> None:

@@ -14,15 +14,12 @@ class ProgressLines(Progress):
         self.done = self.total = 0.0
 
     def start(self, total: float) -> None:
-        """Keep it."""
         self.done, self.total = 0.0, total
 
     def advance(self, amount: float = 1, line: str = "") -> None:
-        """Keep it."""
         self.done += amount
         if line:
             self.describe(line)
 
     def describe(self, line: str) -> None:
-        """Keep it."""
         self.lines.append(line)

@@ -8,38 +8,29 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
+from made_networks import write_generator, write_recorded
 
 from ds_analysis.paper.open_loop import predict
 from ds_analysis.paper.paper_tables import network_of
 from ds_base.progress import SILENT
-from ds_driver.data.dataset import drive_path, keep_import, write_drive
+from ds_driver.data.dataset import decode, keep_import
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.images import Crop
 from ds_driver.networks.network_driver import NetworkDriver, driver_sha256
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
-from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
-from ds_driver.sim2real.networks import Generator
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.engines.dask_worker import parcel_of
 from ds_orchestrator.engines.start import check_driver
 from ds_sim import BULLET, DONKEY
 from ds_sim.camera.encodings import jpeg
 
-SHAPE = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
-
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network that was trained on translated images of bullet, and its generator beside it."""
     folder = tmp_path_factory.mktemp("network")
-    path, window = folder / "sim2real" / "bullet.safetensors", Window(54, 160, 0, 320)
-    path.parent.mkdir()
-    torch.manual_seed(1)
-    tensors = {name: value.numpy() for name, value in Generator(SHAPE).state_dict().items()}
-    save_generator(path, tensors, simulator="bullet", shape=SHAPE, window=window, real_window=window)
-    digests = {"bullet": load_generator(path).sha256}
+    digests = {"bullet": write_generator(folder / "sim2real" / "bullet.safetensors").sha256}
     save_weights(make_network("dave2"), folder / "net.safetensors", architecture="dave2", generators=digests)
     return folder / "net.safetensors"
 
@@ -87,23 +78,12 @@ def test_images_of_a_data_set_are_translated_unless_they_are_already(weights: Pa
     rng = np.random.default_rng(2)
     image = np.asarray(np.kron(rng.integers(0, 256, (20, 40, 3)), np.ones((8, 8, 1))), np.uint8)
     for folder in ("plain", "translated"):
-        row: dict[str, object] = {
-            "image": jpeg(image),
-            "steering": 0.5,
-            "speed": 1.0,
-            "step": 0,
-            "simulator": "bullet",
-            "road_id": "r",
-            "direction": "forward",
-        }
-        write_drive(drive_path(tmp_path / folder, "bullet", "r", "forward"), [row])
+        write_recorded(tmp_path / folder, "bullet", [image], [0.5])
     keep_import(tmp_path / "translated", "bullet", {"sim2real": "0"})
     found = {
         name: float(predict(tmp_path / name, DriverName(str(weights)), SILENT)["bullet"].answered[0])
         for name in ("plain", "translated")
     }
-    from ds_driver.data.dataset import decode
-
     driver = NetworkDriver(str(weights))
     seen = Frame(image=decode(jpeg(image)), speed=0.0, simulator=NOT_SIMULATED)
     plain = replace(seen, crop=Crop(54, 0), simulator="bullet")

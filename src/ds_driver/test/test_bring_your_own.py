@@ -10,14 +10,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-import onnx
 import pytest
 import torch
 import yaml
+from installed_package import installed_package
+from made_networks import write_graph
 from onnx import TensorProto, helper
 from torch import nn
 
-from ds_base.extension import installed
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.control.autopilot import throttle
 from ds_driver.networks.described_network import DescribedNetworkPilot
@@ -39,6 +39,7 @@ pytestmark = pytest.mark.filterwarnings(
 
 GUIDE = (Path(__file__).resolve().parents[3] / "docs/bring_your_own_network.md").read_text()
 IMAGE = np.random.default_rng(5).integers(0, 256, (160, 320, 3), dtype=np.uint8)
+GENTLE = generate(np.random.default_rng(2), max_angle=30)
 
 
 class Linear(nn.Module):
@@ -47,19 +48,15 @@ class Linear(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         sizes = [(3, 24, 5, 2), (24, 32, 5, 2), (32, 64, 5, 2), (64, 64, 3, 1), (64, 64, 3, 1)]
-        self.convolutions: list[nn.Conv2d] = [nn.Conv2d(i, o, k, stride=s) for i, o, k, s in sizes]
-        self.dense: list[nn.Linear] = [nn.Linear(6656, 100), nn.Linear(100, 50)]
-        self.heads: list[nn.Linear] = [nn.Linear(50, 1), nn.Linear(50, 1)]
-        self.layers = nn.ModuleList([*self.convolutions, *self.dense, *self.heads])
+        convolutions = [part for i, o, k, s in sizes for part in (nn.Conv2d(i, o, k, stride=s), nn.ReLU())]
+        self.see = nn.Sequential(*convolutions)
+        self.think = nn.Sequential(nn.Linear(6656, 100), nn.ReLU(), nn.Linear(100, 50), nn.ReLU())
+        self.angle, self.throttle = nn.Linear(50, 1), nn.Linear(50, 1)
 
     def forward(self, image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        x = image.permute(0, 3, 1, 2)
-        for layer in self.convolutions:
-            x = torch.relu(layer(x))
-        x = x.permute(0, 2, 3, 1).flatten(1)  # Keras flattens with channels last
-        for dense in self.dense:
-            x = torch.relu(dense(x))
-        return self.heads[0](x), self.heads[1](x)
+        x = self.see(image.permute(0, 3, 1, 2))
+        x = self.think(x.permute(0, 2, 3, 1).flatten(1))  # Keras flattens with channels last
+        return self.angle(x), self.throttle(x)
 
     def to_onnx(self, path: Path) -> None:
         """Write the graph with a free batch size, channels last and Keras's output names."""
@@ -79,7 +76,7 @@ def linear() -> Linear:
     torch.manual_seed(4)
     network = Linear().eval()
     with torch.no_grad():
-        network.heads[1].bias.fill_(0.4)  # a throttle within both bounds
+        network.throttle.bias.fill_(0.4)  # a throttle within both bounds
     return network
 
 
@@ -88,7 +85,7 @@ def examples(heading: str) -> list[str]:
     return re.findall(rf"```{heading}\n(.*?)```", GUIDE, re.DOTALL)
 
 
-def donkey(file: str, steering: str, throttle: str) -> dict[str, Any]:
+def donkey(file: str, steering: str | int, throttle: str | int) -> dict[str, Any]:
     return {
         "file": file,
         "input": {"size": [120, 160], "layout": "nhwc", "divide": 255},
@@ -98,23 +95,18 @@ def donkey(file: str, steering: str, throttle: str) -> dict[str, Any]:
 
 def test_a_donkey_car_pilot_drives_on_every_backend(tmp_path: Path, linear: Linear) -> None:
     """In ONNX and TorchScript, on every possible backend: the command equals PyTorch's for the resized image."""
-    described = donkey("mypilot.onnx", "n_outputs0", "n_outputs1")
     small = cv2.resize(IMAGE, (160, 120), interpolation=cv2.INTER_LINEAR).astype(np.float32) / 255
     with torch.inference_mode():
         angle, power = (float(part) for part in linear(torch.from_numpy(small)[None]))
     assert 0.01 < abs(angle) < 1.0 and 0.05 < power < 1.0
     linear.to_onnx(tmp_path / "mypilot.onnx")
     torch.jit.trace(linear, torch.zeros(1, 120, 160, 3)).save(str(tmp_path / "mypilot.pt"))
-    for file, backends in {"mypilot.onnx": ("auto", "openvino"), "mypilot.pt": ("auto", "openvino")}.items():
-        described["file"] = file
-        if file.endswith(".pt"):
-            described["outputs"] = {"steering": {"output": 0}, "throttle": {"output": 1}}
+    frame = Frame(image=IMAGE, speed=3.0, crop=Crop(40, 0))
+    for described in (donkey("mypilot.onnx", "n_outputs0", "n_outputs1"), donkey("mypilot.pt", 0, 1)):
         (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
-        for backend in backends:
-            command = NetworkDriver(f"{tmp_path / 'p.yaml'}@{backend}").command(
-                Frame(image=IMAGE, speed=3.0, crop=Crop(40, 0))
-            )
-            assert (command.steering, command.throttle) == pytest.approx((angle, power), abs=1e-5), (file, backend)
+        for backend in ("auto", "openvino"):
+            command = NetworkDriver(f"{tmp_path / 'p.yaml'}@{backend}").command(frame)
+            assert (command.steering, command.throttle) == pytest.approx((angle, power), abs=1e-5), (described, backend)
 
 
 def test_a_donkey_car_pilot_in_tensorflow_lite_agrees_with_tensorflow(tmp_path: Path) -> None:
@@ -265,23 +257,18 @@ def test_invalid_descriptions_are_refused_in_one_line(
 
 
 def test_wrong_types_and_inputs_are_refused(tmp_path: Path) -> None:
-    def save(kinds: list[int]) -> str:
-        inputs = [helper.make_tensor_value_info(f"i{n}", kind, [1, 3, 8, 16]) for n, kind in enumerate(kinds)]
-        output = helper.make_tensor_value_info("o", TensorProto.FLOAT, [1, 3, 8, 16])
-        nodes = [helper.make_node("Cast", ["i0"], ["o"], to=TensorProto.FLOAT)]
-        model = helper.make_model(
-            helper.make_graph(nodes, "g", inputs, [output]), opset_imports=[helper.make_opsetid("", 15)], ir_version=8
-        )
-        onnx.save(model, tmp_path / "n.onnx")
+    def save(*inputs: str, kind: int = TensorProto.FLOAT) -> str:
+        nodes, shape = [helper.make_node("Cast", ["i0"], ["o"], to=TensorProto.FLOAT)], [1, 3, 8, 16]
+        write_graph(tmp_path / "n.onnx", nodes, dict.fromkeys(inputs, shape), {"o": shape}, kind=kind)
         (tmp_path / "n.yaml").write_text("file: n.onnx\ninput: {size: [8, 16]}")
         return str(tmp_path / "n.yaml")
 
     with pytest.raises(DriverError, match="expects input of type uint8, its description gives float32: correct type"):
-        NetworkDriver(save([TensorProto.UINT8]))
+        NetworkDriver(save("i0", kind=TensorProto.UINT8))
     with pytest.raises(DriverError, match=r"has 2 inputs \(i0, i1\), its description gives 1: .*{state: OUTPUT}"):
-        NetworkDriver(save([TensorProto.FLOAT, TensorProto.FLOAT]))
+        NetworkDriver(save("i0", "i1"))
     with pytest.raises(DriverError, match=r"torch cannot run n\.onnx: expected onnx, openvino or openvino-bf16"):
-        NetworkDriver(save([TensorProto.FLOAT]) + "@torch")
+        NetworkDriver(save("i0") + "@torch")
     with pytest.raises(DriverError, match=r"ds check .* writes one"):
         NetworkDriver(str(tmp_path / "n.onnx"))
 
@@ -314,12 +301,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], s
 def test_the_guides_class_drives_a_gentle_road_to_its_end(module: Callable[[str], str]) -> None:
     name = module(next(text for text in examples("python") if "class MyDriver" in text))
     simulator = make_simulator("bullet")
-    run = drive_road(
-        simulator,
-        make_driver(f"{name}:MyDriver", simulator.spec),
-        generate(np.random.default_rng(2), max_angle=30),
-        seed=1,
-    )
+    run = drive_road(simulator, make_driver(f"{name}:MyDriver", simulator.spec), GENTLE, seed=1)
     assert run.outcome is Outcome.COMPLETED and {c.throttle for c in run.commands} == {0.3}
 
 
@@ -338,26 +320,17 @@ class Counter:
 def test_start_is_called_at_the_beginning_of_each_run(module: Callable[[str], str]) -> None:
     simulator = make_simulator("donkey")
     driver = make_driver(f"{module(COUNTER)}:Counter", simulator.spec)
-    runs = [drive_road(simulator, driver, generate(np.random.default_rng(2), max_angle=30), seed=1) for _ in range(2)]
+    runs = [drive_road(simulator, driver, GENTLE, seed=1) for _ in range(2)]
     assert runs[0].commands == runs[1].commands
     assert [c.steering for c in runs[0].commands[:3]] == [0.001, 0.002, 0.003]
 
 
-def test_the_driver_of_an_installed_package_goes_by_its_name(
-    module: Callable[[str], str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_driver_of_an_installed_package_goes_by_its_name(module: Callable[[str], str], tmp_path: Path) -> None:
     name = module("class Left:\n    def drive(self, frame): return -0.5\n")
-    about = tmp_path / "theirs-1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1\n")
-    (about / "entry_points.txt").write_text(f"[digital_siblings.drivers]\nleft = {name}:Left\n")
-    installed.cache_clear()
-    try:
+    with installed_package(tmp_path, "drivers", {"left": f"{name}:Left"}):
         assert NetworkDriver("left").command(Frame.black()).steering == -0.5
         driver = DriverName("left")
         assert driver_sha256(driver) == driver_sha256(DriverName(f"{name}:Left")) and received_driver(driver) == driver
-    finally:
-        installed.cache_clear()
 
 
 FAULTY = """
@@ -396,8 +369,7 @@ def test_a_driver_without_a_valid_answer_is_an_error_not_a_failure(
     module: Callable[[str], str], target: str, said: str
 ) -> None:
     simulator = make_simulator("donkey")
-    road = generate(np.random.default_rng(2), max_angle=30)
-    run = drive_road(simulator, make_driver(f"{module(FAULTY)}:{target}", simulator.spec), road, seed=1)
+    run = drive_road(simulator, make_driver(f"{module(FAULTY)}:{target}", simulator.spec), GENTLE, seed=1)
     assert run.outcome is Outcome.DRIVER_SILENT and run.outcome.is_error and said in run.message
     assert run.steps == 5
 

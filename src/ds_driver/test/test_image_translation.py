@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from made_networks import write_generator, write_recorded
 
 from ds_bags.run_writer import write_bag
 from ds_base.progress import SILENT
-from ds_driver.data.dataset import DatasetError, drive_path, write_drive
+from ds_driver.data.dataset import DatasetError
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks import weights
 from ds_driver.networks.architectures import NETWORKS
@@ -25,13 +26,11 @@ from ds_driver.networks.network_driver import NetworkDriver, driver_sha256, gene
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError, Frame
 from ds_driver.networks.torch_networks import make_network, save_weights
 from ds_driver.networks.weights import GENERATORS, architecture_in, generators_in, load_weights
-from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
+from ds_driver.sim2real.generator import Window, load_generator
 from ds_driver.sim2real.image_translation import Translator
-from ds_driver.sim2real.networks import Generator
 from ds_driver.sim2real.translation import translate as translate_data
 from ds_driver.training import TrainingPlan, train
 from ds_road import generate
-from ds_sim.camera.encodings import jpeg
 from ds_sim.registry import BULLET, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
@@ -39,27 +38,17 @@ from ds_sim.simulator import Command, Outcome
 from ds_sim.video import compose, write_video
 from ship_network import shipped_set_of
 
-TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
 WINDOWS = {"bullet": Window(54, 160, 0, 320), "softbody": Window(80, 159, 20, 300)}
-
-
-def write_generator(folder: Path, simulator: str, seed: int, name: str = "") -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    torch.manual_seed(seed)
-    tensors = {key: value.numpy() for key, value in Generator(TINY).state_dict().items()}
-    path = folder / f"{name or simulator}.safetensors"
-    whole, window = Window(0, 120, 0, 160), WINDOWS.get(simulator, WINDOWS["bullet"])
-    save_generator(path, tensors, simulator=simulator, shape=TINY, window=window, real_window=whole)
-    return path
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A set of generators of two simulators, and a network that was trained with them beside it."""
     folder = tmp_path_factory.mktemp("stage")
-    for seed, simulator in enumerate(WINDOWS):
-        write_generator(folder / GENERATORS, simulator, seed)
-    digests = {name: load_generator(folder / GENERATORS / f"{name}.safetensors").sha256 for name in WINDOWS}
+    digests = {
+        name: write_generator(folder / GENERATORS / f"{name}.safetensors", name, seed=seed, window=window).sha256
+        for seed, (name, window) in enumerate(WINDOWS.items())
+    }
     torch.manual_seed(1)
     network = make_network("dave2")
     save_weights(network, folder / "real.safetensors", architecture="dave2", generators=digests)
@@ -121,7 +110,7 @@ def test_what_is_missing_is_named_in_one_line(folder: Path, tmp_path: Path) -> N
     )
     refused(f"dave2+{tmp_path}", "no generators in")
     refused(f"dave2+{tmp_path / 'nowhere'}", "no generators in")
-    write_generator(tmp_path, "bullet", 1, "donkey")
+    write_generator(tmp_path / "donkey.safetensors", "bullet")
     refused(f"dave2+{tmp_path}", "translates images of bullet, not of donkey", "donkey")
     (tmp_path / "donkey.safetensors").write_bytes(b"x" * 40)
     refused(f"dave2+{tmp_path}", "damaged", "donkey")
@@ -149,7 +138,7 @@ def test_a_shipped_set_is_found_by_its_name_and_by_a_networks_generators(
 
 
 def test_another_generator_is_another_driver(folder: Path, tmp_path: Path) -> None:
-    write_generator(tmp_path, "bullet", 7)
+    write_generator(tmp_path / "bullet.safetensors", seed=7)
     first = driver_sha256(DriverName.parse(f"dave2+{folder / GENERATORS}"))
     assert first == driver_sha256(DriverName.parse(f"dave2+{folder / GENERATORS}@torch"))
     others = [f"dave2+{tmp_path}", "dave2", "dave2+none", f"dave2_short+{tmp_path}"]
@@ -163,19 +152,8 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     data, real = tmp_path / "data", tmp_path / "data_real"
     for name in WINDOWS:
         for road in ("a", "b"):
-            rows: list[dict[str, object]] = [
-                {
-                    "image": jpeg(np.full((160, 320, 3), rng.integers(0, 256), np.uint8)),
-                    "steering": float(rng.uniform(-1, 1)),
-                    "speed": 1.0,
-                    "step": step,
-                    "simulator": name,
-                    "road_id": road,
-                    "direction": "forward",
-                }
-                for step in range(2)
-            ]
-            write_drive(drive_path(data, name, road, "forward"), rows)
+            images = [np.full((160, 320, 3), grey, np.uint8) for grey in rng.integers(0, 256, 2)]
+            write_recorded(data, name, images, rng.uniform(-1, 1, 2).tolist(), road=road)
     (data / "manifest.json").write_text('{"plan": {"seed": 1}, "images": {"bullet": 4}}')
     for name in WINDOWS:
         translator = Translator(load_generator(folder / GENERATORS / f"{name}.safetensors"))
@@ -228,13 +206,8 @@ def test_a_bag_and_a_video_show_what_the_driver_saw(folder: Path, tmp_path: Path
 
 
 def test_names_and_files_say_what_a_network_sees(folder: Path) -> None:
-    for network, generators in (
-        ("dave2", ""),
-        ("dave2", "a+b"),
-        ("a+b/dave2.safetensors", ""),
-        ("a+b/n.yaml", "c"),
-        ("mine:Class", "c"),
-    ):
+    named = {"dave2": "a+b", "a+b/n.yaml": "c", "mine:Class": "c"}
+    for network, generators in [("dave2", ""), ("a+b/dave2.safetensors", ""), *named.items()]:
         text = f"{network}+{generators}" if generators else network
         assert DriverName.parse(text) == DriverName(network, generators) and str(DriverName.parse(text)) == text
     assert str(DriverName.parse("dave2@onnx").seeing("c")) == "dave2+c@onnx"

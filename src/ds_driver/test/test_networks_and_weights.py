@@ -5,6 +5,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,10 +51,9 @@ def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
     network = make_network(name).eval()
     save_weights(network, tmp_path / "a.safetensors", architecture=name)
     image = torch.rand(1, 3, 160, 320) * 255
+    read = module_of(load_weights(str(tmp_path / "a.safetensors")))
     with torch.inference_mode():
-        assert module_of(load_weights(str(tmp_path / "a.safetensors")))(image).item() == pytest.approx(
-            network(image).item(), abs=1e-3
-        )
+        assert read(image).item() == pytest.approx(network(image).item(), abs=1e-3)
     assert not list(tmp_path.glob("*.partial"))
 
 
@@ -122,43 +124,36 @@ def test_every_number_type_is_read_as_pytorch_reads_it(tmp_path: Path, kind: tor
         assert found[name].tobytes() == value.float().numpy().tobytes(), name
 
 
-def damaged(tmp_path: Path, kind: str) -> Path:
-    path = tmp_path / f"{kind}.safetensors"
-    network = make_network("dave2")
-    save_weights(network, path, architecture="dave2")
-    if kind == "truncated":
-        path.write_bytes(path.read_bytes()[:100_000])
-    elif kind == "pickle":
-        torch.save(network.state_dict(), path)
-    elif kind == "empty":
-        path.write_bytes(b"")
-    elif kind == "other":
-        save_file({"a": torch.zeros(2)}, path, metadata={"architecture": "dave2"})
-    elif kind == "foreign":
-        save_file({"a": torch.zeros(2)}, path)
-    elif kind == "nan":
-        with torch.no_grad():
-            next(network.parameters()).fill_(float("nan"))
-        save_weights(network, path, architecture="dave2")
-    elif kind == "beyond float32":
-        tensors = {name: value.double() for name, value in network.state_dict().items()}
-        tensors["steering.1.bias"].fill_(1e300)
-        save_file(tensors, path, metadata={"architecture": "dave2"})
-    elif kind == "integers":
-        tensors = {name: value.to(torch.int8) for name, value in network.state_dict().items()}
-        save_file(tensors, path, metadata={"architecture": "dave2"})
-    elif kind == "missing":
-        path.unlink()
-    return path
+Tensors = dict[str, torch.Tensor]
+
+
+def held(tensors: Tensors, path: Path, metadata: dict[str, str] | None = None) -> None:
+    save_file(tensors, path, metadata={"architecture": "dave2"} if metadata is None else metadata)
+
+
+UNUSABLE: dict[str, Callable[[Tensors, Path], object]] = {
+    "truncated": lambda tensors, path: path.write_bytes(path.read_bytes()[:100_000]),
+    "pickle": lambda tensors, path: torch.save(tensors, path),
+    "empty": lambda tensors, path: path.write_bytes(b""),
+    "other": lambda tensors, path: held({"a": torch.zeros(2)}, path),
+    "foreign": lambda tensors, path: held({"a": torch.zeros(2)}, path, {}),
+    "nan": lambda tensors, path: held({**tensors, "steering.1.bias": tensors["steering.1.bias"] * math.nan}, path),
+    "beyond float32": lambda tensors, path: held(
+        {name: value.double() + (1e300 if name == "steering.1.bias" else 0.0) for name, value in tensors.items()}, path
+    ),
+    "integers": lambda tensors, path: held({name: value.to(torch.int8) for name, value in tensors.items()}, path),
+    "missing": lambda tensors, path: path.unlink(),
+}
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "kind", ["truncated", "pickle", "empty", "other", "foreign", "nan", "beyond float32", "integers", "missing"]
-)
-def test_unusable_weights_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
+@pytest.mark.parametrize("damage", UNUSABLE.values(), ids=UNUSABLE.keys())
+def test_unusable_weights_are_refused_in_one_line(tmp_path: Path, damage: Callable[[Tensors, Path], object]) -> None:
+    path, network = tmp_path / "w.safetensors", make_network("dave2")
+    save_weights(network, path, architecture="dave2")
+    damage(network.state_dict(), path)
     with pytest.raises(WeightsError) as refused:
-        NetworkDriver(str(damaged(tmp_path, kind)))
+        NetworkDriver(str(path))
     assert "\n" not in str(refused.value) and ":" in str(refused.value)
 
 
@@ -202,13 +197,11 @@ def test_shipped_networks_have_a_card_and_drive_within_range() -> None:
         rates = [rate for ways in card["success"].values() for rate in ways.values()]
         assert name.endswith("_short") or min(rates) >= 0.5  # those are trained briefly on purpose
         driver = NetworkDriver(name)
-        rng = np.random.default_rng(1)
-        image = rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)
-        command = driver.command(Frame(image=image, speed=5.0, crop=Crop(60, 0), step=0, simulator="bullet"))
-        assert driver.command(Frame(image=image, speed=5.0, crop=Crop(60, 0), step=0, simulator="bullet")) == command
-        assert bool(card.get("sim2real")) == (
-            driver.command(Frame(image=image, speed=5.0, crop=Crop(60, 0), step=0, simulator="donkey")) != command
-        )
+        image = np.random.default_rng(1).integers(0, 256, (160, 320, 3), dtype=np.uint8)
+        frame = Frame(image=image, speed=5.0, crop=Crop(60, 0), step=0, simulator="bullet")
+        command = driver.command(frame)
+        assert driver.command(frame) == command
+        assert bool(card.get("sim2real")) == (driver.command(replace(frame, simulator="donkey")) != command)
         assert -1.0 <= command.steering <= 1.0 and 0.0 <= command.throttle <= 1.0
 
 

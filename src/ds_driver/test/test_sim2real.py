@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from made_networks import TINY, write_generator, write_recorded
 from numpy.typing import NDArray
 from progress_lines import ProgressLines
 
@@ -19,7 +20,7 @@ from ds_bags.layout import Level
 from ds_bags.run_writer import write_bag
 from ds_base.progress import SILENT
 from ds_driver.closed_loop.simulation import drive_road, make_driver
-from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples, write_drive
+from ds_driver.data.dataset import crops_of, decode, drive_path, read_samples
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.backends import cpu_capabilities
 from ds_driver.networks.images import Crop
@@ -28,11 +29,9 @@ from ds_driver.networks.pilot import DriverError
 from ds_driver.sim2real.generator import (
     GeneratorShape,
     Sim2RealError,
-    StoredGenerator,
     Window,
     generator_input,
     load_generator,
-    save_generator,
 )
 from ds_driver.sim2real.image_translation import Translator, open_set
 from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, LanePairs, align_lane, lane_shapes, pair_lanes
@@ -59,7 +58,6 @@ from ds_sim.camera.lens import project
 from ds_sim.registry import BULLET, SOFTBODY, make_simulator
 from ds_sim.simulator import Command, Observation
 
-TINY = GeneratorShape(filters=2, blocks=1, rows=32, columns=64)
 SETTINGS = Sim2RealSettings(
     shape=TINY, discriminator_filters=2, epochs=2, steps=2, pool=1, roads=2, threads=1, device="cpu"
 )
@@ -107,13 +105,6 @@ def domains(rng: np.random.Generator) -> Domains:
     )
 
 
-def tiny_generator(path: Path, seed: int = 1, simulator: str = "bullet") -> StoredGenerator:
-    torch.manual_seed(seed)
-    tensors = {name: value.numpy() for name, value in Generator(TINY).state_dict().items()}
-    save_generator(path, tensors, simulator=simulator, shape=TINY, window=Window(54, 160, 0, 320), real_window=WHOLE)
-    return load_generator(path)
-
-
 def small(of: Translator, image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Translate an image of the generator's size."""
     return of._runner.compute(image[None])[0][0]
@@ -142,7 +133,7 @@ def test_a_discriminator_judges_patches(depth: int, side: int) -> None:
 
 
 def test_a_stored_generator_computes_in_onnx_what_pytorch_computes(tmp_path: Path) -> None:
-    stored = tiny_generator(tmp_path / "g.safetensors")
+    stored = write_generator(tmp_path / "g.safetensors")
     network = Generator(TINY)
     network.load_state_dict({name: torch.from_numpy(value) for name, value in stored.tensors.items()})
     image = np.random.default_rng(1).integers(0, 256, (*TINY.size, 3), dtype=np.uint8)
@@ -351,17 +342,15 @@ def test_roads_are_those_of_no_data_set(tmp_path: Path) -> None:
 def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     data, out = tmp_path / "data", tmp_path / "out"
-    images = [jpeg(rng.integers(0, 256, (160, 320, 3), dtype=np.uint8)) for _ in range(2)]
-    about = {"steering": 0.5, "speed": 1.0, "step": 0, "road_id": "r", "direction": "forward"}
+    images = rng.integers(0, 256, (2, 160, 320, 3), dtype=np.uint8)
     for name in ("bullet", "softbody"):
-        rows = [{"image": image, "simulator": name, **about} for image in images]
-        write_drive(drive_path(data, name, "r", "forward"), rows)
-    translator = Translator(tiny_generator(tmp_path / "g.safetensors"))
+        write_recorded(data, name, images, [0.5, 0.5])
+    translator = Translator(write_generator(tmp_path / "g.safetensors"))
     told = ProgressLines()
     assert translate(data, out, translator, told) == 1 and len(told.lines) == 1
     samples = read_samples(out)
     assert [sample.simulator for sample in samples] == ["bullet"] * 2 and samples[0].steering == 0.5
-    assert samples[0].jpeg == jpeg(translator.translate(decode(images[0])))
+    assert samples[0].jpeg == jpeg(translator.translate(decode(jpeg(images[0]))))
     assert crops_of(out, ["bullet"]) == {"bullet": Crop()}
     file = drive_path(out, "bullet", "r", "forward")
     content, written = file.read_bytes(), file.stat().st_mtime_ns
@@ -369,10 +358,10 @@ def test_a_data_set_is_translated_once_and_with_the_bits_of_driving(tmp_path: Pa
     assert file.stat().st_mtime_ns == written
     translate(data, tmp_path / "again", translator, SILENT, workers=1)
     assert drive_path(tmp_path / "again", "bullet", "r", "forward").read_bytes() == content
-    other = Translator(tiny_generator(tmp_path / "other.safetensors", seed=2))
+    other = Translator(write_generator(tmp_path / "other.safetensors", seed=2))
     with pytest.raises(Sim2RealError, match="another generator"):
         translate(data, out, other, SILENT)
-    donkey = Translator(tiny_generator(tmp_path / "donkey.safetensors", simulator="donkey"))
+    donkey = Translator(write_generator(tmp_path / "donkey.safetensors", "donkey"))
     with pytest.raises(Sim2RealError, match="has no drives of donkey"):
         translate(data, tmp_path / "x", donkey, SILENT)
     with pytest.raises(Sim2RealError, match="camera images of simulators"):
@@ -394,7 +383,7 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
     levels: tuple[Level, ...] = ("raw", "compressed")
     for level in levels:
         write_bag(tmp_path / level, "/ds1", BULLET, run, {}, level, seen)
-    translator = Translator(tiny_generator(tmp_path / "g.safetensors"))
+    translator = Translator(write_generator(tmp_path / "g.safetensors"))
     for level in ("raw", "compressed"):
         out = tmp_path / f"{level}_real"
         before = list(open_recording(tmp_path / level, Reading()).frames())
@@ -413,14 +402,14 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
         assert len(copies) == 2 and copies[0] == copies[1]
         with pytest.raises(Sim2RealError, match="translated already"):
             translate(out, tmp_path / "x", translator, SILENT)
-    donkey = Translator(tiny_generator(tmp_path / "donkey.safetensors", simulator="donkey"))
+    donkey = Translator(write_generator(tmp_path / "donkey.safetensors", "donkey"))
     with pytest.raises(Sim2RealError, match="translates images of donkey, these are of bullet"):
         translate(tmp_path / "raw", tmp_path / "x", donkey, SILENT)
 
 
 def test_generators_that_are_damaged_or_of_another_simulator_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "g.safetensors"
-    tiny_generator(path)
+    write_generator(path)
     content = path.read_bytes()
     for damaged in (content[:-40], b"", b"x" * 100, content.replace(b'filters\\": 2', b'filters\\": 3')):
         path.write_bytes(damaged)

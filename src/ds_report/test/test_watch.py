@@ -10,8 +10,8 @@ import socket
 import sqlite3
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
-from report_campaigns import EVIL, make_campaign, make_execution, make_tests, road, set_conditions
+from report_campaigns import EVIL, NOWHERE, make_campaign, make_execution, make_tests, road, set_conditions
 
 from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.drive_request import DriveRequest
@@ -76,6 +76,11 @@ class Server:
         answer = connection.getresponse()
         return answer.status, answer.read(), dict(answer.getheaders())
 
+    def connect(self) -> socket.socket:
+        where = urlsplit(self.address)
+        assert where.hostname is not None and where.port is not None
+        return socket.create_connection((where.hostname, where.port), timeout=30)
+
     def state(self) -> Any:
         return json.loads(self.ask("/state.json")[1])
 
@@ -86,13 +91,15 @@ class Server:
         assert not self._thread.is_alive()
 
 
-@contextmanager
-def served(folder: Path) -> Iterator[Server]:
-    server = Server(folder)
-    try:
-        yield server
-    finally:
-        server.close()
+def served(folder: Path) -> closing[Server]:
+    return closing(Server(folder))
+
+
+def wait_for(happens: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not happens():
+        assert time.monotonic() < deadline
+        time.sleep(EVERY)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -192,10 +199,7 @@ def test_campaigns_that_have_not_begun_or_have_gates_are_shown(tmp_path: Path) -
 
     features = ["turns_count", "curvature", "direction_coverage:10"]
     config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")],
-        twin=None,
-        conditions=parse_conditions("visibility=60"),
-        features=features,
+        siblings=NOWHERE.siblings, twin=None, conditions=parse_conditions("visibility=60"), features=features
     )
     store = Store(tmp_path / "gated/campaign.sqlite", config=config.identity())
     for test, driven in make_tests(config, 3):
@@ -242,13 +246,9 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path, m
             with live.driving(asked) as watch:
                 engine.drive(asked, watch)
 
-        thread = threading.Thread(target=drive)
-        thread.daemon = True
+        thread = threading.Thread(target=drive, daemon=True)
         thread.start()
-        deadline = time.monotonic() + 60.0
-        while not any(one["car"] for one in page_state(CampaignReader(tmp_path).read())["now"]):
-            assert time.monotonic() < deadline
-            time.sleep(EVERY)
+        wait_for(lambda: any(one["car"] for one in page_state(CampaignReader(tmp_path).read())["now"]))
         found = read_live(tmp_path, time.time())
         assert found is not None and (found.stage, found.done, found.total) == ("search", 1, 10)
         assert found.seconds_left is not None
@@ -267,10 +267,9 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path, m
         right = time.time
         for hour in (3600, -3600):  # somebody sets the clock during the drive
             monkeypatch.setattr(time, "time", lambda hour=hour: right() + hour)
-            while (found := read_live(tmp_path, time.time())) is None:
-                assert time.monotonic() < deadline
-                time.sleep(EVERY)
-            assert found.seconds_left is not None and found.seconds_left < 600
+            wait_for(lambda: read_live(tmp_path, time.time()) is not None)
+            found = read_live(tmp_path, time.time())
+            assert found is not None and found.seconds_left is not None and found.seconds_left < 600
             (now,) = page_state(CampaignReader(tmp_path).read())["now"]
             assert 0 < now["seconds"] < 100
         slow.go.set()
@@ -340,9 +339,8 @@ def test_the_server_answers_only_reading_requests_of_this_machine(tmp_path: Path
         store.close()
         with sqlite3.connect(tmp_path / "campaign.sqlite") as db:
             db.execute("UPDATE tests SET road = '', rowid = rowid + 100")
-        deadline = time.monotonic() + 30
-        while "problem" not in (state := server.state()) and time.monotonic() < deadline:
-            time.sleep(0.2)
+        wait_for(lambda: "problem" in server.state())
+        state = server.state()
         assert "is damaged" in state["problem"] and state["done"] == 12
 
 
@@ -352,45 +350,34 @@ def test_readers_that_do_not_read_keep_nobody_waiting(tmp_path: Path) -> None:
         assert server.state()["done"] == 24
         paths = [f"/drive.json?test=bullet-0-{k:04d}&simulator=bullet" for k in range(4)]
         assert server.ask(paths[0])[0] == 200
-        where = urlsplit(server.address)
-        assert where.hostname is not None and where.port is not None
-        idle = [socket.create_connection((where.hostname, where.port)) for _ in range(60)]
-        for k, one in enumerate(idle):
-            one.sendall(f"GET {paths[k % 4]} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
-        assert server.ask(paths[1])[0] == 200  # whose limit is 60 s
-        for one in idle:
-            one.close()
+        with ExitStack() as open_ones:
+            for k in range(60):
+                one = open_ones.enter_context(server.connect())
+                one.sendall(f"GET {paths[k % 4]} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+            assert server.ask(paths[1])[0] == 200  # whose limit is 60 s
 
 
 def test_idle_readers_beyond_the_limit_are_sent_away_until_others_leave(tmp_path: Path) -> None:
     make_campaign(tmp_path, CONFIG, 1).close()
     with served(tmp_path) as server:
-        where = urlsplit(server.address)
-        assert where.hostname is not None and where.port is not None
-        idle = [socket.create_connection((where.hostname, where.port)) for _ in range(watch_server.MOST_CONNECTIONS)]
-        with socket.create_connection((where.hostname, where.port), timeout=30) as late:
-            assert late.recv(1) == b""
-        for one in idle:
-            one.close()
-        deadline = time.monotonic() + 30
-        while (answer := _answer(server)) is None and time.monotonic() < deadline:
-            time.sleep(0.05)
-        assert answer == 200
+        with ExitStack() as open_ones:
+            for _ in range(watch_server.MOST_CONNECTIONS):
+                open_ones.enter_context(server.connect())
+            assert open_ones.enter_context(server.connect()).recv(1) == b""
+        wait_for(lambda: answers(server))
 
 
-def _answer(server: Server) -> int | None:
+def answers(server: Server) -> bool:
     with suppress(OSError, HTTPException):
-        return server.ask("/state.json")[0]
-    return None
+        return server.ask("/state.json")[0] == 200
+    return False
 
 
 def test_a_connection_that_asks_nothing_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watch_server, "PATIENCE", 0.5)
     make_campaign(tmp_path, CONFIG, 1).close()
-    with served(tmp_path) as server:
-        where = urlsplit(server.address)
-        with socket.create_connection((where.hostname, where.port), timeout=30) as silent:  # type: ignore[type-var]
-            assert silent.recv(1) == b""
+    with served(tmp_path) as server, server.connect() as silent:
+        assert silent.recv(1) == b""
 
 
 def test_a_folder_without_a_campaign_is_refused(tmp_path: Path) -> None:

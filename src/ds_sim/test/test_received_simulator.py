@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from installed_package import installed_package
 
-from ds_base.extension import installed
 from ds_sim.registry import (
     SIMULATORS,
     UntrustedSimulatorError,
@@ -55,23 +55,13 @@ def test_only_exactly_the_confirmed_name_is_let_through(tmp_path: Path, monkeypa
     assert "evilmod" not in sys.modules
 
 
-def test_a_simulator_of_an_installed_package_is_made_by_name_and_no_file_of_it_is_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_simulator_of_an_installed_package_is_made_by_name_and_no_file_of_it_is_trusted(tmp_path: Path) -> None:
     (tmp_path / "their_car.py").write_text("from ds_sim_softbody.simulator import SoftbodySimulator as Car\n")
-    about = tmp_path / "their_car-1.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-car\nVersion: 1\n")
-    (about / "entry_points.txt").write_text("[digital_siblings.simulators]\ntheirs = their_car:Car\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    installed.cache_clear()
-    try:
+    with installed_package(tmp_path, "simulators", {"theirs": "their_car:Car"}):
         assert received_simulator("theirs") == "theirs" and "theirs" in simulators()
         assert make_simulator("theirs").spec.name == "softbody"
         with pytest.raises(UntrustedSimulatorError, match="opens a file of its own kind"):
             received_simulator("theirs@file")
-    finally:
-        installed.cache_clear()
 
 
 def test_a_plugin_of_the_checkout_that_is_not_installed_is_named_with_what_installs_it() -> None:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made_observations import made_observation
 
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
@@ -51,22 +52,10 @@ def runs(draw: st.DrawFn) -> RunRecord:
     )
 
 
-def a_run(**fields_of_last_frame: float) -> RunRecord:
-    values = dict.fromkeys(("x", "y", "yaw", "speed", "yaw_rate", "steering_angle"), 1.0) | fields_of_last_frame
-    frames = [
-        Observation(
-            image=NO_IMAGE,
-            step=step,
-            time=step / 20,
-            vehicle=VehicleState(**values),
-            lane=LaneState(lateral_position=0.1, lateral_distance=1.9, preview_lateral_position=0.2, arc_length=3.0),
-            outcome=Outcome(step),
-        )
-        for step in range(2)
-    ]
+def a_run(**of_vehicle: float) -> RunRecord:
     return RunRecord(
         scenario=Scenario(ROAD, seed=7),
-        observations=frames,
+        observations=[made_observation(step, **of_vehicle) for step in range(2)],
         commands=[Command(-0.5, 0.25)],
         outcome=Outcome.COMPLETED,
         message="é",

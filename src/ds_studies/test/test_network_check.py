@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import onnx
 import pytest
 import yaml
+from made_networks import write_graph
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
@@ -34,13 +35,12 @@ def one_by_one(work: Callable[[Any], Any], jobs: Sequence[Any], *, abandon: bool
     return map(work, jobs)
 
 
-def recorded(roads: int) -> list[AutopilotDrives]:
+def recorded(roads: int, **asked: Any) -> list[AutopilotDrives]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording, "ROADS", roads)
-        patch.setattr(recording, "LONGEST", 160)
-        patch.setattr(recording, "EVERY", 4)
-        patch.setattr(recording, "map_in_processes", one_by_one)
-        return record([SOFTBODY, DONKEY], 1, SILENT)
+        patches = {"ROADS": roads, "LONGEST": 160, "EVERY": 4, "map_in_processes": one_by_one}
+        for name, value in patches.items():
+            patch.setattr(recording, name, value)
+        return record([SOFTBODY, DONKEY], 1, SILENT, **asked)
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +67,10 @@ def fitted(drives: list[AutopilotDrives], steering: NDArray[np.float64]) -> tupl
     dual = np.linalg.solve(centred @ centred.T + 0.1 * np.eye(len(centred)), steering - steering.mean())
     weights = centred.T @ dual
     return weights.reshape(3, ROWS, COLUMNS), float(steering.mean() - pixels.mean(axis=0) @ weights)
+
+
+def tensors(constants: Mapping[str, NDArray[np.float64]]) -> list[onnx.TensorProto]:
+    return [numpy_helper.from_array(value.astype(np.float32), name) for name, value in constants.items()]
 
 
 Made = Callable[..., Path]
@@ -103,23 +107,14 @@ def made(tmp_path: Path, drives: list[AutopilotDrives]) -> Made:
                 helper.make_node("Mul", ["dd", "sharp"], ["scores"]),
                 helper.make_node("Softmax", ["scores"], ["angle"]),
             ]
-        outputs = [helper.make_tensor_value_info("angle", TensorProto.FLOAT, [1, bins or 1])]
+        outputs, parts = {"angle": [1, bins or 1]}, {}
         if throttle is not None:
             constants |= {"zero": np.zeros((1, 1)), "power": np.array([[throttle]])}
             nodes += [helper.make_node("Mul", ["angle", "zero"], ["z"]), helper.make_node("Add", ["z", "power"], ["t"])]
-            outputs.append(helper.make_tensor_value_info("t", TensorProto.FLOAT, [1, 1]))
-            described["outputs"] = {"steering": {"output": "angle"}, "throttle": {"output": "t"}}
-        image = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, ROWS, COLUMNS])
-        held = [numpy_helper.from_array(value.astype(np.float32), name) for name, value in constants.items()]
-        graph = helper.make_graph(nodes, "made", [image], outputs, held)
-        onnx.save(
-            helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), tmp_path / "n.onnx"
-        )
+            outputs["t"], parts = [1, 1], {"steering": {"output": "angle"}, "throttle": {"output": "t"}}
+        write_graph(tmp_path / "n.onnx", nodes, {"image": [1, 3, ROWS, COLUMNS]}, outputs, tensors(constants))
         path = tmp_path / "n.yaml"
-        outputs_described = described.pop("outputs", {})
-        path.write_text(
-            yaml.safe_dump({"file": "n.onnx", "input": {**INPUT, **described}, "outputs": outputs_described})
-        )
+        path.write_text(yaml.safe_dump({"file": "n.onnx", "input": {**INPUT, **described}, "outputs": parts}))
         return path
 
     return make
@@ -136,7 +131,6 @@ def kinds(path: Path, drives: list[AutopilotDrives]) -> list[str]:
 
 def test_a_rightly_described_network_passes(made: Made, drives: list[AutopilotDrives]) -> None:
     found = check(made(), drives)
-
     assert found.findings == [] and "is connected correctly" in found.verdict and found.correlation > 0.9
     assert [one.simulator for one in found.answers] == ["softbody", "donkey"]
     assert all(one.milliseconds > 0.0 and one.at_full_lock <= 0.1 for one in found.answers)
@@ -170,9 +164,7 @@ def test_names_a_planted_fault_and_the_line_that_repairs_it(
         drives = more_drives
         fault = {**fault, "of": drives, "steering": np.concatenate([one.steering for one in drives])}
     path = made(**fault)
-
     found = check(path, drives)
-
     assert [finding.kind for finding in found.findings] == expected
     described = yaml.safe_load(path.read_text())
     for finding in found.findings:  # as a user would: the line's keys replace those of the file
@@ -200,9 +192,7 @@ def test_a_network_that_answers_weakly_has_not_passed(
     noise = np.random.default_rng(5).normal(0.0, 1.0, len(wanted))
     noise -= np.polyval(np.polyfit(wanted, noise, 1), wanted)
     mixed = wanted + noise * wanted.std() / noise.std() * np.sqrt(1.0 / share**2 - 1.0)
-
     found = check(made(steering=mixed), drives)
-
     assert [one.kind for one in found.findings] == expected and found.correlation == pytest.approx(share, abs=0.06)
     weak = "is not connected, or was trained on another world: correlation 0.5"
     assert (weak if expected else "is connected correctly: correlation 0.9") in found.verdict
@@ -215,9 +205,10 @@ def test_writes_a_description_that_passes(made: Made, drives: list[AutopilotDriv
         forms_of(path.with_suffix(".onnx"))
     path.unlink()
     file = path.with_suffix(".onnx")
-
-    path.write_text(describe_network(file, form_of_file(file), drives, None))
-
+    forms = forms_of(file)
+    for form in forms:
+        assert (form.input.size, form.input.layout, form.input.type) == ((ROWS, COLUMNS), "nchw", "float32")
+    path.write_text(describe_network(file, forms, drives, None))
     written = yaml.safe_load(path.read_text())
     assert written["input"]["size"] == [ROWS, COLUMNS] and written["input"]["layout"] == "nchw"
     assert written["input"]["colour"] == "bgr" and written["input"]["crop"] == INPUT["crop"]
@@ -239,10 +230,8 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Autop
         return next((one for one in choices if "255" not in one and "divide" in one), best)
 
     path.write_text(describe_network(path.with_suffix(".onnx"), forms_of(path.with_suffix(".onnx")), drives, answer))
-
-    assert any("Scale of the pixels" in question for question in asked) and not any(
-        "Part of the image" in one for one in asked
-    )
+    questions = "\n".join(asked)
+    assert "Scale of the pixels" in questions and "Part of the image" not in questions
     written = yaml.safe_load(path.read_text())
     assert written["input"]["divide"] != 255 and "# as you answered" in path.read_text()
     assert kinds(path, drives) == []
@@ -268,14 +257,6 @@ def test_describes_a_network_with_a_state_and_a_constant_by_whole_drives(
     assert kinds(file.with_suffix(".yaml"), drives) == []
 
 
-def form_of_file(file: Path) -> list[Any]:
-    forms = forms_of(file)
-    assert [(form.input.size, form.input.layout, form.input.type) for form in forms] == [
-        ((ROWS, COLUMNS), "nchw", "float32")
-    ]
-    return forms
-
-
 class Counting(Pilot):
     """A network with memory that is of no use unless it sees every frame, and knows when a run begins."""
 
@@ -298,25 +279,22 @@ def test_a_network_with_memory_is_shown_whole_pieces_of_drives(monkeypatch: pyte
     assert len(steering[SOFTBODY]) == 2 * 30 and [one.step for one in found[0].frames[28:32]] == [48, 49, 20, 21]
 
 
-def donkey_pilot(folder: Path, weights: NDArray[np.float64], bias: float, names: tuple[str, str]) -> Path:
-    """Write a linear network of images (1, rows, columns, 3) with these names of input and output."""
+def donkey_pilot(folder: Path, weights: NDArray[np.float64], bias: float = 0.0) -> Path:
+    """Write a linear network of images (1, rows, columns, 3) with Donkey Car's names of input and output."""
     constants = {"w": weights.transpose(1, 2, 0).reshape(-1, 1), "b": np.array([[bias]])}
-    nodes = [helper.make_node("Flatten", names[:1], ["flat"]), helper.make_node("Gemm", ["flat", "w", "b"], names[1:])]
-    image = helper.make_tensor_value_info(names[0], TensorProto.FLOAT, [1, *weights.shape[1:], 3])
-    output = helper.make_tensor_value_info(names[1], TensorProto.FLOAT, [1, 1])
-    held = [numpy_helper.from_array(value.astype(np.float32), name) for name, value in constants.items()]
-    graph = helper.make_graph(nodes, "made", [image], [output], held)
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), folder / "p.onnx")
-    return folder / "p.onnx"
+    nodes = [
+        helper.make_node("Flatten", ["img_in"], ["flat"]),
+        helper.make_node("Gemm", ["flat", "w", "b"], ["n_outputs0"]),
+    ]
+    inputs = {"img_in": [1, *weights.shape[1:], 3]}
+    return write_graph(folder / "p.onnx", nodes, inputs, {"n_outputs0": [1, 1]}, tensors(constants))
 
 
 def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, drives: list[AutopilotDrives]) -> None:
     """A pilot that has never seen these roads, whose best description is due to chance."""
     random = np.random.default_rng(1).normal(0.0, 0.01, (3, ROWS, COLUMNS))
-    file = donkey_pilot(tmp_path, random, 0.0, ("img_in", "n_outputs0"))
-
+    file = donkey_pilot(tmp_path, random)
     file.with_suffix(".yaml").write_text(describe_network(file, forms_of(file), drives, None))
-
     written = yaml.safe_load(file.with_suffix(".yaml").read_text())["input"]
     assert (written["colour"], written["crop"], written["subtract"], written["divide"]) == ("rgb", "none", 0, 255)
     assert "undecided, so as in Donkey Car" in file.with_suffix(".yaml").read_text()
@@ -327,13 +305,13 @@ def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, dr
 
 def test_clear_evidence_goes_before_the_maker(tmp_path: Path, more_drives: list[AutopilotDrives]) -> None:
     weights, bias = fitted(more_drives, np.concatenate([one.steering for one in more_drives]))
-    file = donkey_pilot(tmp_path, weights[::-1], bias, ("img_in", "n_outputs0"))
+    file = donkey_pilot(tmp_path, weights[::-1], bias)
     written = yaml.safe_load(describe_network(file, forms_of(file), more_drives, None))["input"]
     assert (written["colour"], written["crop"]) == ("bgr", INPUT["crop"])
 
 
 def test_an_image_without_its_top_rows_is_cropped_as_in_donkey_car(tmp_path: Path) -> None:
-    file = donkey_pilot(tmp_path, np.zeros((3, 75, 160)), 0.0, ("img_in", "n_outputs0"))
+    file = donkey_pilot(tmp_path, np.zeros((3, 75, 160)))
     (form,) = forms_of(file)  # ROI_CROP_TOP = 45 of 120 rows, which are 60 of 160
     assert form.input.model_dump()["crop"] == {"top": 60, "bottom": 0}
 
@@ -343,19 +321,14 @@ def test_an_image_without_its_top_rows_is_cropped_as_in_donkey_car(tmp_path: Pat
     [(0.0, "it wants the left lane", "left"), (0.25, "it wants the middle of the road", "middle")],
 )
 def test_an_offset_that_another_lane_takes_away_is_a_lane(
-    made: Made, drives: list[AutopilotDrives], monkeypatch: pytest.MonkeyPatch, there: float, said: str, lane: str
+    made: Made, drives: list[AutopilotDrives], there: float, said: str, lane: str
 ) -> None:
     """A network that steers to the left by 0.25 in the right lane; in the left one not at all, or to the right."""
-    patches = {"ROADS": 1, "LONGEST": 160, "EVERY": 4, "map_in_processes": one_by_one}
-    for name, value in patches.items():
-        monkeypatch.setattr(recording, name, value)
-    left = record([SOFTBODY, DONKEY], 1, SILENT, lane="left")
+    left = recorded(1, lane="left")
     assert [one.steering.tolist() for one in left] != [one.steering.tolist() for one in drives]
     wanted = [np.concatenate([one.steering for one in part]) for part in (drives, left)]
     path = made(of=[*drives, *left], steering=np.concatenate([wanted[0] - 0.25, wanted[1] + there]))
-
     (finding,) = check(path, drives).findings
-
     assert finding.kind == "lane" and said in finding.text and f"--lane {lane}" in finding.text and not finding.line
 
 
@@ -364,13 +337,9 @@ def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[AutopilotDrives
     assert affordable(drives, 1e-6, 60.0, asked=10) == (drives, True)
     kept, search = affordable(drives, 0.5, 30.0, asked=10)
     assert not search and FEWEST <= sum(len(one.frames) for one in kept) <= 60 < every
-    spread = [
-        float(np.ptp(one.steering)) / float(np.ptp(all_.steering)) for one, all_ in zip(kept, drives, strict=True)
-    ]
-    assert min(spread) > 0.5
-    with pytest.raises(
-        TooSlowError, match=r"takes 8\.0 s for an image, and a verdict needs 24 of them: give --time 384"
-    ):
+    for few, whole in zip(kept, drives, strict=True):
+        assert np.ptp(few.steering) > 0.5 * np.ptp(whole.steering)
+    with pytest.raises(TooSlowError, match=r"takes 8\.0 s for an image, and .* needs 24 of them: give --time 384"):
         affordable(drives, 8.0, 100.0, asked=10)
 
 

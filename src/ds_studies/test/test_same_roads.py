@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from made_observations import made_observation
 
 from ds_base.folder_files import StoreError
 from ds_base.progress import LOGGER
@@ -23,16 +24,15 @@ from ds_orchestrator.engines import drive_tests, fingerprint
 from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_orchestrator.engines.start import ENGINES
 from ds_road import Road, generate
-from ds_sim import BULLET, DONKEY, SimulatorName
-from ds_sim.session import NO_IMAGE, RunRecord
-from ds_sim.simulator import Command, LaneState, Observation, Outcome, Reason, VehicleState
+from ds_sim import BULLET, DONKEY
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Command, Outcome, Reason
 from ds_studies.same_roads import drive_same_roads
 
 ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(4))
-OUTCOMES = dict(
-    zip(ROADS, (Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS, Outcome.SIM_ERROR, Outcome.COMPLETED), strict=True)
-)
-SETTINGS = DriveSettings(siblings=(BULLET, SimulatorName(DONKEY)), driver=AUTOPILOT, retries=0)
+ENDS = (Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS, Outcome.SIM_ERROR, Outcome.COMPLETED)
+OUTCOMES = dict(zip(ROADS, ENDS, strict=True))
+SETTINGS = DriveSettings(siblings=(BULLET, DONKEY), driver=AUTOPILOT, retries=0)
 
 
 class MadeUpEngine:
@@ -50,23 +50,19 @@ class MadeUpEngine:
         self.driven.append((request.simulator, request.road, request.seed))
         run = request.ended(OUTCOMES[request.road], "")
         for step, (x, y) in enumerate(request.road.lane_centre[:40].tolist()):
-            vehicle = VehicleState(x=x, y=y, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
-            lane = LaneState(lateral_position=0.25, lateral_distance=1.75, preview_lateral_position=0.0, arc_length=0.0)
-            run.observations.append(
-                Observation(
-                    image=NO_IMAGE, step=step, time=step * 0.05, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING
-                )
-            )
-            run.commands.append(Command(0.0, 0.0))
-        run.commands.pop()
+            run.observations.append(made_observation(step, x=x, y=y))
+        run.commands.extend([Command(0.0, 0.0)] * 39)
         return run
 
     def stop(self) -> None:
         """Nothing runs."""
 
 
+Use = Callable[[MadeUpEngine], MadeUpEngine]
+
+
 @pytest.fixture
-def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[MadeUpEngine], MadeUpEngine]:
+def use(monkeypatch: pytest.MonkeyPatch) -> Use:
     """Makes an engine the one that is started next."""
 
     def used(engine: MadeUpEngine) -> MadeUpEngine:
@@ -77,10 +73,7 @@ def use(monkeypatch: pytest.MonkeyPatch) -> Callable[[MadeUpEngine], MadeUpEngin
 
 
 def test_a_stopped_comparison_drives_only_what_is_missing(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    use: Callable[[MadeUpEngine], MadeUpEngine],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, use: Use
 ) -> None:
     callbacks = Callbacks()
     caplog.set_level(logging.INFO, LOGGER)
@@ -109,7 +102,7 @@ def test_a_stopped_comparison_drives_only_what_is_missing(
 
 
 def test_drives_of_another_driver_or_of_other_weights_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Use
 ) -> None:
     use(MadeUpEngine())
     network = replace(SETTINGS, driver=DriverName("dave2_short"))
@@ -121,9 +114,7 @@ def test_drives_of_another_driver_or_of_other_weights_are_refused(
         drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Callbacks())
 
 
-def test_without_a_folder_nothing_is_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Callable[[MadeUpEngine], MadeUpEngine]
-) -> None:
+def test_without_a_folder_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Use) -> None:
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         engine = use(MadeUpEngine())
@@ -141,9 +132,7 @@ class RefusingEngine(MadeUpEngine):
         return super().drive(request, watch)
 
 
-def test_roads_stay_in_line_where_a_simulator_cannot_realise_one(
-    tmp_path: Path, use: Callable[[MadeUpEngine], MadeUpEngine]
-) -> None:
+def test_roads_stay_in_line_where_a_simulator_cannot_realise_one(tmp_path: Path, use: Use) -> None:
     use(RefusingEngine())
     found = drive_same_roads(SETTINGS, ROADS[:2], 7, tmp_path / "drives", Callbacks())
     assert [run.road for run in found[DONKEY]] == list(ROADS[:2])

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_observations import made_observation
 
 from ds_analysis.sensitivity import (
     LEVELS,
@@ -32,8 +33,8 @@ from ds_orchestrator.engines.start import ENGINES
 from ds_report.sensitivity_page import draw_sensitivity
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
 from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName
-from ds_sim.session import NO_IMAGE, RunRecord
-from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
+from ds_sim.session import RunRecord
+from ds_sim.simulator import Outcome
 from ds_studies import sensitivity
 from ds_studies.sensitivity import (
     GATE,
@@ -75,10 +76,7 @@ def test_bisection_finds_every_threshold(highest: int) -> None:
     driven: list[int] = []
     first_failure(step(7, driven), 16)
     assert len(driven) == 5 and driven[0] == 16
-    driven.clear()
-    first_failure(step(7, driven), 16, result(6, 7))
-    assert driven == [7, 6]
-    for near, steps in ((8, [8, 7, 6]), (6, [6, 7]), (9, [9, 8, 7, 5, 6]), (5, [5, 6, 8, 7])):
+    for near, steps in ((7, [7, 6]), (8, [8, 7, 6]), (6, [6, 7]), (9, [9, 8, 7, 5, 6]), (5, [5, 6, 8, 7])):
         driven.clear()
         first_failure(step(7, driven), 16, result(near - 1, near))
         assert driven == steps  # they double
@@ -156,7 +154,7 @@ def test_never_always_and_infeasible_are_told_apart() -> None:
     below = threshold_of(BULLET, LAG, measure(LAG, 3, made_up([0.3] * 3, gate=0.5)))
     assert (below.verdict, below.fails, below.excluded) == ("fails", 5, None)
     # One road fails, one cannot be judged where it would, one passes: the median is not known to pass.
-    mixed = [RoadResult(completes=3, fails=4), RoadResult(completes=5, excluded=6), RoadResult(completes=LEVELS)]
+    mixed = [result(3, 4), RoadResult(completes=5, excluded=6), result(LEVELS)]
     assert threshold_of(BULLET, LAG, mixed).text == "infeasible from 0.375"
     assert threshold_of(BULLET, LAG, (), "sim_error: diverged").verdict == "error"
 
@@ -226,10 +224,7 @@ class MadeUpEngine:
             return request.ended(Outcome.SIM_ERROR, "")
         if not request.probed and (self._fails_by_default or lag > 0.3):
             outcome = Outcome.OUT_OF_BOUNDS
-        vehicle = VehicleState(x=0.0, y=0.0, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0)
-        lane = LaneState(lateral_position=0.0, lateral_distance=2.0, preview_lateral_position=0.0, arc_length=0.0)
-        seen = Observation(image=NO_IMAGE, step=0, time=0.0, vehicle=vehicle, lane=lane, outcome=Outcome.RUNNING)
-        return replace(request.ended(outcome, ""), visible_contrasts=[1.0], observations=[seen])
+        return replace(request.ended(outcome, ""), visible_contrasts=[1.0], observations=[made_observation()])
 
     def stop(self) -> None:
         """Nothing runs."""
@@ -252,21 +247,12 @@ def test_an_analysis_goes_on_where_it_stopped(
     monkeypatch.setattr(sensitivity, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
     factors = factors_named(["line_contrast", "steering_lag"])
 
+    settings = DriveSettings(siblings=(BULLET, SOFTBODY, PANDA), driver=DriverName("dave2"), retries=0)
+
     def once() -> tuple[Sensitivity, MadeUpEngine]:
         engine = MadeUpEngine()
         engines.append(engine)
-        found = sensitivity.analyse_sensitivity(
-            DriveSettings(
-                siblings=(BULLET, SimulatorName(SOFTBODY), SimulatorName(PANDA)),
-                driver=DriverName.parse("dave2"),
-                retries=0,
-            ),
-            factors,
-            roads=3,
-            seed=1,
-            folder=tmp_path,
-        )
-        return found, engine
+        return sensitivity.analyse_sensitivity(settings, factors, roads=3, seed=1, folder=tmp_path), engine
 
     found, _ = once()
     assert found.thresholds[1, "bullet"].document()["first_fails"] == 0.3125
@@ -284,9 +270,8 @@ def test_an_analysis_goes_on_where_it_stopped(
 
 def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
     engines.append(MadeUpEngine(fails_by_default=True))
-    found = sensitivity.analyse_sensitivity(
-        DriveSettings(siblings=(BULLET,), driver=DriverName("dave2")), [LAG], roads=1, seed=1
-    )
+    settings = DriveSettings(siblings=(BULLET,), driver=DriverName("dave2"))
+    found = sensitivity.analyse_sensitivity(settings, [LAG], roads=1, seed=1)
     assert found.thresholds[0, "bullet"].text == "fails by default"
     assert "completes 0 of 1 roads without any condition" in found.table().notes[1]
 
@@ -296,14 +281,13 @@ def test_thresholds_of_translated_images_say_what_they_are_not(
     driver: str, translated: bool, engines: list[MadeUpEngine]
 ) -> None:
     engines.append(MadeUpEngine())
-    found = sensitivity.analyse_sensitivity(
-        DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver)), [LAG], roads=1, seed=1
-    )
+    settings = DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver))
+    found = sensitivity.analyse_sensitivity(settings, [LAG], roads=1, seed=1)
     assert found.document()["translated_images"] == translated
     assert any("sees translated images" in note for note in found.table().notes) == translated
 
 
 def test_results_name_values_that_json_can_hold() -> None:
     factor = Factor(name="visibility", start=math.inf, end=20.0)
-    document = threshold_of(BULLET, factor, [RoadResult(completes=0, fails=1)]).document()
+    document = threshold_of(BULLET, factor, [result(0, 1)]).document()
     assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0

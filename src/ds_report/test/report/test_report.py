@@ -6,15 +6,28 @@ from __future__ import annotations
 import base64
 import json
 import re
+from collections import Counter
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
-from report_campaigns import EVIL, make_campaign, make_execution, make_tests, report_of, results, road, set_conditions
+from report_campaigns import (
+    EVIL,
+    NOWHERE,
+    campaign_data,
+    make_campaign,
+    make_execution,
+    make_tests,
+    report_of,
+    results,
+    road,
+    set_conditions,
+)
 from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis.paper.campaign_contents import maps_of
@@ -67,22 +80,25 @@ class Page(HTMLParser):
         return found
 
 
+ReadPage = tuple[Page, str, Store]
+
+
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> tuple[Page, str, Store, CampaignConfig]:
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> ReadPage:
     folder = tmp_path_factory.mktemp("campaign")
     config = CampaignConfig(siblings=[DONKEY, EVIL], twin=SimulatorName("nowhere:Twin"), seed=77)
     store = make_campaign(folder, config, 6)
     store.add_error("donkey-0-0001", EVIL, 0, Outcome.SIM_ERROR, "<img src=x> broke & stopped")
     html = report_of(folder, store).read_text(encoding="utf-8")
-    return Page(html), html, store, config
+    return Page(html), html, store
 
 
-def test_every_map_is_inside(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
-    page, _, store, _ = campaign
-    maps, _ = results(read_campaign(store))
+def test_every_map_is_inside(campaign: ReadPage) -> None:
+    page, _, store = campaign
+    maps = maps_of(read_campaign(store))
     assert page.data["maps"].keys() == {map_id.name for map_id in maps}
     for map_id, feature_map in maps.items():
-        cells = {(cell[0], cell[1]): cell[2:] for cell in page.data["maps"][map_id.name]["cells"]}
+        cells: dict[Cell, Any] = {(cell[0], cell[1]): cell[2:] for cell in page.data["maps"][map_id.name]["cells"]}
         assert cells.keys() == feature_map.cells.keys()
         for cell, value in feature_map.cells.items():
             tests, failures, probability, interval, quality = cells[cell]
@@ -91,7 +107,7 @@ def test_every_map_is_inside(campaign: tuple[Page, str, Store, CampaignConfig]) 
             assert [probability, *interval, quality] == pytest.approx(expected, abs=1e-4)
 
 
-def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+def test_nothing_is_fetched(campaign: ReadPage) -> None:
     page, html, *_ = campaign
     # Plotly's code names sites for geographic maps; the policy below forbids fetching from them.
     own = html.replace(page.texts["script"][1], "")
@@ -105,7 +121,7 @@ def test_nothing_is_fetched(campaign: tuple[Page, str, Store, CampaignConfig]) -
     assert policies == ["default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"]
 
 
-def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> None:
+def test_text_is_escaped(campaign: ReadPage) -> None:
     page, html, *_ = campaign
     assert "</script><script>alert" not in html and "<img src=x>" not in html and "1.2.3<b>" not in html
     # Escaped in HTML text, and restored for the script that reads the data.
@@ -116,27 +132,21 @@ def test_text_is_escaped(campaign: tuple[Page, str, Store, CampaignConfig]) -> N
 
 
 def test_errors_and_what_is_left_over_are_listed(tmp_path: Path) -> None:
-    config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=SimulatorName("nowhere3:C")
-    )
-    store = make_campaign(tmp_path, config, 2)
-    lost = Test("A-0-0009", Scenario(road(1), seed=1), Origin(SimulatorName("nowhere:A"), 0, 9))
+    store = make_campaign(tmp_path, NOWHERE, 2)
+    lost = Test("A-0-0009", Scenario(road(1), seed=1), Origin(NOWHERE.siblings[0], 0, 9))
     store.add_test(lost)
-    store.add_error(lost.test_id, "nowhere:A", 0, Outcome.SIM_ERROR, "the wheels came off")
+    store.add_error(lost.test_id, "a:One", 0, Outcome.SIM_ERROR, "the wheels came off")
     store.give_up(lost.test_id)
     page = Page(report_of(tmp_path, store).read_text())
     cells = page.texts["td"]
-    assert "the wheels came off" in cells and "nowhere:A, nowhere2:B, nowhere3:C" in cells
-    assert "every attempt ended in an error on nowhere:A; the search continued without it" in cells
+    assert "the wheels came off" in cells and "a:One, b:Two, c:Three" in cells
+    assert "every attempt ended in an error on a:One; the search continued without it" in cells
     assert any(text.startswith("1 attempt ended in an error.") for text in page.texts["p"])
     assert any(text.startswith("1 test. A test without an outcome enters no map") for text in page.texts["p"])
 
 
 def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
-    config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere2:B")], twin=SimulatorName("nowhere3:C")
-    )
-    store = make_campaign(tmp_path, config, 4)
+    data = campaign_data(tmp_path, NOWHERE, 4)
     rq2 = Table(
         name="rq2",
         title="RQ2 & more",
@@ -148,9 +158,8 @@ def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
         name="rq1_densities",
         title="RQ1: densities",
         rows=[[0.0, 0.04, 25.0], [0.04, 0.08, 0.0]],
-        columns=[Column("error from", "number"), Column("to", "number"), Column("nowhere:A", "number")],
+        columns=[Column("error from", "number"), Column("to", "number"), Column("a:One", "number")],
     )
-    data = read_campaign(store)
     maps, correlations = results(data)
     path = write_report(tmp_path, data, maps, correlations, tables=[densities, rq2], network=("dave2", "sim"))
     page = Page(path.read_text())
@@ -167,12 +176,8 @@ def test_tables_of_the_evaluation_stand_in_the_page(tmp_path: Path) -> None:
 
 def test_a_thousand_tests_stay_small() -> None:
     config = CampaignConfig()
-    made = make_tests(config, 500, roads=40)
-    campaign = CampaignData(
-        config=config,
-        tests=tuple(test for test, _ in made),
-        executions=tuple(execution for _, driven in made for execution in driven),
-    )
+    tests, driven = zip(*make_tests(config, 500, roads=40), strict=True)
+    campaign = CampaignData(config=config, tests=tests, executions=tuple(chain.from_iterable(driven)))
     page = page_data(campaign, maps_of(campaign))
     assert len(page["tests"]) == 1000
     # Plotly takes 5 MB and pictures 2, so that 5,000 tests stay below 20 MB.
@@ -204,11 +209,7 @@ def driven(config: CampaignConfig) -> CampaignData:
 def said(siblings: list[SimulatorName], merged: tuple[float, ...], twin: tuple[float, ...], times: int = TIMES) -> str:
     """Write the details of the findings for such maps."""
     config = CampaignConfig(siblings=siblings)
-    values = {
-        **{MapId.union(SimulatorName(name)): UNIONS[name] for name in siblings},
-        MapId.merged(): merged,
-        MapId.twin(DONKEY): twin,
-    }
+    values = {MapId.union(name): UNIONS[name] for name in siblings} | {MapId.merged(): merged, MapId.twin(DONKEY): twin}
     maps = {map_id: hand_made(map_id, of, times) for map_id, of in values.items()}
     correlations, added = evaluate(maps, siblings, DONKEY), paired_differences(maps, siblings, DONKEY, resamples=50)
     found = summarise(driven(config), maps, correlations, paired_differences=added)
@@ -368,22 +369,14 @@ def test_the_headline_of_campaigns_without_a_contrast(roads: list[tuple[float, i
 
 def test_a_road_fails_where_the_twin_fails_or_else_where_every_sibling_does() -> None:
     tests = [shaped(0.1, 2, 0), shaped(0.2, 2, 1)]
-    offsets = {
-        ("t0", "A"): 2.5,
-        ("t0", "B"): 0.5,
-        ("t0", "T"): 2.5,
-        ("t1", "A"): 2.5,
-        ("t1", "B"): 2.5,
-        ("t1", "T"): 0.5,
-    }
-    executions = tuple(make_execution(t, s, offsets[t.test_id, s]) for t in tests for s in "ABT")
-    data = CampaignData(
-        config=CampaignConfig(siblings=[SimulatorName("n:A"), SimulatorName("n:B")], twin=SimulatorName("n:T")),
-        tests=tuple(tests),
-        executions=tuple(replace(e, simulator=f"n:{e.simulator}") for e in executions),
-    )
-    assert road_outcomes(data).failed == (True, False) and road_outcomes(data).where == "the twin n:T"
-    alone = replace(data, config=CampaignConfig(siblings=[SimulatorName("n:A"), SimulatorName("n:B")], twin=None))
+    executions = [
+        make_execution(test, name, offset)
+        for test, offsets in zip(tests, ((2.5, 0.5, 2.5), (2.5, 2.5, 0.5)), strict=True)
+        for name, offset in zip(NOWHERE.simulators, offsets, strict=True)
+    ]
+    data = CampaignData(config=NOWHERE, tests=tuple(tests), executions=tuple(executions))
+    assert road_outcomes(data).failed == (True, False) and road_outcomes(data).where == "the twin c:Three"
+    alone = replace(data, config=NOWHERE.model_copy(update={"twin": None}))
     assert road_outcomes(alone).failed == (False, True) and road_outcomes(alone).where == "every sibling"
 
 
@@ -396,21 +389,13 @@ def test_limits_say_what_was_tested_and_what_was_not() -> None:
 
 
 def test_limits_name_the_conditions_that_were_tested() -> None:
-    data = driven(CampaignConfig())
-    tests = tuple(set_conditions(t, Conditions(visibility=50.0 + k)) for k, t in enumerate(data.tests))
-    foggy = replace(data, tests=tests)
-    found = summarise(foggy, results(data)[0], [])
-    assert (
-        "Conditions: in fog or haze with a visibility of 50 m (visibility). Traffic" in found.limits
-        and "shape of the road" not in found.limits
-    )
-    seeing = CampaignConfig(driver=DriverName("dave2_real"))
-    translated = summarise(replace(foggy, config=seeing), results(data)[0], [])
-    assert (
-        "Conditions: in fog or haze with a visibility of 50 m (visibility). The driver saw translated images"
-        in translated.limits
-    )
-    assert "translated" not in summarise(replace(data, config=seeing), results(data)[0], []).limits
+    data, fog = driven(CampaignConfig()), "Conditions: in fog or haze with a visibility of 50 m (visibility)."
+    foggy = replace(data, tests=(set_conditions(data.tests[0], Conditions(visibility=50.0)),))
+    maps, seeing = results(data)[0], CampaignConfig(driver=DriverName("dave2_real"))
+    limits = summarise(foggy, maps, []).limits
+    assert f"{fog} Traffic" in limits and "shape of the road" not in limits
+    assert f"{fog} The driver saw translated images" in summarise(replace(foggy, config=seeing), maps, []).limits
+    assert "translated" not in summarise(replace(data, config=seeing), maps, []).limits
 
 
 def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: Path) -> None:
@@ -432,8 +417,9 @@ def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: P
     images = [attributes for tag, attributes in page.elements if tag == "img"]
     shown, of_merged = (image for image in images if (image["alt"] or "").startswith("curvature by turns count: "))
     assert "Siblings merged" in (of_merged["alt"] or "")
-    maps = _maps_over_turns(tmp_path)
-    union, merged = maps["union"], maps["merged"]
+    maps = json.loads((tmp_path / "maps/turns_count_by_curvature/maps.json").read_text())
+    (union,) = (content for name, content in maps.items() if name.startswith("union_"))
+    merged = maps["merged"]
     failing = sum(cell["failures"] > 0 for cell in union["cells"])
     assert 0 < failing < len(union["cells"]) and len(merged["cells"]) == len(union["cells"])
     assert f"All tests on nowhere:A: failures in {failing} of {len(union['cells'])} cells" in (shown["alt"] or "")
@@ -442,28 +428,17 @@ def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: P
     assert picture is not None and drawn is not None and np.array_equal(picture, drawn)
 
 
-def _maps_over_turns(folder: Path) -> dict[str, Any]:
-    """Kind -> map over the paper's axes, as written for other programs."""
-    maps = json.loads((folder / "maps/turns_count_by_curvature/maps.json").read_text())
-    return {name.partition("_")[0]: content for name, content in maps.items()}
-
-
 def test_the_page_of_a_large_campaign_shows_its_worst_tests_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("ds_report.build.SHOWN_TESTS", 3)
-    config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")], twin=None, driver=AUTOPILOT
-    )
-    store = make_campaign(tmp_path, config, 5)
-    worst: dict[str, int] = {}
-    for execution in store.executions():
-        worst[execution.test_id] = worst.get(execution.test_id, 0) - execution.outcome.is_failure
+    store = make_campaign(tmp_path, NOWHERE.model_copy(update={"twin": None, "driver": AUTOPILOT}), 5)
+    failures = Counter({test.test_id: 0 for test in store.tests()})
+    failures.update(one.test_id for one in store.executions() if one.outcome.is_failure)
     page = Page(report_of(tmp_path, store).read_text(encoding="utf-8"))
     shown = [test[0] for test in page.data["tests"]]
-    assert len(shown) == 3 and max(worst[i] for i in shown) <= min(n for i, n in worst.items() if i not in shown)
-    maps, _ = results(read_campaign(store))
-    for map_id, feature_map in maps.items():
+    assert len(shown) == 3 and min(failures[i] for i in shown) >= max(n for i, n in failures.items() if i not in shown)
+    for map_id, feature_map in maps_of(read_campaign(store)).items():
         assert len(page.data["maps"][map_id.name]["cells"]) == len(feature_map.cells)
     assert any("Below are the 3 worst" in text for text in page.texts["p"])
     store.close()

@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pytest
-from report_campaigns import make_campaign, make_tests, report_of, set_conditions
+from report_campaigns import NOWHERE, make_campaign, make_tests, report_of, set_conditions
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import read_campaign
-from ds_orchestrator.maps.feature_map import FeatureMap, MapId, compared_ids
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids
+from ds_orchestrator.search.features import Cell
+from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.conditions.text import parse_conditions
@@ -69,6 +71,14 @@ class Opened:
         )
         return {(x, y): values[j][i] for j, y in enumerate(rows) for i, x in enumerate(columns)}
 
+    def show(self, test: Test) -> None:
+        """Go to the cell of a test, and choose the test there."""
+        place = f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
+        self.page.evaluate("place => { location.hash = place; }", place)
+        self.page.click(f'[data-test="{test.test_id}"]')
+        shown = "id => document.querySelector('.test h4').textContent === `Test ${id}`"
+        self.page.wait_for_function(shown, arg=test.test_id)
+
     def tests(self) -> list[str]:
         """Tests of the chosen cell, as listed."""
         found: list[str] = self.page.eval_on_selector_all("[data-test]", "all => all.map(b => b.dataset.test)")
@@ -88,6 +98,10 @@ class Campaign:
         self.store: Store = make_campaign(folder, config, per_sibling, bags=True)
         self.maps: dict[MapId, FeatureMap] = maps_of(read_campaign(self.store))
         self.path = report_of(folder, self.store)
+
+    @property
+    def fullest_on_bullet(self) -> tuple[Cell, MapCell]:
+        return max(self.maps[MapId.union(BULLET)].cells.items(), key=lambda item: (item[1].tests, item[0]))
 
 
 @pytest.fixture(scope="module")
@@ -130,13 +144,9 @@ def test_on_a_phone_nothing_collides_or_is_cut_off_and_a_tap_is_read_out(browser
     page = report.page
     assert report.width_missing() <= 0
     assert page.evaluate(OVERLAPS) == []
-    assert (
-        page.eval_on_selector_all(
-            ".stack", "all => all.filter(t => t.scrollWidth > t.parentElement.clientWidth).map(t => t.id)"
-        )
-        == []
-    )
-    cell, content = max(campaign.maps[MapId.union(BULLET)].cells.items(), key=lambda item: (item[1].tests, item[0]))
+    too_wide = "all => all.filter(t => t.scrollWidth > t.parentElement.clientWidth).map(t => t.id)"
+    assert page.eval_on_selector_all(".stack", too_wide) == []
+    cell, content = campaign.fullest_on_bullet
     page.mouse.click(*report.place("union_bullet", cell))
     page.wait_for_function("place => location.hash === place", arg="#cell=" + "-".join(map(str, cell)))
     readout = page.locator("figure.map", has=page.locator('[data-map="union_bullet"]')).locator(".readout")
@@ -185,12 +195,7 @@ def test_printed_charts_and_tables_shrink_with_the_page(browser: Browser, campai
 
 def test_commands_drive_a_test_again(opened: Opened, campaign: Campaign) -> None:
     test = campaign.store.tests()[0]
-    place = f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
-    opened.page.evaluate("place => { location.hash = place; }", place)
-    opened.page.click(f'[data-test="{test.test_id}"]')
-    opened.page.wait_for_function(
-        "id => document.querySelector('.test h4').textContent === `Test ${id}`", arg=test.test_id
-    )
+    opened.show(test)
     lines = opened.page.locator("#cell .command pre").all_inner_texts()
     bags = [f"{test.test_id}-on-{label_of(name)}" for name in campaign.config.simulators]
     assert lines == [
@@ -228,7 +233,7 @@ def test_maps_draw_their_values_and_nothing_where_nothing_is_known(opened: Opene
 
 def test_hovering_over_a_cell_shows_it_in_every_map(opened: Opened, campaign: Campaign) -> None:
     name = "union_bullet"
-    cell, content = max(campaign.maps[MapId.union(BULLET)].cells.items(), key=lambda item: (item[1].tests, item[0]))
+    cell, content = campaign.fullest_on_bullet
     empty = next(place for place, value in opened.shown(name).items() if value is None)
     for where, told in ((cell, f"{content.failures} of {content.tests} test"), (empty, "no test")):
         opened.page.mouse.move(5, 5)
@@ -250,9 +255,8 @@ def test_a_click_opens_the_tests_with_their_roads_and_drives(opened: Opened, cam
     merged = campaign.maps[MapId.merged()].cells
     for cell in sorted(merged):
         opened.page.mouse.click(*opened.place("merged", cell))
-        wanted = {
-            t.test_id for t in campaign.store.tests() if (t.road.turns_count, int(100 * t.road.curvature)) == cell
-        }
+        roads = {test.test_id: test.road for test in campaign.store.tests()}
+        wanted = [name for name, road in roads.items() if (road.turns_count, int(100 * road.curvature)) == cell]
         opened.page.wait_for_function(
             "wanted => wanted.join() === [...document.querySelectorAll('[data-test]')]"
             ".map(button => button.dataset.test).sort().join()",
@@ -291,11 +295,7 @@ def test_a_failed_test_is_replayed_by_keys_and_pointer(opened: Opened, campaign:
         for e in campaign.store.executions()
         if e.test_id == test.test_id and e.simulator == "bullet" and e.outcome.is_failure
     )
-    page.evaluate(
-        "place => { location.hash = place; }", f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
-    )
-    page.click(f'[data-test="{test.test_id}"]')
-    page.wait_for_function("id => document.querySelector('.test h4').textContent === `Test ${id}`", arg=test.test_id)
+    opened.show(test)
     slider, view = page.locator("#cell .replay input"), page.locator("#cell .replay .view").first
     # It opens where the first drive of all has failed.
     driven = [e for e in campaign.store.executions() if e.test_id == test.test_id and e.outcome.is_failure]
@@ -383,25 +383,18 @@ def test_three_features_are_shown_slice_by_slice(browser: Browser, tmp_path: Pat
 
 
 def test_tests_are_filtered_by_their_conditions(browser: Browser, tmp_path: Path) -> None:
-    config = CampaignConfig(
-        siblings=[SimulatorName("nowhere:A"), SimulatorName("nowhere:B")],
-        twin=None,
-        conditions=parse_conditions("visibility=60"),
-    )
+    config = NOWHERE.model_copy(update={"twin": None, "conditions": parse_conditions("visibility=60")})
     store = Store(tmp_path / "campaign.sqlite", config=config.identity())
     kinds = (Conditions(visibility=40.0), Conditions(visibility=200.123, friction=0.5))
     for number, (test, driven) in enumerate(make_tests(config, 4, roads=1)):
         store.add_test(set_conditions(test, kinds[number % 2]))
         store.add_execution(driven[0])
         gate = Gate(state=GateState.INFEASIBLE, message="the autopilot ends stuck", outcome=Outcome.STUCK)
-        store.add_gate(test.test_id, SimulatorName("nowhere:B"), gate)
+        store.add_gate(test.test_id, SimulatorName("b:Two"), gate)
     opened, tests = Opened(browser, report_of(tmp_path, store)), store.tests()
-    assert opened.page.locator("#excluded li").all_inner_texts() == [
-        "nowhere:B: 8 of 8 gated tests enter no map: 8 infeasible"
-    ]
-    road = tests[0].road
-    opened.page.evaluate("place => { location.hash = place; }", f"#cell={road.turns_count}-{int(100 * road.curvature)}")
-    opened.page.wait_for_selector(f'[data-test="{tests[0].test_id}"]')
+    excluded = opened.page.locator("#excluded li").all_inner_texts()
+    assert excluded == ["b:Two: 8 of 8 gated tests enter no map: 8 infeasible"]
+    opened.show(tests[0])
     assert sorted(opened.tests()) == [test.test_id for test in tests]
     words = opened.page.locator("article.test").inner_text()
     assert any(said in words for said in ("Conditions visibility = 40.", "visibility = 200,"))  # of three digits

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Networks with several inputs, stacks of frames and states, against PyTorch itself."""
+"""Described networks: several inputs, stacks of frames, states, angles, paths, by PyTorch and closed forms."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -14,14 +16,17 @@ import yaml
 from torch import nn
 
 from ds_driver.closed_loop.simulation import drive_road, make_driver
+from ds_driver.control.bicycle import Geometry, pursuit_curvature
 from ds_driver.networks.described_network import DescribedNetworkPilot
-from ds_driver.networks.description import OutputSpec
+from ds_driver.networks.description import OutputSpec, PathSpec
 from ds_driver.networks.pilot import DriverError, Frame
 from ds_road import generate
-from ds_sim.registry import make_simulator
+from ds_sim.registry import STANDARD, make_simulator, spec_of
 from ds_sim.run_codec import encode_run
 
-pytestmark = pytest.mark.filterwarnings("ignore:.torch.jit:DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:.torch.jit:DeprecationWarning", "ignore:.*legacy TorchScript:DeprecationWarning"
+)
 
 SIZE = (40, 80)
 FRAMES = [
@@ -89,10 +94,10 @@ def network(kind: Callable[[], nn.Module]) -> nn.Module:
 
 
 def written(
-    folder: Path, made: nn.Module, shapes: list[tuple[int, ...]], taken: list[str], given: list[str], **described: Any
+    folder: Path, made: nn.Module, taken: dict[str, tuple[int, ...]], answered: list[str], **described: Any
 ) -> Path:
-    zeros = tuple(torch.zeros(shape) for shape in shapes)
-    torch.onnx.export(made, zeros, str(folder / "net.onnx"), input_names=taken, output_names=given, dynamo=False)
+    zeros, names = tuple(torch.zeros(shape) for shape in taken.values()), list(taken)
+    torch.onnx.export(made, zeros, str(folder / "net.onnx"), input_names=names, output_names=answered, dynamo=False)
     image = {"size": list(SIZE), "divide": 255.0, **described.pop("input", {})}
     path = folder / "net.yaml"
     path.write_text(yaml.safe_dump({"file": "net.onnx", "input": image, **described}))
@@ -100,8 +105,6 @@ def written(
 
 
 def seen(frame: Frame) -> torch.Tensor:
-    import cv2
-
     small = cv2.resize(frame.image, SIZE[::-1], interpolation=cv2.INTER_LINEAR)
     return torch.from_numpy(small.transpose(2, 0, 1)[None].astype(np.float32) / np.float32(255.0))
 
@@ -112,15 +115,19 @@ def answers(pilot: DescribedNetworkPilot) -> list[float]:
 
 
 RECURRENT = {"inputs": {"h": {"state": "h_out"}, "c": {"state": "c_out", "start": 0.5}}}
-SHAPES = [(1, 3, *SIZE), (1, 8), (1, 8)]
+SHAPES = {"image": (1, 3, *SIZE), "h": (1, 8), "c": (1, 8)}
+
+
+def recurrent(folder: Path, **described: Any) -> tuple[nn.Module, Path]:
+    made = network(Recurrent)
+    return made, written(folder, made, SHAPES, ["steering", "h_out", "c_out"], **described)
 
 
 @pytest.mark.parametrize("backend", ["onnx", "openvino"])
 def test_a_state_comes_back_in_the_next_frame_and_begins_afresh_with_a_run(tmp_path: Path, backend: str) -> None:
     if backend == "openvino":
         pytest.importorskip("openvino")
-    made = network(Recurrent)
-    path = written(tmp_path, made, SHAPES, ["image", "h", "c"], ["steering", "h_out", "c_out"], **RECURRENT)
+    made, path = recurrent(tmp_path, **RECURRENT)
     h, c, expected = torch.zeros(1, 8), torch.full((1, 8), 0.5), []
     with torch.inference_mode():
         for frame in FRAMES:
@@ -133,23 +140,20 @@ def test_a_state_comes_back_in_the_next_frame_and_begins_afresh_with_a_run(tmp_p
 
 
 def test_a_traced_network_has_inputs_by_position(tmp_path: Path) -> None:
-    made = network(Recurrent)
-    torch.jit.trace(made, tuple(torch.zeros(shape) for shape in SHAPES)).save(tmp_path / "net.pt")
-    written(tmp_path, made, SHAPES, ["image", "h", "c"], ["steering", "h_out", "c_out"], **RECURRENT)
-    path = tmp_path / "traced.yaml"
+    made, path = recurrent(tmp_path, **RECURRENT)
+    named = DescribedNetworkPilot(path)
+    torch.jit.trace(made, tuple(torch.zeros(shape) for shape in SHAPES.values())).save(tmp_path / "net.pt")
     states = {1: {"state": 1, "shape": [1, 8]}, 2: {"state": 2, "shape": [1, 8], "start": 0.5}}
-    path.write_text(
-        yaml.safe_dump({"file": "net.pt", "input": {"size": list(SIZE), "divide": 255.0}, "inputs": states})
-    )
-    traced, named = DescribedNetworkPilot(path), DescribedNetworkPilot(tmp_path / "net.yaml")
-    assert answers(traced) == pytest.approx(answers(named), abs=1e-5)
+    described = {**yaml.safe_load(path.read_text()), "file": "net.pt", "inputs": states}
+    path.write_text(yaml.safe_dump(described))
+    assert answers(DescribedNetworkPilot(path)) == pytest.approx(answers(named), abs=1e-5)
 
 
 @pytest.mark.parametrize("order", ["oldest_first", "newest_first"])
 def test_a_stack_holds_frames_a_stride_apart_and_begins_with_the_first(tmp_path: Path, order: str) -> None:
     made = network(Stacked)
     stack = {"frames": 3, "stride": 2, "order": order}
-    path = written(tmp_path, made, [(1, 9, *SIZE)], ["image"], ["steering"], input=stack)
+    path = written(tmp_path, made, {"image": (1, 9, *SIZE)}, ["steering"], input=stack)
     expected = []
     for step in range(len(FRAMES)):
         back = [FRAMES[max(step - k, 0)] for k in (4, 2, 0)]
@@ -162,7 +166,7 @@ def test_a_stack_holds_frames_a_stride_apart_and_begins_with_the_first(tmp_path:
 def test_time_is_an_axis_of_its_own(tmp_path: Path) -> None:
     made = network(Sequence3d)
     described = {"frames": 4, "stacked": "time", "layout": "nhwc"}
-    path = written(tmp_path, made, [(1, 4, *SIZE, 3)], ["image"], ["steering"], input=described)
+    path = written(tmp_path, made, {"image": (1, 4, *SIZE, 3)}, ["steering"], input=described)
     expected = []
     for step in range(len(FRAMES)):
         back = [seen(FRAMES[max(step - k, 0)]).permute(0, 2, 3, 1) for k in (3, 2, 1, 0)]
@@ -175,15 +179,8 @@ def test_commands_and_speed_are_given(tmp_path: Path) -> None:
     made = network(Remembering)
     given = {"mem": {"value": "commands", "last": 3}, "speed": {"value": "speed", "scale": 0.1}}
     outputs = {"steering": {"output": "angle"}, "throttle": {"output": "gas"}}
-    path = written(
-        tmp_path,
-        made,
-        [(1, 3, *SIZE), (1, 6), (1, 1)],
-        ["image", "mem", "speed"],
-        ["angle", "gas"],
-        inputs=given,
-        outputs=outputs,
-    )
+    shapes = {"image": (1, 3, *SIZE), "mem": (1, 6), "speed": (1, 1)}
+    path = written(tmp_path, made, shapes, ["angle", "gas"], inputs=given, outputs=outputs)
     memory, expected = torch.zeros(1, 6), []
     with torch.inference_mode():
         for frame in FRAMES:
@@ -194,13 +191,10 @@ def test_commands_and_speed_are_given(tmp_path: Path) -> None:
 
 
 def test_runs_of_one_process_share_no_state(tmp_path: Path) -> None:
-    made = network(Recurrent)
-    path = written(tmp_path, made, SHAPES, ["image", "h", "c"], ["steering", "h_out", "c_out"], **RECURRENT)
+    _, path = recurrent(tmp_path, **RECURRENT)
     simulator = make_simulator("softbody")
-    driver, (one, other) = (
-        make_driver(str(path), simulator.spec),
-        (generate(np.random.default_rng(4)), generate(np.random.default_rng(5))),
-    )
+    driver = make_driver(str(path), simulator.spec)
+    one, other = generate(np.random.default_rng(4)), generate(np.random.default_rng(5))
     first = encode_run(drive_road(simulator, driver, one, 1))
     drive_road(simulator, driver, other, 2)
     assert encode_run(drive_road(simulator, driver, one, 1)) == first
@@ -233,11 +227,8 @@ def test_runs_of_one_process_share_no_state(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_descriptions_are_refused_in_one_line(tmp_path: Path, described: dict[str, Any], said: str) -> None:
-    path = written(
-        tmp_path, network(Recurrent), SHAPES, ["image", "h", "c"], ["steering", "h_out", "c_out"], **described
-    )
     with pytest.raises(DriverError, match=said) as raised:
-        DescribedNetworkPilot(path)
+        DescribedNetworkPilot(recurrent(tmp_path, **described)[1])
     assert "\n" not in str(raised.value)
 
 
@@ -250,3 +241,96 @@ def test_bins_are_read_as_donkey_car_reads_them_or_as_their_expected_value() -> 
     shares = scores / scores.sum()
     expected = float(np.linspace(-0.5, 1.0, 15) @ shares)
     assert OutputSpec(bins=(-0.5, 1.0), expectation=True, scale=2.0).value(shares) == pytest.approx(2.0 * expected)
+
+
+CAR = Geometry(wheelbase=2.5, max_steering_angle=math.radians(40.0))
+
+
+def on_arc(radius: float, *angles: float) -> np.ndarray:
+    """Points on a circle to the left (radius > 0) that is tangent to the vehicle at its rear axle."""
+    return np.array([(abs(radius) * math.sin(a), radius * (1.0 - math.cos(a))) for a in angles])
+
+
+@pytest.mark.parametrize("radius", [4.0, -7.5, 120.0])
+def test_every_point_of_an_arc_gives_its_curvature(radius: float) -> None:
+    for angle in (0.1, 0.7, 1.5):
+        assert pursuit_curvature(on_arc(radius, angle), math.inf) == pytest.approx(1.0 / radius)
+
+
+def test_a_path_is_pursued_where_it_leaves_the_circle_of_the_lookahead() -> None:
+    path = np.array([[1.0, 0.2], [2.5, 0.4], [3.0, 1.8], [1.0, 6.0]])
+    ways = [path[k] + t * (path[k + 1] - path[k]) for k in range(3) for t in np.linspace(0, 1, 100_001)]
+    goal = next(point for point in ways if np.hypot(*point) >= 3.3)
+    assert pursuit_curvature(path, 3.3) == pytest.approx(2.0 * goal[1] / 3.3**2, abs=1e-4)
+    assert pursuit_curvature(path, 50.0) == pytest.approx(2.0 * 6.0 / 37.0)
+    assert pursuit_curvature(np.zeros((2, 2)), 3.0) == 0.0
+
+
+def test_angles_and_curvatures_become_shares_of_a_vehicles_full_steering() -> None:
+    assert OutputSpec(unit="degrees").steering(10.0, CAR) == pytest.approx(0.25)
+    assert OutputSpec(unit="degrees", ratio=15.0).steering(-150.0, CAR) == pytest.approx(-0.25)
+    assert OutputSpec(unit="radians").steering(math.radians(80.0), CAR) == 1.0
+    turn = OutputSpec(unit="curvature").steering(-0.1, CAR)
+    assert math.tan(CAR.angle_of(turn)) / CAR.wheelbase == pytest.approx(0.1)  # left positive in REP-103
+
+
+@pytest.mark.parametrize("axes", [("forward", "left"), ("left", "forward"), ("forward", "right"), ("right", "forward")])
+def test_a_path_is_read_along_its_axes_from_its_origin(axes: Any) -> None:
+    path = on_arc(9.0, *np.linspace(0.05, 0.9, 18)) - [0.6, 0.0]
+    columns = {"forward": path[:, 0], "left": path[:, 1], "right": -path[:, 1]}
+    numbers = np.array([7.0, *np.column_stack([columns[one] for one in axes]).reshape(-1) / 2.0], np.float32)
+    spec = PathSpec(index=1, points=18, axes=axes, scale=2.0, ahead=0.6, lookahead=5.0)
+    # The path is a polygon in the circle, whose points are not on it.
+    assert math.tan(CAR.angle_of(spec.steering(numbers, CAR))) / 2.5 == pytest.approx(1.0 / 9.0, rel=0.01)
+
+
+class Fixed(nn.Module):
+    """Answers the same numbers to every image."""
+
+    def __init__(self, *numbers: float) -> None:
+        super().__init__()
+        self.numbers = nn.Parameter(torch.tensor([numbers]))
+
+    def forward(self, image: torch.Tensor) -> torch.Tensor:
+        return self.numbers + 0.0 * image.mean()
+
+
+def fixed(folder: Path, outputs: dict[str, Any], *numbers: float) -> Path:
+    return written(folder, Fixed(*numbers).eval(), {"image": (1, 3, *SIZE)}, ["n"], outputs=outputs)
+
+
+def test_an_angle_is_another_share_on_every_vehicle(tmp_path: Path) -> None:
+    pilot = DescribedNetworkPilot(fixed(tmp_path, {"steering": {"unit": "degrees"}}, 8.0))
+    shares = {}
+    for name in STANDARD:
+        spec = spec_of(name)
+        vehicle = Geometry(spec.wheelbase, spec.max_steering_angle)
+        shares[name] = pilot.predict(Frame(image=Frame.black().image, speed=0.0, vehicle=vehicle)).steering
+        assert shares[name] == pytest.approx(math.radians(8.0) / spec.max_steering_angle)
+    assert len(set(shares.values())) > 1
+    with pytest.raises(DriverError, match="steering in degrees needs the vehicle"):
+        pilot.predict(Frame(image=Frame.black().image, speed=0.0))
+
+
+@pytest.mark.parametrize(
+    ("outputs", "said"),
+    [
+        ({"path": {"points": 3, "lookahead": 4.0}}, "the output for path has 2 numbers: its description needs 6"),
+        ({"path": {"points": 3}}, "lookahead is the distance"),
+        ({"path": {}, "steering": {}}, "expected either steering or path"),
+        ({"path": {"axes": ["left", "right"]}}, "axes are forward and either left or right"),
+        ({"path": {"point": 1}}, r"keys of outputs\.path: output, index, points"),
+        ({"steering": {"ratio": 15}}, "ratio is of a steering wheel's angle"),
+        ({"throttle": {"unit": "degrees"}}, "throttle is a share"),
+        ({"steering": {"bins": True}}, r"outputs\.steering\.bins"),
+    ],
+)
+def test_wrong_outputs_are_refused_in_one_line(tmp_path: Path, outputs: dict[str, Any], said: str) -> None:
+    with pytest.raises(DriverError, match=said) as raised:
+        DescribedNetworkPilot(fixed(tmp_path, outputs, 1.0, 2.0))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_path_that_is_not_a_number_is_an_error_of_the_drive(tmp_path: Path) -> None:
+    with pytest.raises(DriverError, match="steering is nan"):
+        DescribedNetworkPilot(fixed(tmp_path, {"path": {}}, math.nan, 1.0))
