@@ -13,9 +13,7 @@ from ds_road import Road
 from ds_sim import SimulatorName
 from ds_sim.scenario import Scenario
 
-FAST, LONG, SLOW, TWIN = map(SimulatorName, ("fast", "long", "slow", "twin"))
-
-A, QUICK = map(SimulatorName, ("a", "quick"))
+A, FAST, LONG, QUICK, SLOW, TWIN = map(SimulatorName, ("a", "fast", "long", "quick", "slow", "twin"))
 
 TOOK = {FAST: 2.0, SLOW: 5.0, TWIN: 3.0}
 STAGES = [{FAST: 40, SLOW: 40}, {FAST: 40, SLOW: 40, TWIN: 80}]
@@ -43,11 +41,10 @@ class Left(TimedListener):
         return self.seconds_left(drives)
 
 
-def estimates(known: int = 0) -> list[tuple[float, float]]:
+def estimates(known: int) -> list[tuple[float, float]]:
     """Pair the true seconds left at the end of each execution with the estimate, in order.
 
-    Args:
-        known: executions of the first stage on each simulator that a previous session finished.
+    A previous session has finished the first `known` executions of the first stage on each simulator.
     """
     left, said = Left(*STAGES), []
     for number, stage in enumerate(STAGES):

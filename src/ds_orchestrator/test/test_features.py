@@ -103,7 +103,6 @@ def test_an_axis_of_a_condition_is_even_on_its_scale() -> None:
     assert [feature_of("visibility").label(k) for k in (0, 5, 10)] == ["20", "40", "inf"]
     assert feature_of("line_contrast:5").label(1) == "0.5"
     assert bins("pavement_reflectance") is None  # as each simulator has it: no value, no cell
-    lanes = [
-        cell_of(circle(20.0).in_lane(lane), features=["lane_curvature", "turns_count"]) for lane in ("right", "left")
-    ]
-    assert lanes == [(int(100 / 22), 1), (int(100 / 18), 1)]
+    for lane, radius in (("right", 22), ("left", 18)):
+        road = circle(20.0).in_lane(lane)  # type: ignore[arg-type]
+        assert cell_of(road, features=["lane_curvature", "turns_count"]) == (int(100 / radius), 1)

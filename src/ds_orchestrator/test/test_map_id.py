@@ -12,28 +12,14 @@ from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compare
 from ds_orchestrator.search.features import DEFAULT_AXES
 from ds_sim import SimulatorName
 
-T_NAME = SimulatorName("t")
-
-T = T_NAME
-
-TRICKY = "path_to_x:Sim"
+T, TRICKY = map(SimulatorName, ("t", "path_to_x:Sim"))
 
 
 def test_every_map_of_a_campaign_has_an_identity_of_its_own() -> None:
     ids = map_ids([SimulatorName("a"), SimulatorName("b")], T, ["mean"])
-    assert [map_id.name for map_id in ids] == [
-        "search_a",
-        "search_b",
-        "migration_a_to_b",
-        "migration_a_to_t",
-        "migration_b_to_a",
-        "migration_b_to_t",
-        "union_a",
-        "union_b",
-        "merged",
-        "merged_mean",
-        "twin_t",
-    ]
+    migrations = "migration_a_to_b migration_a_to_t migration_b_to_a migration_b_to_t"
+    names = f"search_a search_b {migrations} union_a union_b merged merged_mean twin_t"
+    assert [map_id.name for map_id in ids] == names.split()
     assert len(set(ids)) == len(ids)
     assert [map_id.name for map_id in compared_ids(ids)] == ["union_a", "union_b", "merged", "twin_t"]
 
@@ -55,34 +41,18 @@ def test_maps_as_a_frame() -> None:
     full = MapCell(tests=4, failures=1, probability=0.25, quality_loss=0.5, interval=(0.1, 0.6))
     bare = MapCell(tests=2, failures=None, probability=0.0, quality_loss=0.0)
     maps = {
-        MapId.migration(SimulatorName(TRICKY), T): FeatureMap(
-            id=MapId.migration(SimulatorName(TRICKY), T), cells={(3, 12): full, (2, 9): bare}, excluded={(3, 12): 2}
-        ),
-        MapId.merged(): FeatureMap(id=MapId.merged(), cells={(2, 9): bare}),
-        MapId.twin(T): FeatureMap(id=MapId.twin(T_NAME), cells={}),
+        one.id: one
+        for one in (
+            FeatureMap(id=MapId.migration(TRICKY, T), cells={(3, 12): full, (2, 9): bare}, excluded={(3, 12): 2}),
+            FeatureMap(id=MapId.merged(), cells={(2, 9): bare}),
+            FeatureMap(id=MapId.twin(T), cells={}),
+        )
     }
     frame = maps_frame(maps)
-    assert list(frame.columns) == [
-        "map",
-        "kind",
-        "simulator",
-        "origin",
-        "operator",
-        "turns_count",
-        "curvature",
-        "tests",
-        "failures",
-        "probability",
-        "interval_low",
-        "interval_high",
-        "quality_loss",
-        "excluded",
-    ]
-    assert frame[["kind", "turns_count", "curvature"]].to_numpy().tolist() == [
-        ["migration", 2, 9],
-        ["migration", 3, 12],
-        ["merged", 2, 9],
-    ]
+    columns = "map kind simulator origin operator turns_count curvature tests failures probability"
+    assert list(frame.columns) == f"{columns} interval_low interval_high quality_loss excluded".split()
+    places = frame[["kind", "turns_count", "curvature"]].to_numpy().tolist()
+    assert places == [["migration", 2, 9], ["migration", 3, 12], ["merged", 2, 9]]
     row = frame.iloc[1]
     assert (row.origin, row.simulator, row.failures, row.interval_high) == (TRICKY, "t", 1, 0.6)
     assert frame.failures.isna().tolist() == [True, False, True] and frame.interval_low.isna().tolist()[0]
