@@ -1,31 +1,40 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imported roads against closed forms, and exported ones that are imported again."""
+"""Imported roads against closed forms; exported ones, imported again, and against ASAM's schema and another reader."""
 
 from __future__ import annotations
 
 import json
 import math
 import re
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
+import shapely
 
 from ds_base.left_out import LeftOut
 from ds_road import Road, RoadError, Side, generate, read_roads
-from ds_road.export import write_all
+from ds_road.export import opendrive, write_all
 from ds_road.importing import import_roads
 from ds_road.opendrive import SPACING
 
 ROADS = {
     "random": generate(np.random.default_rng(3)),
+    "tight": generate(np.random.default_rng(8), max_angle=300),
+    "maxitwo": Road(generate(np.random.default_rng(5)).control_points, maxitwo_compatible=True),
     "straight": Road([(125.0, 25.0 * i) for i in range(9)]),
     "sampled": Road.from_road_points(generate(np.random.default_rng(7)).points, lane_width=3.0),
     "left": generate(np.random.default_rng(9), lane="left"),
     "middle": generate(np.random.default_rng(3)).in_lane("middle"),
     "single": generate(np.random.default_rng(3)).in_lane("single"),
 }
+
+
+WITH_LANES_ASIDE = [name for name, road in ROADS.items() if road.lane in ("right", "left")]
 
 
 @pytest.mark.parametrize("name", ROADS)
@@ -224,10 +233,10 @@ def test_the_innermost_driving_lane_is_driven(
 
 def test_a_file_with_a_footpath_gives_its_other_roads(tmp_path: Path) -> None:
     good, foot = lanes("driving:3.5", "driving:3.5"), lanes("", "sidewalk:2").replace('name="r"', 'name="foot"')
-    path = tmp_path / "map.xodr"
-    road = re.search("<road .*</road>", foot, re.DOTALL)
-    assert road is not None
-    path.write_text(good.replace("</road>", f"</road>{road[0]}").replace("<OpenDRIVE>", '<OpenDRIVE xmlns="http://x">'))
+    path, second = tmp_path / "map.xodr", foot[foot.index("<road ") : foot.index("</OpenDRIVE>")]
+    path.write_text(
+        good.replace("</OpenDRIVE>", f"{second}</OpenDRIVE>").replace("<OpenDRIVE>", '<OpenDRIVE xmlns="x">')
+    )
     left_out = LeftOut("roads")
     (found,) = import_roads(path, left_out)
     assert found.road.length == pytest.approx(100.0)
@@ -273,9 +282,8 @@ def test_tracks_are_read_whoever_wrote_them(tmp_path: Path, header: str, row: st
 
 
 def test_the_line_lies_in_the_middle_of_its_track(tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text(
-        "x_m,y_m,w_tr_right_m,w_tr_left_m\n" + "".join(f"{x},50,1,2\n" for x in range(0, 60, 2))
-    )
+    rows = "".join(f"{x},50,1,2\n" for x in range(0, 60, 2))
+    (tmp_path / "t.csv").write_text("x_m,y_m,w_tr_right_m,w_tr_left_m\n" + rows)
     (found,) = import_roads(tmp_path / "t.csv")
     assert found.road.lane_width == 1.5 and found.road.points[:, 1] - found.moved[1] == pytest.approx(50.5)
     (single,) = import_roads(tmp_path / "t.csv", lane="single")  # the same borders
@@ -287,9 +295,8 @@ def test_the_line_lies_in_the_middle_of_its_track(tmp_path: Path) -> None:
 
 def test_a_track_is_as_wide_as_in_its_narrowest_place(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """Unlike that of a lane, a track's width may vary; its lanes fit everywhere then."""
-    (tmp_path / "t.csv").write_text("".join(f"{x},50,{3 + x % 3},{3 + x % 3}\n" for x in range(60)))
-    text = "# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + (tmp_path / "t.csv").read_text()
-    (tmp_path / "t.csv").write_text(text)
+    rows = "".join(f"{x},50,{3 + x % 3},{3 + x % 3}\n" for x in range(60))
+    (tmp_path / "t.csv").write_text("# x_m,y_m,w_tr_right_m,w_tr_left_m\n" + rows)
     with caplog.at_level("INFO"):
         (found,) = import_roads(tmp_path / "t.csv")
     assert found.road.lane_width == 3.0
@@ -341,12 +348,69 @@ def test_a_track_that_is_too_large_is_cut(tmp_path: Path) -> None:
 
 def test_tests_of_the_sdc_competition_are_read(tmp_path: Path) -> None:
     points = [{"sequence_number": n, "x": 100.0 + 2 * n, "y": 50.0} for n in range(40)]
-    tests = [
-        {"_id": {"$oid": "65aa"}, "road_points": points[::-1]},
-        {"_id": {"$oid": "65ab"}, "road_points": [{"x": 1}]},
-    ]
+    roads = {"65aa": points[::-1], "65ab": [{"x": 1}]}
+    tests = [{"_id": {"$oid": name}, "road_points": road} for name, road in roads.items()]
     (tmp_path / "sdc.json").write_text(json.dumps(tests))
     left_out = LeftOut("roads")
     (found,) = import_roads(tmp_path / "sdc.json", left_out)
     assert found.name == "65aa" and found.road.points[:, 0] == pytest.approx(np.arange(40) * 2 + 100.0)
     assert left_out.line().startswith("1 of 2 roads left out: 65ab (")
+
+
+@pytest.fixture(scope="module")
+def read_network(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """Reads a road with pyxodr, whose drawing with matplotlib is not needed."""
+    drawing = mock.MagicMock()
+    drawing.text.Text = object
+    stubs = {"matplotlib": drawing, "matplotlib.pyplot": drawing.pyplot}
+    with mock.patch.dict(sys.modules, stubs):
+        from pyxodr.road_objects.network import RoadNetwork
+
+    def read(text: str) -> Any:
+        path = tmp_path_factory.mktemp("xodr") / "road.xodr"
+        path.write_text(text)
+        network = RoadNetwork(str(path), resolution=0.05)
+        (road,) = network.get_roads()
+        return road
+
+    return read
+
+
+@pytest.mark.parametrize("name", WITH_LANES_ASIDE)
+def test_opendrive_is_valid_by_asams_schema(name: str) -> None:
+    etree = pytest.importorskip("lxml.etree")  # one of the libraries for `make test`
+    checker = find_spec("qc_opendrive")  # not imported: the schemas alone are needed
+    assert checker is not None and checker.submodule_search_locations
+    folder = Path(checker.submodule_search_locations[0]) / "schema/1.7.0"
+    schema = etree.XMLSchema(etree.parse(str(folder / "opendrive_17_core.xsd")))
+    document = etree.fromstring(opendrive(ROADS[name], name).encode())
+    schema.assertValid(document)
+    pieces = document.findall(".//planView/geometry")
+    # Without gaps: each piece begins where the last one ends.
+    ends = np.cumsum([float(piece.get("length")) for piece in pieces])
+    assert [float(piece.get("s")) for piece in pieces[1:]] == pytest.approx(list(ends[:-1]))
+    assert float(document.find("road").get("length")) == pytest.approx(ends[-1])
+    assert {lane.get("id") for lane in document.iter("lane")} == {"-1", "0", "1"}
+
+
+@pytest.mark.parametrize("name", WITH_LANES_ASIDE)
+def test_another_reader_finds_the_road_where_it_is(name: str, read_network: Any) -> None:
+    road = ROADS[name]
+    found = read_network(opendrive(road, name))
+    line = shapely.LineString(found.reference_line[:, :2])
+    distances = shapely.distance(line, shapely.points(road.points))
+    assert distances.max() < 5e-3  # it samples every 5 cm, across kinks
+    assert line.length == pytest.approx(road.length, rel=5e-3)
+    assert np.hypot(*(found.reference_line[0, :2] - road.points[0])) < 1e-6
+    (section,) = found.lane_sections
+    borders = {lane.id: shapely.LineString(lane.boundary_line[:, :2]) for lane in section.lanes if lane.id}
+    inner = slice(3, -3)  # at its samples our edge is across the next chord, not the tangent
+    for lane, edge in ((1, road.left_edge), (-1, road.right_edge)):
+        assert shapely.distance(borders[lane], shapely.points(edge[inner])).max() < 0.25
+
+
+def test_files_are_named_after_the_roads_and_stay_in_their_folder(tmp_path: Path) -> None:
+    paths = write_all([ROADS["random"]] * 2, ["../../x", "cell 3/17"], tmp_path / "out")
+    assert [path.parent for path in paths] == [tmp_path / "out"] * 2 and all(path.is_file() for path in paths)
+    with pytest.raises(RoadError, match="two roads are called"):
+        write_all([ROADS["random"]] * 2, ["a/b", "a_b"], tmp_path / "out")

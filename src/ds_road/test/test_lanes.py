@@ -26,13 +26,12 @@ def arc(radius: float, angle: float, side: Side) -> Road:
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_lanes_of_a_circle_have_their_own_radii(side: Side) -> None:
     """A bend to the right of 20 m has a right lane of 18 m and a left one of 22 m."""
-    for lane, inside in (("right", side == "right"), ("left", side == "left")):
-        road = arc(20.0, 2.5, side).in_lane("right" if lane == "right" else "left")
-        curvature = 1.0 / (18.0 if inside else 22.0)
-        bent, straight = road.lane_curvature_max_right, road.lane_curvature_max_left
-        if side == "left":
-            bent, straight = straight, bent
-        assert bent == pytest.approx(curvature, rel=2e-3) and straight == 0.0
+    sides: tuple[Side, Side] = ("right", "left")
+    for lane in sides:
+        road = arc(20.0, 2.5, side).in_lane(lane)
+        found = {"right": road.lane_curvature_max_right, "left": road.lane_curvature_max_left}
+        assert found.pop(side) == pytest.approx(1.0 / (18.0 if lane == side else 22.0), rel=2e-3)
+        assert [*found.values()] == [0.0]
 
 
 def test_curvature_of_a_clothoid_is_that_of_the_middle_of_the_window() -> None:

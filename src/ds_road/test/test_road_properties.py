@@ -86,9 +86,8 @@ def test_a_road_is_immutable_and_survives_pickling() -> None:
         road.points[0] = 0.0
     for other in (pickle.loads(pickle.dumps(road)), copy.deepcopy(road)):
         assert other == road and other.road_id == road.road_id and not other.points.flags.writeable
-    assert (
-        Road([(0.0, 0.0), (9, 9), (20, 20), (30, 30)]).road_id == Road([(-0.0, 0), (9, 9), (20, 20), (30, 30)]).road_id
-    )
+    rest = ((9, 9), (20, 20), (30, 30))
+    assert Road([(0.0, 0.0), *rest]).road_id == Road([(-0.0, 0), *rest]).road_id
 
 
 def test_road_points_are_the_centre_line_itself() -> None:
@@ -102,7 +101,7 @@ def test_road_points_are_the_centre_line_itself() -> None:
         mutate(same, np.random.default_rng(0))
 
 
-kinds = st.sampled_from(["plain", "maxitwo_compatible", "wide", "sampled", "left"])
+KINDS = ["plain", "maxitwo_compatible", "wide", "sampled", "left"]
 
 
 def variant_of(seed: int, kind: str) -> Road:
@@ -118,7 +117,7 @@ def variant_of(seed: int, kind: str) -> Road:
 
 
 @settings(max_examples=30, deadline=None)
-@given(seeds, kinds)
+@given(seeds, st.sampled_from(KINDS))
 def test_json_round_trip_is_exact(seed: int, kind: str) -> None:
     road = variant_of(seed, kind)
     text = json.dumps(road_to_json(road))
@@ -129,9 +128,7 @@ def test_json_round_trip_is_exact(seed: int, kind: str) -> None:
 
 
 def test_files_hold_several_roads_or_one(tmp_path: Path) -> None:
-    roads = [
-        variant_of(seed, kind) for seed, kind in enumerate(("plain", "maxitwo_compatible", "wide", "sampled", "left"))
-    ]
+    roads = [variant_of(seed, kind) for seed, kind in enumerate(KINDS)]
     write_roads(roads, tmp_path / "roads.json")
     assert read_roads(tmp_path / "roads.json") == read_roads(str(tmp_path / "roads.json")) == roads
     (tmp_path / "one.json").write_text(json.dumps(roads[0].control_points))
@@ -139,6 +136,7 @@ def test_files_hold_several_roads_or_one(tmp_path: Path) -> None:
     assert read_roads("[]") == []
 
 
+FOUR = [[0, 0], [9, 9], [20, 20], [30, 30]]
 BAD: dict[str, Any] = {
     "nan": [[0, 0], [1, 1], [math.nan, 2], [3, 3]],
     "infinity": [[0, 0], [1, 1], [math.inf, 2], [3, 3]],
@@ -152,14 +150,11 @@ BAD: dict[str, Any] = {
     "no points": {"control_points": None},
     "both kinds": {"control_points": [[0, 0]] * 4, "road_points": [[0, 0]] * 4},
     "a maxitwo_compatible road of road points": {"road_points": [[1, 1], [2, 2]], "maxitwo_compatible": True},
-    "a maxitwo_compatible road too short": {
-        "control_points": [[0, 0], [9, 9], [20, 20], [30, 30]],
-        "maxitwo_compatible": True,
-    },
-    "maxitwo_compatible as text": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "maxitwo_compatible": "no"},
-    "another lane": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane": "centre"},
-    "no lane width": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": None},
-    "lane width nan": {"control_points": [[0, 0], [9, 9], [20, 20], [30, 30]], "lane_width": math.nan},
+    "a maxitwo_compatible road too short": {"control_points": FOUR, "maxitwo_compatible": True},
+    "maxitwo_compatible as text": {"control_points": FOUR, "maxitwo_compatible": "no"},
+    "another lane": {"control_points": FOUR, "lane": "centre"},
+    "no lane width": {"control_points": FOUR, "lane_width": None},
+    "lane width nan": {"control_points": FOUR, "lane_width": math.nan},
     "neighbours too near": [[0, 0], [10, 10], [10, 10 + 1e-14], [40, 40]],
     "thousands of digits": [[0, 10**5000], [1, 1], [2, 2], [3, 3]],
     "a long string": "x" * 100_000,
@@ -181,15 +176,18 @@ def test_invalid_input_is_refused_in_one_line(raw: Any) -> None:
     json.dumps(result, allow_nan=False)
 
 
+NUMBERS = np.arange(1000)
+
+
+def round_and_round(radius: Any, step: float) -> list[list[float]]:
+    return np.column_stack((125 + radius * np.cos(step * NUMBERS), 125 + radius * np.sin(step * NUMBERS))).tolist()
+
+
 WORST: dict[str, Any] = {
-    "a hundred times round": [(125 + 30 * math.cos(i * 0.63), 125 + 30 * math.sin(i * 0.63)) for i in range(1000)],
-    "a spiral": [
-        (125 + (20 + i / 12) * math.cos(i * 0.63), 125 + (20 + i / 12) * math.sin(i * 0.63)) for i in range(1000)
-    ],
+    "a hundred times round": round_and_round(30, 0.63),
+    "a spiral": round_and_round(20 + NUMBERS / 12, 0.63),
     "a point a centimetre": [(50 + i / 100, 50 + i / 100) for i in range(1000)],
-    "a millimetre on a bend": [
-        (100 + 9 * math.cos(i * 0.0002), 100 + 9 * math.sin(i * 0.0002)) for i in range(0, 10_000, 10)
-    ],
+    "a millimetre on a bend": round_and_round(9, 0.002),
     "noise": np.random.default_rng(0).uniform(10, 240, (1000, 2)).tolist(),
     "there and reversed_road": [(100 + i % 2, 100) for i in range(1000)],
     "far away": [(9e5 + i, -9e5 + i % 7) for i in range(1000)],
@@ -204,21 +202,6 @@ def test_the_longest_roads_are_checked_in_a_second(points: Any, kind: str) -> No
     assert time.process_time() - started < 1.0
     json.dumps(result, allow_nan=False)
     assert result["length"] > 0
-
-
-values = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=3),
-    lambda inner: (
-        st.lists(inner, max_size=8)
-        | st.dictionaries(
-            st.sampled_from(["control_points", "road_points", "lane_width", "maxitwo_compatible", "lane"]),
-            inner,
-            max_size=3,
-        )
-    ),
-    max_leaves=30,
-)
-numbers = st.floats(-10, 260) | st.integers(0, 9) | st.floats(0, 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -313,9 +296,11 @@ def test_a_trajectory_ends_in_a_disc_and_no_star_covers_it() -> None:
 
 
 @pytest.mark.parametrize("path", [np.zeros(4), np.full((3, 2), np.nan), np.zeros((3, 1))])
-def test_the_picture_refuses_an_invalid_trajectory(path: Any) -> None:
+def test_the_picture_refuses_an_invalid_trajectory_or_size(path: Any) -> None:
     with pytest.raises(RoadError, match="trajectory car"):
         draw(random_road(1), trajectories={"car": path})
+    with pytest.raises(RoadError, match="320 to 4000"):
+        draw(random_road(1), size=10)
 
 
 def test_a_trajectory_far_away_does_not_shrink_the_road() -> None:
@@ -323,5 +308,3 @@ def test_a_trajectory_far_away_does_not_shrink_the_road() -> None:
     lane = road.right_lane_centre
     near, far = (draw(road, trajectories={"car": np.vstack((lane, lane[-1] + (0, d)))}) for d in (60.0, 1e12))
     assert near.shape == far.shape
-    with pytest.raises(RoadError, match="320 to 4000"):
-        draw(road, size=10)
