@@ -23,19 +23,30 @@ def ground_of(levels: Sequence[NDArray[np.uint8]], outside: tuple[int, int, int]
     return Ground(shape, origin=(0.0, 0.0), resolution=0.05, outside=outside, texture=opaque, lazy_levels=0)
 
 
+def mounting(spec: CameraSpec, vehicle: VehicleState) -> tuple[Rotation, NDArray[np.float64]]:
+    """Orientation of the camera and its optical centre (3,) in the road frame."""
+    body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
+    centre = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
+    return body * Rotation.from_euler("Y", spec.pitch), centre
+
+
+def seen_from(spec: CameraSpec, vehicle: VehicleState, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far points (n, 3) of the road frame are ahead, to the left and above of the optical centre, (n, 3)."""
+    mount, centre = mounting(spec, vehicle)
+    return np.asarray(mount.inv().apply(points - centre))
+
+
 def directions(
     spec: CameraSpec, vehicle: VehicleState, columns: NDArray[np.float64], rows: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rays (n, 3) of pixels in the road frame and the optical centre (3,), by OpenCV's undistortion and SciPy."""
-    body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
-    centre = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
+    mount, centre = mounting(spec, vehicle)
     pixels = np.stack((columns, rows), axis=-1)[:, None, :]
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-9)
     # OpenCV 4 has two functions, OpenCV 5 one for both.
     undistorted = getattr(cv2, "undistortPointsIter", None) or cv2.undistortPoints
     flat = undistorted(pixels, spec.intrinsics, np.array(spec.distortion), None, None, criteria=criteria)
     right, down = flat[:, 0, 0], flat[:, 0, 1]
-    mount = body * Rotation.from_euler("Y", spec.pitch)
     return mount.apply(np.stack((np.ones_like(right), -right, -down), axis=1)), centre
 
 

@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Observations of a car that nobody simulated."""
+"""Observations of a car that nobody simulated, and drives of cars without a road."""
 
 from __future__ import annotations
 
+from ds_sim.parts import Vehicle
 from ds_sim.session import NO_IMAGE
-from ds_sim.simulator import LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import Command, LaneState, Observation, Outcome, VehicleState
 
 
 def made_observation(step: int = 0, **of_vehicle: float) -> Observation:
@@ -19,3 +20,12 @@ def made_observation(step: int = 0, **of_vehicle: float) -> Observation:
         lane=lane,
         outcome=Outcome.RUNNING,
     )
+
+
+def drive(vehicle: Vehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:
+    """Repeat a command; the state after each frame."""
+    states = []
+    for _ in range(frames):
+        vehicle.advance(Command(steering, throttle))
+        states.append(vehicle.state())
+    return states

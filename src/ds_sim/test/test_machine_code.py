@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SOURCE = """
 from numba import cfunc, types
 from numba.np.numpy_support import carray
@@ -36,6 +38,15 @@ with ThreadPoolExecutor(8) as pool:
 """
 
 
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    package = tmp_path / "compiled_here"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    (package / "addition.py").write_text(SOURCE)
+    return package
+
+
 def used(folder: Path, use: str = USE) -> list[str]:
     code = f"import sys; sys.path[:0] = {[str(folder), *sys.path]!r}" + use
     environment = {"XDG_CACHE_HOME": str(folder / "cache")}
@@ -43,11 +54,7 @@ def used(folder: Path, use: str = USE) -> list[str]:
     return done.stdout.split()
 
 
-def test_a_function_is_compiled_once_and_again_when_its_source_changes(tmp_path: Path) -> None:
-    package = tmp_path / "compiled_here"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "addition.py").write_text(SOURCE)
+def test_a_function_is_compiled_once_and_again_when_its_source_changes(package: Path, tmp_path: Path) -> None:
     assert used(tmp_path) == [repr(1.0 + 1.0 / 3.0), "True"]
     assert used(tmp_path) == [repr(1.0 + 1.0 / 3.0), "False"]
     assert used(tmp_path, THREADS) == ["1"]  # all threads have the code of one engine, which is kept
@@ -56,11 +63,7 @@ def test_a_function_is_compiled_once_and_again_when_its_source_changes(tmp_path:
     assert used(tmp_path) == [repr(1.0 - 1.0 / 3.0), "False"]
 
 
-def test_where_its_package_cannot_be_written_the_users_cache_has_it(tmp_path: Path) -> None:
-    package = tmp_path / "compiled_here"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "addition.py").write_text(SOURCE)
+def test_where_its_package_cannot_be_written_the_users_cache_has_it(package: Path, tmp_path: Path) -> None:
     (package / "__pycache__").touch()  # a file is no folder, whoever asks
     assert [used(tmp_path)[1], used(tmp_path)[1]] == ["True", "False"]
     assert [path.name for path in (tmp_path / "cache").rglob("*.o")] == [f"addition.{sys.implementation.cache_tag}.o"]

@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from camera_reference import seen_from
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from ds_road import Road
 from ds_sim.camera.spec import CameraSpec
@@ -31,9 +31,6 @@ def lane_pose(road: Road, index: int) -> VehicleState:
 
 def project(spec: CameraSpec, vehicle: VehicleState, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Columns, rows and distances along the axis of points (n, 3), by SciPy's rotations and the pinhole's formula."""
-    body = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
-    camera = np.array([vehicle.x, vehicle.y, vehicle.heave]) + body.apply([spec.forward, 0.0, spec.height])
-    mount = body * Rotation.from_euler("Y", spec.pitch)
-    forward, left, up = mount.inv().apply(points - camera).T
+    forward, left, up = seen_from(spec, vehicle, points).T
     k = spec.intrinsics
     return np.stack((k[0, 2] - k[0, 0] * left / forward, k[1, 2] - k[1, 1] * up / forward, forward), axis=1)

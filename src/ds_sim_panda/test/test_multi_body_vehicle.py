@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from made_observations import drive
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
-from ds_sim.simulator import FRAME_TIME, Command, VehicleState
+from ds_sim.simulator import FRAME_TIME
 from ds_sim_panda.simulator import MultiBodyVehicle
 from ds_sim_panda.vehicle import parameters as published
 from ds_sim_panda.vehicle.integration import derivative
@@ -22,14 +23,6 @@ def car() -> MultiBodyVehicle:
     vehicle = MultiBodyVehicle()
     vehicle.reset(0.0, 0.0, 0.0, RNG)
     return vehicle
-
-
-def drive(car: MultiBodyVehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:
-    states = []
-    for _ in range(frames):
-        car.advance(Command(steering, throttle))
-        states.append(car.state())
-    return states
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
