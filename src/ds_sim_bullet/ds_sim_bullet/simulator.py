@@ -33,7 +33,6 @@ LOOK = Look(
     centre_line=(228, 196, 52),
     sky_top=(98, 156, 226),
     horizon=(196, 216, 236),
-    line_width=0.15,
     asphalt_grain=5.0,
     grass_grain=14.0,
     grain_seed=2,

@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from ds_base.atomic_files import write_whole
 from ds_sim.simulator import FRAME_TIME
@@ -21,6 +20,38 @@ STOP_DEPTH = 0.05
 """Travel from the rubber stop to metal, m; chosen: the stop then bears five times the static load."""
 CORNERS = ("front_left", "front_right", "rear_left", "rear_right")
 """Order of the corners wherever there is one value per corner."""
+_LINK = """\
+  <link name="{name}">
+    <inertial>
+      <origin xyz="{centre}" />
+      <mass value="{mass!r}" />
+      <inertia ixx="{inertia[0]!r}" iyy="{inertia[1]!r}" izz="{inertia[2]!r}" ixy="0" ixz="0" iyz="0" />
+    </inertial>{shape}
+  </link>
+"""
+_SHAPE = """
+    <collision>
+      <origin xyz="{centre}" />
+      <geometry>
+        <{form} />
+      </geometry>
+    </collision>"""
+_CONTACT = """
+    <contact>
+      <lateral_friction value="{!r}" />
+    </contact>"""
+_JOINT = """\
+  <joint name="{name}" type="{kind}">
+    <parent link="{parent}" />
+    <child link="{child}" />
+    <origin xyz="{place}" />
+    <axis xyz="{axis}" />
+    <dynamics damping="0" friction="0" />{limit}
+  </joint>
+"""
+_LIMIT = """
+    <limit lower="{!r}" upper="{!r}" effort="1e9" velocity="1e9" />"""
+_ORIGIN = "0.0 0.0 0.0"
 
 
 @lru_cache(maxsize=16)  # of a payload each; written again for each drive
@@ -32,97 +63,48 @@ def car_urdf(p: BulletParameters) -> str:
     positive forward). The collision shape of a wheel is a sphere: it has a single contact point under the axle whatever
     the camber, and no edge that could catch.
     """
-    robot = Element("robot", name="bullet_car")
-    body = _link(
-        robot,
-        "base_link",
-        p.sprung_mass,
-        p.body_inertia,
-        centre=(p.body_forward, 0.0, p.centre_of_mass_height),
-    )
-    _collision(
-        body,
-        "box",
-        centre=(0.0, 0.0, 0.5 * (p.height + p.ground_clearance)),
-        size=_text(p.length, p.width, p.height - p.ground_clearance),
-    )
-    for corner in CORNERS:
-        _add_corner(robot, p, corner)
-    indent(robot)
-    return tostring(robot, encoding="unicode")
+    box = _text(p.length, p.width, p.height - p.ground_clearance)
+    shape = _SHAPE.format(centre=_text(0.0, 0.0, 0.5 * (p.height + p.ground_clearance)), form=f'box size="{box}"')
+    centre = _text(p.body_forward, 0.0, p.centre_of_mass_height)
+    body = _LINK.format(name="base_link", centre=centre, mass=p.sprung_mass, inertia=p.body_inertia, shape=shape)
+    return f'<robot name="bullet_car">\n{body}{"".join(_corner(p, corner) for corner in CORNERS)}</robot>'
 
 
-def _add_corner(robot: Element, p: BulletParameters, corner: str) -> None:
+def _corner(p: BulletParameters, corner: str) -> str:
+    """Links and joints of a hub, of the knuckle of a front wheel, and of the wheel."""
     front, left = corner.startswith("front"), corner.endswith("left")
+    hub, wheel = f"{corner}_hub", f"{corner}_wheel"
+    carrier = f"{corner}_knuckle" if front else hub
     mass = p.unsprung_mass - p.wheel_mass
     hub_mass = 0.5 * mass if front else mass
-    inertia = hub_mass * HUB_RADIUS_OF_GYRATION**2
-    position = (
-        (0.5 if front else -0.5) * p.wheelbase,
-        (0.5 if left else -0.5) * p.track,
-        p.wheel_radius,
-    )
-    guide_limit = p.travel + STOP_DEPTH
-    _link(robot, f"{corner}_hub", hub_mass, (inertia, inertia, inertia))
-    _joint(robot, f"{corner}_guide", "prismatic", "base_link", f"{corner}_hub", "0 0 1", position, guide_limit)
-    carrier = f"{corner}_hub"
+    inertia = (hub_mass * HUB_RADIUS_OF_GYRATION**2,) * 3
+    place = _text((0.5 if front else -0.5) * p.wheelbase, (0.5 if left else -0.5) * p.track, p.wheel_radius)
+    travel = p.travel + STOP_DEPTH
+
+    def link(name: str, mass: float, inertia: tuple[float, float, float], shape: str = "") -> str:
+        return _LINK.format(name=name, centre=_ORIGIN, mass=mass, inertia=inertia, shape=shape)
+
+    def joint(name: str, kind: str, parent: str, child: str, axis: str, place: str = _ORIGIN, limit: str = "") -> str:
+        name = f"{corner}_{name}"
+        return _JOINT.format(name=name, kind=kind, parent=parent, child=child, place=place, axis=axis, limit=limit)
+
+    parts = [
+        link(hub, hub_mass, inertia),
+        joint("guide", "prismatic", "base_link", hub, "0 0 1", place, _LIMIT.format(-travel, travel)),
+    ]
     if front:
-        carrier = f"{corner}_knuckle"
-        _link(robot, carrier, mass - hub_mass, (inertia, inertia, inertia))
-        _joint(robot, f"{corner}_steering", "revolute", f"{corner}_hub", carrier, "0 0 1", (0.0, 0.0, 0.0), 1.2)
+        parts.append(link(carrier, mass - hub_mass, inertia))
+        parts.append(joint("steering", "revolute", hub, carrier, "0 0 1", limit=_LIMIT.format(-1.2, 1.2)))
     spin_inertia = p.wheel_spin_inertia + (0.0 if front else p.rotor_inertia)
     diametral_inertia = 0.5 * spin_inertia  # that of a thin ring
-    wheel = _link(robot, f"{corner}_wheel", p.wheel_mass, (diametral_inertia, spin_inertia, diametral_inertia))
-    _collision(wheel, "sphere", radius=repr(p.wheel_radius))
-    contact = SubElement(wheel, "contact")
-    SubElement(contact, "lateral_friction", value=repr(p.friction))
-    _joint(robot, f"{corner}_spin", "continuous", carrier, f"{corner}_wheel", "0 1 0", (0.0, 0.0, 0.0))
-
-
-def _link(
-    robot: Element,
-    name: str,
-    mass: float,
-    inertia: tuple[float, float, float],
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Element:
-    link = SubElement(robot, "link", name=name)
-    inertial = SubElement(link, "inertial")
-    SubElement(inertial, "origin", xyz=_text(*centre))
-    SubElement(inertial, "mass", value=repr(mass))
-    xx, yy, zz = (repr(value) for value in inertia)
-    SubElement(inertial, "inertia", ixx=xx, iyy=yy, izz=zz, ixy="0", ixz="0", iyz="0")
-    return link
-
-
-def _collision(link: Element, shape: str, centre: tuple[float, float, float] = (0.0, 0.0, 0.0), **sizes: str) -> None:
-    collision = SubElement(link, "collision")
-    SubElement(collision, "origin", xyz=_text(*centre))
-    SubElement(SubElement(collision, "geometry"), shape, sizes)
-
-
-def _joint(
-    robot: Element,
-    name: str,
-    kind: str,
-    parent: str,
-    child: str,
-    axis: str,
-    position: tuple[float, float, float],
-    limit: float = 0.0,
-) -> None:
-    joint = SubElement(robot, "joint", name=name, type=kind)
-    SubElement(joint, "parent", link=parent)
-    SubElement(joint, "child", link=child)
-    SubElement(joint, "origin", xyz=_text(*position))
-    SubElement(joint, "axis", xyz=axis)
-    SubElement(joint, "dynamics", damping="0", friction="0")
-    if limit:
-        SubElement(joint, "limit", lower=repr(-limit), upper=repr(limit), effort="1e9", velocity="1e9")
+    sphere = _SHAPE.format(centre=_ORIGIN, form=f'sphere radius="{p.wheel_radius!r}"') + _CONTACT.format(p.friction)
+    parts.append(link(wheel, p.wheel_mass, (diametral_inertia, spin_inertia, diametral_inertia), sphere))
+    parts.append(joint("spin", "continuous", carrier, wheel, "0 1 0"))
+    return "".join(parts)
 
 
 def _text(*values: float) -> str:
-    return " ".join(repr(value) for value in values)
+    return " ".join(map(repr, values))
 
 
 @dataclass(frozen=True, kw_only=True)

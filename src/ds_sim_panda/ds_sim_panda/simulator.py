@@ -153,15 +153,6 @@ class MultiBodyVehicle(Vehicle):
         return self._x
 
 
-def make_lens(spec: CameraSpec) -> Any:
-    """Panda3D's lens of a pinhole camera with square pixels."""
-    lens = panda().PerspectiveLens()
-    half = math.tan(spec.horizontal_fov / 2)
-    lens.set_fov(math.degrees(spec.horizontal_fov), math.degrees(2 * math.atan(half * spec.height_px / spec.width)))
-    lens.set_near_far(NEAR, FAR)
-    return lens
-
-
 def camera_pose(axes: Axes, position: Vector) -> NDArray[np.float64]:
     """Pose of the camera in the road frame, (4, 4): rows right, forward, up and position, as Panda3D multiplies."""
     right, down, forward = axes
@@ -178,7 +169,11 @@ class PandaScene(RenderedScene):
     def __init__(self, camera: CameraSpec) -> None:
         super().__init__(camera)
         graphics()
-        self._camera = panda().NodePath(panda().Camera("camera", make_lens(camera)))
+        lens, half = panda().PerspectiveLens(), math.tan(camera.horizontal_fov / 2)
+        across, down = camera.horizontal_fov, 2 * math.atan(half * camera.height_px / camera.width)  # square pixels
+        lens.set_fov(math.degrees(across), math.degrees(down))
+        lens.set_near_far(NEAR, FAR)
+        self._camera = panda().NodePath(panda().Camera("camera", lens))
         self._world: World | None = None
         x, y, z = sun_direction(DEFAULT)
         self.sun = math.atan2(y, x), math.asin(z)

@@ -41,7 +41,6 @@ LOOK = Look(
     centre_line=(200, 164, 44),
     sky_top=(112, 140, 176),
     horizon=(178, 190, 198),
-    line_width=0.15,
     asphalt_grain=7.0,
     grass_grain=18.0,
     grain_seed=7,

@@ -141,8 +141,8 @@ def fit(
             raise FitError("the drives determine no parameter: record longer ones, with bends and changes of throttle")
         theta, eta = problem.solve(names, theta, eta, settings.max_evaluations, 1e-5, phases.iterated)
     problem.weigh(names, theta, eta)
-    width = problem.half_widths(names, theta, eta)
-    values = dict(zip(names, zip(problem.values(names, theta), width, strict=True), strict=True))
+    widths = problem.widths(names, problem.information(*problem.jacobian(names, theta, eta)[:2]))
+    values = dict(zip(names, zip(problem.values(names, theta), widths, strict=True), strict=True))
     estimates = []
     for name in settings.names:
         before = float(getattr(start, name))

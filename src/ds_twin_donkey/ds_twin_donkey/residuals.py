@@ -162,11 +162,6 @@ class Problem:
                 size = math.sqrt(float(np.mean(np.square(residual[..., channel][recorded]))) / max(share, 0.1))
                 self.sigma[channel] = max(size, FLOORS[channel])
 
-    def half_widths(self, names: Sequence[str], theta: Array, eta: Array) -> list[float]:
-        """Half-widths of the 95% intervals of the parameters, with the initial states of all windows free."""
-        by_parameters, by_states, _ = self.jacobian(names, theta, eta)
-        return self.widths(names, self.information(by_parameters, by_states))
-
     def information(self, by_parameters: Array, by_states: Array) -> Array:
         """Information matrix of the parameters with the initial states of all windows eliminated."""
         total = np.zeros((by_parameters.shape[2], by_parameters.shape[2]))

@@ -225,7 +225,8 @@ def test_wheels_at_an_end_of_the_play_do_not_stop_the_fit() -> None:
     theta, states = problem.solve(names, np.array([0.01, 0.02]), eta, 8, 1e-5, lambda _: None)
     assert np.abs(states[:, -1]).max() <= 1.0
     off = [abs(v - getattr(car, n)) for n, v in zip(names, problem.values(names, theta), strict=True)]
-    assert all(np.array(off) <= 2.0 * np.array(problem.half_widths(names, theta, states)))
+    widths = problem.widths(names, problem.information(*problem.jacobian(names, theta, states)[:2]))
+    assert all(np.array(off) <= 2.0 * np.array(widths))
     count = problem.windows.known.sum()
     assert np.square(problem.residuals(names, theta, states)).sum() == pytest.approx(count, rel=0.25)
 

@@ -186,17 +186,10 @@ class Ground:
         """
         raster, texture = self._rasters[level], self._texture[level]
         height, width = texture.shape[:2]
-        row = top
-        while row < bottom:
-            end = min(row - row % height + height, bottom)
-            column = left
-            while column < right:
-                stop = min(column - column % width + width, right)
-                raster[row:end, column:stop] = texture[
-                    row % height : row % height + end - row, column % width : column % width + stop - column
-                ]
-                column = stop
-            row = end
+        for y in range(top - top % height, bottom, height):
+            for x in range(left - left % width, right, width):
+                box = Box(max(y, top), max(x, left), min(y + height, bottom), min(x + width, right))
+                box.of(raster)[:] = texture[box.top - y : box.bottom - y, box.left - x : box.right - x]
         rows, columns = raster.shape[:2]
         if top == 0 or left == 0 or bottom == rows or right == columns:
             self._draw_border(level, top, left, bottom, right)

@@ -72,10 +72,9 @@ class Neighbours:
         )
 
     def check_alone(self) -> None:
-        """Refuse a request, as TWO_SIMULATORS, if another simulator runs in the namespace.
+        """Refuse a request, as TWO_SIMULATORS, if another simulator runs here; two drivers show by their commands.
 
-        Drivers are not counted, as a killed one stays in the ROS graph for 20 s next to its replacement. Two running
-        drivers are detected by their commands.
+        These are not counted, as a killed one stays in the ROS graph for 20 s next to its replacement.
         """
         if crowd := self.crowd():
             raise RequestRefused(Reason.TWO_SIMULATORS, crowd)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_sim.camera.optics import KOSCHMIEDER
+from ds_sim.camera.surface import SURFACE_CONDITIONS
 from ds_sim.conditions.model import Conditions
 from ds_sim_panda.scene import parameters
 from ds_sim_panda.scene.parameters import Linear
@@ -86,10 +87,7 @@ def _linear(colour: NDArray[np.float64]) -> Linear:
     return red, green, blue
 
 
-WORLD_CONDITIONS = frozenset(
-    {"line_contrast", "line_cover", "line_cover_length", "shadow_density", "shadow_depth", "pavement_reflectance",
-     "repair_share", "visibility", "sun_azimuth", "sun_elevation"}
-)  # fmt: skip
+WORLD_CONDITIONS = SURFACE_CONDITIONS | {"visibility", "sun_azimuth", "sun_elevation"}
 """Conditions that change the world, not only how the camera sees it."""
 
 
