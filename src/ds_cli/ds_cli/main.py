@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Entry point of the command `ds`.
 
-Results go to standard output, with `--json` as one JSON document and nothing else; everything else goes to standard
-error. Exit status: 0 done, 1 a run ended in an error, 2 bad input, 3 a pass criterion is not met, 70 a bug of ours.
-
 The overview, `--version`, `doctor` and `completion` need the standard library alone, so that they work before set-up.
 Any other verb is imported when it is typed.
 """

@@ -93,12 +93,7 @@ time left. Chosen: no drive is so short."""
 
 
 class ScreenProgress(Progress):
-    """Prints lines with what is done, and how long the rest takes at this pace.
-
-    Args:
-        now: steady clock, s.
-        every: seconds between two lines of `advance`, for work with more lines than anybody reads.
-    """
+    """Prints lines with what is done, and how long the rest takes at this pace; `every` so many seconds at most."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic, every: float = 0.0) -> None:
         self._now, self._every, self._said = now, every, now()

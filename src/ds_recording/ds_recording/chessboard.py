@@ -99,13 +99,8 @@ class _Fit(NamedTuple):
 def calibrate(paths: Sequence[Path], corners: tuple[int, int], size: float) -> Calibration:
     """Estimate focal lengths, centre and distortion, with the lens that best explains boards that were held out.
 
-    Args:
-        paths: photographs, at most `MOST_IMAGES`.
-        corners: inner corners along and across.
-        size: side of a square, m.
-
-    Raises:
-        RecordingError: a photograph cannot be read, the board is found in too few, or no lens explains them.
+    The board has so many inner corners along and across, and squares with sides of `size` m. RecordingError if a
+    photograph cannot be read, the board is found in too few, or no lens explains them.
     """
     grid = np.zeros((corners[0] * corners[1], 3), np.float32)
     grid[:, :2] = size * np.mgrid[0 : corners[0], 0 : corners[1]].T.reshape(-1, 2)

@@ -226,10 +226,8 @@ def write_camera(path: Path, camera: FloorCamera) -> None:
 def read_camera(path: Path) -> FloorCamera:
     """Read a camera's YAML file, as `write_camera` or ROS's `camera_calibration` writes it.
 
-    Files of OpenCV's `FileStorage` are read too, and of Kalibr's camera chains the first camera.
-
-    Raises:
-        RecordingError: it cannot be read, or a value is missing or out of range; one line.
+    Files of OpenCV's `FileStorage` are read too, and of Kalibr's camera chains the first camera. RecordingError if it
+    cannot be read, or a value is missing or out of range.
     """
     try:
         text = read_regular(path, DEFAULT_LIMITS.size).replace(b"!!opencv-matrix", b"")

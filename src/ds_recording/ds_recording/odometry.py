@@ -127,16 +127,10 @@ class Checked:
 
 
 def read_sources(recording: Recording, start: float, wanted: str | None = None) -> list[Source]:
-    """Read what a recording says about motion beside its images.
+    """Read what a bag or tub says about motion beside its images, whose second zero is at `start` on its clock, s.
 
-    Args:
-        recording: bag or tub; odometry in a bag of this project is a simulator's truth, and taken only if it is named.
-        start: time of the images' second zero on the recording's clock, s.
-        wanted: a tub's field or a bag's topic; `none` for nothing; all sensors if None.
-
-    Raises:
-        RecordingError: there is no such field or topic, or far too much of it.
-        ds_bags.layout.BagError: a message is damaged.
+    `wanted` is a tub's field or a bag's topic; `none` for nothing; all sensors if None, but no odometry of a bag of
+    this project, a simulator's truth. RecordingError if there is no such field or topic, or far too much of it.
     """
     if wanted == "none" or (wanted is None and recording.kind not in ("tub", "bag")):
         return []

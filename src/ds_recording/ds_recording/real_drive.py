@@ -51,19 +51,11 @@ def is_recording(path: Path) -> bool:
 
 
 def read_recording(path: Path, road: Road, *, scale: float, topic: str | None = None) -> RecordedOutcome:
-    """Read a recording of a drive on one road.
+    """Read a rosbag2 folder, a tub, or a folder of `ds recording locate`, of a drive on one road.
 
-    Args:
-        path: rosbag2 folder, tub, or folder that `ds recording locate` wrote.
-        road: road that was driven.
-        scale: metres of the road per metre of the car's.
-        topic: `TOPIC:FIELD` of the lateral position in metres of the car's, or the topic of its odometry, which begins
-            at the start of the road; the only odometry of a bag if None.
-
-    Raises:
-        RecordingError: the recording has no such topic, or odometry that jumps.
-        ds_bags.layout.BagError: the bag is damaged.
-        ds_bags.donkey_tub.TubError: the tub is damaged.
+    A metre of the car's is `scale` metres of the road. The topic is `TOPIC:FIELD` of the lateral position in metres of
+    the car's, or that of odometry which begins at the start of the road; the only odometry of a bag if None.
+    RecordingError if there is no such topic, or odometry that jumps; BagError or TubError if a file is damaged.
     """
     if is_tub(path):
         return RecordedOutcome(lateral=None, share=None, when=_began(path))

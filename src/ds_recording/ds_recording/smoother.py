@@ -2,9 +2,8 @@
 """Poses of the whole run and the road's centre line together, by robust least squares (a smoother).
 
 Unknown are x, y and yaw of the car in every frame, and how far the centre line lies beside its last guess at every
-point. What speaks about them: points of painted lines, the motion between neighbouring images, a car whose speed and
-yaw rate change no faster than a car's, a road whose curvature changes no faster than a road's, and the steering, whose
-gain is estimated beside everything else. Frames without lines are carried by the rest, with their variance.
+point. What speaks about them: points of painted lines, motions between images, limits of how fast a car's speed and yaw
+rate and a road's curvature change, and the steering. Frames without lines are carried by the rest, with their variance.
 
 Gauss-Newton on a sparse matrix, as `scipy.optimize.least_squares` only has LSMR for those, which needs thousands of
 steps along a chain of frames; a factorisation needs one. Lengths are in lane widths.

@@ -23,11 +23,8 @@ WELL_UNDER_WAY = 0.1
 class TimedListener(Listener):
     """Counts executions, and estimates how long a campaign still drives, from its latest ones and those under way.
 
-    The simulators of a stage work in parallel, the stages one after the other.
-
-    Attributes:
-        done: executions that are finished, those of earlier sessions included.
-        total: executions that are expected at the end, or 0 if that is not known yet.
+    The simulators of a stage work in parallel, the stages one after the other. `done` executions are finished, those of
+    earlier sessions included, of a `total` that are expected at the end, or 0 if that is not known yet.
     """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:

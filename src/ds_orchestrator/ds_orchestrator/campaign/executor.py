@@ -99,10 +99,6 @@ class Executor:
     """Executes tests, as many in parallel as the engine has capacity for; results do not depend on their number.
 
     Finished executions are read from the store, new ones added, and their bags written to the folder.
-
-    Attributes:
-        given_up: tests whose search continued without their outcome, in an earlier session.
-        failed_executions: number of executions that ended in an error after all attempts.
     """
 
     def __init__(self, settings: DriveSettings, folder: Path, store: Store, engine: Engine, listener: Listener) -> None:
@@ -114,8 +110,8 @@ class Executor:
         self._queues: dict[SimulatorName, deque[Callable[[], object]]] = {}
         self._unfinished = 0
         self._unlucky: dict[SimulatorName, int] = dict.fromkeys(settings.simulators, 0)
-        self.given_up = store.given_up()
-        self.failed_executions = 0
+        self.given_up = store.given_up()  # tests whose search continued without their outcome, in an earlier session
+        self.failed_executions = 0  # that ended in an error after all attempts
 
     def stop(self) -> None:
         """Start no further test."""
@@ -215,11 +211,8 @@ class Executor:
     def judge(self, test: Test, simulator: SimulatorName) -> Gate | None:
         """Decide, before a network drives a test, whether it can be judged by it there; None if the test has no gate.
 
-        Each test is judged once on each simulator; see `ds_sim.gates`.
-
-        Raises:
-            NoOutcomeError: every attempt of the autopilot ended in an error.
-            Stopped: `stop` was called.
+        Each test is judged once on each simulator; see `ds_sim.gates`. NoOutcomeError if every attempt of the autopilot
+        ended in an error; Stopped.
         """
         if self._settings.gates == "none" or (test.conditions.is_default and self._settings.gates != "all"):
             return None

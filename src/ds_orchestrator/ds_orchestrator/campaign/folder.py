@@ -126,10 +126,8 @@ BACKEND = "back end of the network"
 def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> DriveSettings:
     """Record versions and digests; a campaign does not continue with another network or another car.
 
-    Returns the settings with the back end on which the campaign began, so that it goes on with the same bits.
-
-    Raises:
-        ConfigError: the driver or a simulator has changed since the campaign began.
+    Returns the settings with the back end on which the campaign began, so that it goes on with the same bits;
+    ConfigError if the driver or a simulator has changed since then.
     """
     from ds_driver.networks.network_driver import BACKEND_BEFORE, driver_sha256, on_backend
     from ds_sim.registry import make_simulator

@@ -67,12 +67,8 @@ class Forecast:
 def measure(config: CampaignConfig, engine: Engine, folder: Path, *, start_seconds: float) -> Forecast:
     """Drive one random road on every simulator at the same time, and estimate the campaign from it.
 
-    With several workers, so many roads on each as the machine has processors for.
-
-    Nothing is written to the campaign folder, which need not exist. The started engine took `start_seconds` to start.
-
-    Raises:
-        RuntimeError: a drive ends in an error, so that it measures nothing.
+    With several workers, so many roads on each as the machine has processors for; RuntimeError if a drive ends in an
+    error. Nothing is written to the folder, which need not exist. The engine took `start_seconds` to start.
     """
     each = min(config.workers, max(1, len(os.sched_getaffinity(0)) // len(config.simulators)))
     work = [(name, k) for k in range(each) for name in config.simulators]

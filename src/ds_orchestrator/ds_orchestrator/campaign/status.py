@@ -160,15 +160,12 @@ def roads_of(
     """Select roads of a campaign: of one test, of those driven on a simulator, or of one cell.
 
     `failed` keeps those on which the driver failed, on any simulator or on the one given. A cell is named as by the
-    axes of `ds maps` or the bins of `ds maps --json`, such as `3,0.17` or `3,17`.
+    axes of `ds maps` or the bins of `ds maps --json`, such as `3,0.17` or `3,17`. ConfigError if the campaign has no
+    such simulator, cell or test.
 
-    Returns:
-        Roads as `ds_road.road_from_json` takes them, with `test_id`, `seed`, `cell` (bin by feature) and `outcomes`
-        (outcome by simulator) beside the control points, in the order of the store; with `conditions` as text where
-        they are not the default, and `excluded` (state by simulator) where no network can be judged by the test.
-
-    Raises:
-        ConfigError: the campaign has no such simulator, cell or test.
+    They are as `ds_road.road_from_json` takes them, in the order of the store, with `test_id`, `seed`, `cell` (bin by
+    feature) and `outcomes` (by simulator); with `conditions` as text where they are not the default, and `excluded`
+    (state by simulator) where no network can be judged by the test.
     """
     data = read_folder(folder)
     config, tests, cells = data.config, data.tests, data.cells

@@ -39,13 +39,10 @@ def template(
     max_angle: int | None = None,
     seed: int = 1,
 ) -> str:
-    """Write a configuration as YAML, with a comment on every key.
+    """Write a configuration as YAML, with a comment on every key; ConfigError if it would make no campaign.
 
     Of the conditions to search, the most sensitive ones first, those after `MOST_SEARCHED` become comments. Angles are
     those of the size where they are not given.
-
-    Raises:
-        ConfigError: the size is unknown, the angles are in the wrong order, or the simulators do not make a campaign.
     """
     if size not in SIZES:
         raise ConfigError(f"size {size!r:.60}: expected one of {', '.join(SIZES)}")

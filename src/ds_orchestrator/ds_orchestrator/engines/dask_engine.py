@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Engine `dask`: the engine `local` on any number of machines, behind a Dask scheduler.
 
-A task is one drive, pinned to one worker. Which worker takes which drive, and how often a drive is handed out because a
-worker died, changes no byte of a result: a drive depends on its simulator, driver, road, seed and conditions alone, and
-only the first answer to it counts.
+A task is one drive, pinned to one worker. Which worker takes it, and how often it is handed out because one died,
+changes no byte: a drive depends on simulator, driver, road, seed and conditions alone, and its first answer counts.
 """
 
 from __future__ import annotations
@@ -65,11 +64,7 @@ class RemoteWorker:
 
 
 class DaskEngine:
-    """Drives on the workers of a cluster: prepares those that join, and gives up those that are lost.
-
-    Raises:
-        ClusterError: there is no scheduler.
-    """
+    """Drives on the workers of a cluster: prepares those that join, and gives up those that are lost."""
 
     def __init__(
         self, address: str, options: ClusterOptions, parcel: dask_worker.Parcel, *, command_timeout: float
@@ -94,11 +89,7 @@ class DaskEngine:
             return [worker.address for worker in self._workers.values() if worker.room]
 
     def wait_for_worker(self) -> None:
-        """Wait until a worker is ready.
-
-        Raises:
-            ClusterError: none is ready in `FIRST_WORKER_TIME`; gives the reason of the first one that was refused.
-        """
+        """Wait until a worker is ready, `FIRST_WORKER_TIME` at most; or ClusterError with why the first was refused."""
         began, announced = time.monotonic(), False
         with self._changed:
             while not any(worker.room for worker in self._workers.values()):
@@ -310,9 +301,7 @@ def _one_line(error: Exception) -> str:
 def running_dask(settings: DriveSettings, *, folder: Path) -> Iterator[DaskEngine]:
     """Connect to the cluster, or start one, with files in a folder; yield an engine, and leave the cluster.
 
-    Raises:
-        ds_orchestrator.engines.cluster.ClusterError: there is no scheduler, or no usable worker.
-        ValueError: the driver cannot be sent.
+    ClusterError if there is no scheduler, or no usable worker.
     """
     options = settings.cluster
     options.check()

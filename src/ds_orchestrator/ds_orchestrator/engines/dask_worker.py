@@ -68,13 +68,7 @@ class Parcel:
 
 
 def parcel_of(driver: DriverName, simulators: Sequence[SimulatorName]) -> Parcel:
-    """Pack a driver and simulators.
-
-    Raises:
-        InputError: a description refers to a file outside of its folder.
-        ValueError: the driver cannot be used.
-        OSError: a file cannot be read.
-    """
+    """Pack a driver and simulators; InputError if a description refers to a file outside of its folder."""
     from ds_driver.networks.network_driver import driver_sha256
 
     files: dict[str, bytes] = {}

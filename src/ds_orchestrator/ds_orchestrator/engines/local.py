@@ -62,12 +62,9 @@ class LocalEngine:
 
 @contextmanager
 def running_local(driver: DriverName, *, workers: int, command_timeout: float, logs: Path) -> Iterator[LocalEngine]:
-    """Start the processes, yield an engine, and end them.
+    """Start the processes, yield an engine, and end them; WorkerError if one does not start, or cannot load the driver.
 
     Answers of the driver may take `command_timeout` s of wall-clock time. Each process has a log in the folder.
-
-    Raises:
-        ds_driver.closed_loop.worker_process.WorkerError: a process does not start, or cannot load the driver.
     """
     enter_folder(logs)
     with ExitStack() as stack:

@@ -20,11 +20,8 @@ from ds_sim.registry import SimulatorName, make_simulator, spec_of
 def preflight(settings: DriveSettings) -> None:
     """Check engine, driver, simulators and conditions.
 
-    Raises:
-        ConfigError: an option does not go with the engine, or a simulator cannot realise the conditions.
-        ds_orchestrator.engines.cluster.ClusterError: the cluster's options do not go together.
-        ds_orchestrator.graph.supervisor.RosMissingError: the engine needs nodes, and ROS is not installed.
-        ValueError: the driver cannot be used; see `check_driver`.
+    ConfigError if an option does not go with the engine, or a simulator cannot realise the conditions; ClusterError,
+    RosMissingError, or the errors of `check_driver`.
     """
     engine = settings.engine
     if settings.attach and engine != "graph":
@@ -54,8 +51,7 @@ def preflight(settings: DriveSettings) -> None:
 def check_driver(driver: DriverName, simulators: Sequence[SimulatorName], *, attach: bool = False) -> None:
     """Check a driver and the simulators that it will drive; where running nodes drive, one may be this driver.
 
-    Raises:
-        ValueError: the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
+    ValueError if the name is unknown, its file cannot be used, or it has no generator for a simulator's images.
     """
     if driver == AUTOPILOT or (attach and driver.is_node):
         return

@@ -60,13 +60,10 @@ class GraphError(RunError):
 
 
 class GraphClient:
-    """Drives roads through one graph; an `Engine`.
+    """Drives roads through one graph, given the namespace of each simulator; an `Engine`.
 
-    Args:
-        namespaces: simulator name -> namespace.
-        domain: ROS domain; None for the environment's.
-        command_timeout: wall-clock time that a simulator waits for its driver, s.
-        supervisor: restarts dead processes of the graph before the next run; None to use running nodes.
+    The domain is the environment's if it is None. A simulator waits `command_timeout` s of wall-clock time for its
+    driver. The supervisor restarts dead processes before the next run; None to use running nodes.
     """
 
     def __init__(
@@ -104,9 +101,7 @@ class GraphClient:
     def wait_until_ready(self, limit: float = START_TIME, *, only: SimulatorName | None = None) -> None:
         """Wait until every simulator, or only one, answers and has a driver, at most `limit` seconds.
 
-        Raises:
-            GraphError: the limit has passed; the message says what is missing.
-            ds_orchestrator.graph.supervisor.ProcessError: a process of the supervisor ended.
+        GraphError says what is missing by then, ProcessError that a process of the supervisor ended.
         """
         if only is None:
             self._start_time = limit
@@ -132,11 +127,7 @@ class GraphClient:
                 raise GraphError(f"{namespace} is {actual}, expected {expected}: start it under another namespace")
 
     def info(self, simulator: SimulatorName) -> GetSimulatorInfo.Response:
-        """Ask a simulator's node for its description.
-
-        Raises:
-            GraphError: the node does not answer.
-        """
+        """Ask a simulator's node for its description; GraphError if it does not answer."""
         response = self._thread.ask(self._simulators[simulator].info, GetSimulatorInfo.Request(), SERVICE_TIME)
         if response is None:
             raise GraphError(f"{simulator} does not answer get_info within {SERVICE_TIME:.0f} s: is its node alive?")

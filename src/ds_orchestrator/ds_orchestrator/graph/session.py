@@ -108,18 +108,9 @@ def running_graph(
 ) -> Iterator[GraphClient]:
     """Start a graph, yield it when it is ready to drive, and stop it; each simulator's process has its own driver, too.
 
-    Args:
-        namespaces: simulator name -> namespace.
-        driver: of all simulators.
-        command_timeout: wall-clock time that a simulator waits for its driver, s.
-        logs: folder for the processes' logs.
-        attach: start nothing; use running nodes in the environment's ROS domain.
-        draw: `all`, or `seen` to draw only rows of the images that somebody looks at.
-        wait: limit for the start of the nodes, s.
-
-    Raises:
-        ds_orchestrator.graph.client.GraphError: the graph does not start.
-        ds_orchestrator.graph.supervisor.ProcessError: one of its processes ended.
+    With `attach`, nothing is started: nodes are used that run in the environment's ROS domain. `draw` is `all`, or
+    `seen` for only those rows of the images that somebody looks at. A simulator waits `command_timeout` s of wall-clock
+    time for its driver; GraphError if nodes take longer than `wait` s to start, ProcessError if a process ends.
     """
     with ExitStack() as stack:
         signals_ignored = IgnoreSignals()

@@ -52,14 +52,10 @@ package, and the mean weighted by numbers of tests an option of it; both are equ
 
 
 def operator_of(name: str) -> MergeOperator:
-    """Look up a merge operator.
+    """Look up a merge operator; ExtensionError if the name is unknown, or leads to none.
 
-    Args:
-        name: key of `OPERATORS`, entry point of an installed package in the group `digital_siblings.operators`, or
-            `module:NAME`, a `MergeOperator`.
-
-    Raises:
-        ds_base.extension.ExtensionError: the name is unknown, or leads to no operator.
+    The name is a key of `OPERATORS`, an entry point of an installed package in the group `digital_siblings.operators`,
+    or `module:NAME`, a `MergeOperator`.
     """
     if name in OPERATORS:
         return OPERATORS[name]

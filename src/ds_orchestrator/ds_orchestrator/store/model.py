@@ -165,30 +165,17 @@ def execution_of(row: rows.ExecutionRow, file: SqliteFile) -> Execution:
     """Make an execution, whose trajectory stays in the file until it is asked for; errors as in `test_of`."""
     if abs(row.simulated_seconds - row.steps * FRAME_TIME) > _TOLERANCE:
         raise _unreadable(row.test_id, row.simulator, f"simulated_seconds is {row.simulated_seconds:g}")
-    digest = row.trajectory_sha256
-    return Execution(
-        test_id=row.test_id,
-        simulator=row.simulator,
-        outcome=Outcome[row.outcome],
-        message=row.message,
-        fitness=row.fitness,
-        max_lateral_position=row.max_lateral_position,
-        steps=row.steps,
-        simulated_seconds=row.simulated_seconds,
-        trajectory_sha256=digest,
-        drive=StoredDrive(file, row.test_id, row.simulator, row.max_lateral_position, row.steps, digest, row.rowid),
-        bag=row.bag,
-    )
+    values = row._asdict() | {"outcome": Outcome[row.outcome]}
+    rowid, digest = values.pop("rowid"), row.trajectory_sha256
+    drive = StoredDrive(file, row.test_id, row.simulator, row.max_lateral_position, row.steps, digest, rowid)
+    return Execution(**values, drive=drive)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StoredDrive:
     """Frames of a stored execution, read, decompressed and checked when they are asked for; the last ones are kept.
 
-    A file whose store is closed by then is opened once more.
-
-    Raises:
-        StoreError: by its properties: no campaign can have written these frames.
+    A file whose store is closed by then is opened once more. StoreError if no campaign can have written these frames.
     """
 
     file: SqliteFile

@@ -182,8 +182,7 @@ def pack_numbers(values: NDArray[np.float64]) -> bytes:
 def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float64]:
     """Decompress what `pack_numbers` wrote to a column, with memory bounded by the expected count.
 
-    Raises:
-        RowError: the value is damaged, holds another number of values, or one that is not finite.
+    RowError if the value is damaged, holds another number of values, or one that is not finite.
     """
     if not isinstance(packed, bytes):
         raise RowError(f"{name} is no blob")
@@ -206,8 +205,7 @@ def unpack_numbers(packed: object, name: str, *, count: int) -> NDArray[np.float
 def unpack_trajectory(packed: object, digest: str, *, steps: int) -> NDArray[np.float64]:
     """Decompress a trajectory, (steps + 1, 5), or (0, 5) for a run without observations, and check its digest.
 
-    Raises:
-        RowError: the trajectory is damaged, of another length, not finite, or has another digest.
+    RowError if it is damaged, of another length, not finite, or has another digest.
     """
     empty = steps == 0 and digest == trajectory_sha256(np.empty((0, _COLUMNS)))
     rows = 0 if empty else steps + 1

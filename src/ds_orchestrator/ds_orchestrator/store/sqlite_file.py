@@ -72,14 +72,9 @@ class SqliteFile:
     The file may be received from a third party: its tables must be exactly those of `SCHEMA`, so that no view, trigger
     or virtual table takes part in a statement, and the sizes of the file and of every value are bounded.
 
-    Args:
-        path: path of the file.
-        begin: facts with which to create a new campaign if there is none; None to open an existing one.
-        read_only: refuse every change, and recover nothing: file and write-ahead log keep their bytes, and all that is
-            read is of one moment, even while another process writes.
-
-    Raises:
-        StoreError: there is no campaign, or it has another version, is damaged, or cannot be written.
+    Given facts to `begin` with, a new campaign is created if there is none. With `read_only`, file and write-ahead log
+    keep their bytes, and all that is read is of one moment, even while another process writes. StoreError if there is
+    no campaign, or it has another version, is damaged, or cannot be written.
     """
 
     def __init__(self, path: Path, begin: Mapping[str, str] | None = None, *, read_only: bool = False) -> None:

@@ -202,11 +202,8 @@ class Store:
     ) -> None:
         """Refuse rows that a campaign over these simulators, with so many runs of so many tests, cannot have.
 
-        The other columns of tests and executions are checked when they are read.
-
-        Raises:
-            StoreError: a row has another simulator, a run or number out of range, an execution without its test, or
-                an excluded test with an execution, or an impossible value in one of the smaller tables.
+        StoreError for another simulator, a run or number out of range, an execution without its test or of an excluded
+        one, and an impossible value in a smaller table; other columns are checked when they are read.
         """
         for read in (self.notes, self.errors, self.searches, self.results, self.given_up, self.gates):
             read()

@@ -61,11 +61,7 @@ class RecordedDrive:
 
 
 def read_drive(folder: Path) -> RecordedDrive:
-    """Read the folder that `ds recording locate` wrote, and find the recording's photographs.
-
-    Raises:
-        RecordingError: one line: which file cannot be used, what was expected, what to do.
-    """
+    """Read the folder that `ds recording locate` wrote, and find the recording's photographs; or RecordingError."""
     located = read_located(folder)
     width = located.lane_width
     if not LANES[0] <= width <= LANES[1]:
@@ -143,10 +139,7 @@ def sections(drive: RecordedDrive, length: float, every: float | None = None) ->
     """Cut the driven lane into overlapping roads, each driven in its right lane, where there are photographs.
 
     `length` is that of each road, `every` the distance between two starts, road metres; None for `EVERY`, or less where
-    the track is short.
-
-    Raises:
-        RecordingError: none of them is a valid road, as on a lap that is shorter.
+    the track is short. RecordingError if none is a valid road, as on a lap that is shorter.
     """
     lane = drive.lane
     shown = near_photographs(lane.points, drive.poses)

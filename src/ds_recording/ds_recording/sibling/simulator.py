@@ -249,12 +249,7 @@ class RecordingSimulator(RoadSimulator):
 
     @classmethod
     def from_file(cls, path: Path) -> RecordingSimulator:
-        """Make the simulator of the folder that `ds recording locate` wrote.
-
-        Raises:
-            RecordingError: the folder cannot be used.
-            ds_twin_donkey.parameter_file.ParameterFileError: nor can its car.
-        """
+        """Make the simulator of the folder that `ds recording locate` wrote; an InputError if it cannot be used."""
         settings = RecordingSettings()
         if (path / SETTINGS).exists():
             try:
