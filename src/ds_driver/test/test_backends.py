@@ -164,7 +164,7 @@ def frames(count: int, seed: int = 5) -> list[Frame]:
 @pytest.mark.parametrize("backend", ["openvino", pytest.param("openvino-bf16", marks=needs_bf16)])
 def test_every_batch_size_gives_the_bits_of_single_frames(weights: Path, backend: str) -> None:
     driver = NetworkDriver(f"{weights}@{backend}")
-    assert driver.largest_batch == 8 and driver.rows_seen(Crop(5, 3), 160) == (5, 157)
+    assert driver.largest_batch == 8 and driver.rows_seen(Crop(5, 3), 160, "bullet") == (5, 157)
     given = frames(9)
     expected = [driver.command(frame) for frame in given]
     assert len({one.steering for one in expected}) == len(given) and max(abs(one.steering) for one in expected) < 1
@@ -228,7 +228,7 @@ def test_a_class_with_state_sees_its_frames_in_order(tmp_path: Path, monkeypatch
     )
     monkeypatch.syspath_prepend(tmp_path)
     driver = NetworkDriver("counting_driver:Counting")
-    assert driver.largest_batch == 1 and driver.rows_seen(Crop(5, 3), 160) is None
+    assert driver.largest_batch == 1 and driver.rows_seen(Crop(5, 3), 160, "bullet") is None
     image = np.zeros((160, 320, 3), np.uint8)
     steps = [(0, 1.0), (1, 1.0), (2, 101.0), (3, 1.0), (0, 1.0), (1, 1.0)]
     found = driver.commands([Frame(image=image, speed=speed, step=step) for step, speed in steps])
@@ -242,7 +242,7 @@ def test_a_described_network_says_whether_it_keeps_to_the_crop(crop: str, only: 
         f"file: n.onnx\ninput: {{size: [160, 320], colour: yuv, layout: nhwc, type: uint8, crop: {crop}}}\n"
     )
     driver = NetworkDriver(str(tmp_path / "n.yaml"))
-    assert (driver.rows_seen(Crop(5, 3), 160) == (5, 157)) is only and driver.largest_batch == 1
+    assert (driver.rows_seen(Crop(5, 3), 160, "bullet") == (5, 157)) is only and driver.largest_batch == 1
     first, second = frames(1)[0], frames(1, seed=6)[0]
     mixed = second.image.copy()
     mixed[54:159] = first.image[54:159]

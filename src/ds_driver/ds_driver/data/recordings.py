@@ -7,7 +7,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, reduce
+from functools import cached_property, partial, reduce
 from pathlib import Path
 from typing import Any, Literal
 
@@ -146,7 +146,29 @@ class Recording:
 
     def frames(self) -> Iterator[RecordedFrame]:
         """Iterate over the images in order; a BagError if the recording is damaged, or has no such topic."""
-        return counted(_tub_frames(self) if self.kind == "tub" else _bag_frames(self), str(self.path))
+        return counted(self._frames(), str(self.path))
+
+    def _frames(self) -> Iterator[RecordedFrame]:
+        images, second = (_tub_images(self), 1.0) if self.kind == "tub" else (_bag_images(self), 1e9)
+        first: float | None = None
+        for index, time, place, decode, (steering, speed, throttle) in images:
+            first = time if first is None else first
+            image, trouble = None, ""
+            try:
+                image = self.reading.fitted(decode())
+            except ImageError as error:
+                trouble = f"{place}: {error}"
+            yield RecordedFrame(
+                index=index,
+                seconds=(time - first) / second,
+                image=image,
+                steering=steering,
+                speed=speed,
+                trouble=trouble,
+                simulator=self.simulator,
+                throttle=throttle,
+                start=first / second,
+            )
 
 
 def open_recording(path: Path, reading: Reading) -> Recording:
@@ -173,51 +195,25 @@ def open_recording(path: Path, reading: Reading) -> Recording:
         return replace(recording, crop=Crop.of(spec), simulator=spec.name)
 
 
-def _tub_frames(recording: Recording) -> Iterator[RecordedFrame]:
-    pictures = read_tub(recording.path).pictures
-    for record, file in pictures:
-        image, trouble = None, ""
-        try:
-            image = recording.reading.fitted(read_rgb(file))
-        except ImageError as error:
-            trouble = f"{file}: {error}"
-        yield RecordedFrame(
-            index=record.index,
-            seconds=record.seconds - pictures[0][0].seconds,
-            image=image,
-            steering=record.steering,
-            throttle=record.throttle,
-            trouble=trouble,
-            start=pictures[0][0].seconds,
-        )
+_Labels = tuple[float | None, float, float | None]
+"""Steering, or None, speed, m/s, and throttle, or None."""
+_Recorded = tuple[int, float, str, Callable[[], NDArray[np.uint8]], _Labels]
+"""Index, time, place for messages and decoder of an image, and what is recorded beside it."""
 
 
-def _bag_frames(recording: Recording) -> Iterator[RecordedFrame]:
-    reading = recording.reading
+def _tub_images(recording: Recording) -> Iterator[_Recorded]:
+    for record, file in read_tub(recording.path).pictures:
+        yield record.index, record.seconds, str(file), partial(read_rgb, file), (record.steering, 0.0, record.throttle)
+
+
+def _bag_images(recording: Recording) -> Iterator[_Recorded]:
+    """Yield images of a bag, whose times are in ns."""
     with BagReader(recording.path) as bag:
-        camera, headers = _camera(bag, reading), recording.headers
+        camera, headers = _camera(bag, recording.reading), recording.headers
         labels = _labels(bag, recording)
-        first: int | None = None
         for index, (_, logged, message) in enumerate(bag.decoded([camera])):
             time = time_of(message, logged, headers=headers)
-            first = time if first is None else first
-            image, trouble = None, ""
-            try:
-                image = reading.fitted(rgb_of_message(message))
-            except ImageError as error:
-                trouble = f"{recording.path}, image {index}: {error}"
-            steering, speed, throttle = labels(time)
-            yield RecordedFrame(
-                index=index,
-                seconds=(time - first) / 1e9,
-                image=image,
-                steering=steering,
-                speed=speed,
-                trouble=trouble,
-                simulator=recording.simulator,
-                throttle=throttle,
-                start=first / 1e9,
-            )
+            yield index, time, f"{recording.path}, image {index}", partial(rgb_of_message, message), labels(time)
 
 
 def _camera(bag: BagReader, reading: Reading) -> Any:
@@ -240,11 +236,8 @@ def _is_translated(connection: Any) -> bool:
     return f"/{TRANSLATED}/" in connection.topic
 
 
-_Labels = Callable[[int], tuple[float | None, float, float | None]]
-
-
-def _labels(bag: BagReader, recording: Recording) -> _Labels:
-    """Return what gives steering, or None, speed, m/s, and throttle, or None, at a time in ns."""
+def _labels(bag: BagReader, recording: Recording) -> Callable[[int], _Labels]:
+    """Return what gives the labels at a time in ns."""
     if recording.reading.steering is not None:
         return _nearest(_field(bag, recording))
     if recording.kind != _PROJECT_BAG:
@@ -263,11 +256,11 @@ def _labels(bag: BagReader, recording: Recording) -> _Labels:
     return lambda time: (labels.get(time), speed.get(time, 0.0), throttle.get(time))
 
 
-def _nearest(steering: dict[int, float]) -> _Labels:
+def _nearest(steering: dict[int, float]) -> Callable[[int], _Labels]:
     """Look up the value that is nearest in time, within `NEAR`."""
     times = np.array(sorted(steering), dtype=np.int64)
 
-    def at(time: int) -> tuple[float | None, float, float | None]:
+    def at(time: int) -> _Labels:
         after = int(np.searchsorted(times, time))
         near = min(map(int, times[max(0, after - 1) : after + 1]), key=lambda t: abs(t - time), default=None)
         return (None if near is None or abs(near - time) > NEAR * 1e9 else steering[near]), 0.0, None

@@ -136,11 +136,8 @@ class Pilot(ABC):
         """
         return prepare(frame.image, frame.crop), "yuv"
 
-    def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
-        """Return first row and end of the rows that it looks at; None if it may look at all.
-
-        The images have so many rows and this crop, and are of a simulator, None if that is unknown.
-        """
+    def rows_seen(self, crop: Crop, height: int, simulator: str) -> tuple[int, int] | None:
+        """Return first row and end of the rows that it looks at in a simulator's images; None if it may look at all."""
         return (crop.top, height - crop.bottom) if self.sees_crop_only else None
 
     def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:

@@ -220,11 +220,9 @@ class TranslatingPilot(Pilot):
         """Return what the network sees of the translated frame; see `Pilot.seen`."""
         return self._pilot.seen(self.translation.seen([frame])[0])
 
-    def rows_seen(self, crop: Crop, height: int, simulator: str | None) -> tuple[int, int] | None:
+    def rows_seen(self, crop: Crop, height: int, simulator: str) -> tuple[int, int] | None:
         """See `ds_driver.networks.pilot.Pilot`."""
-        if simulator == NOT_SIMULATED:
-            return self._pilot.rows_seen(crop, height, simulator)
-        if simulator is None or simulator not in self.translation.generators:
+        if simulator not in self.translation.generators:
             return None
         window = self.translation.generators.generator(simulator).window
         return window.top, window.bottom
