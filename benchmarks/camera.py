@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from ds_base.figures import WIDTH, draw_figure
 from ds_road import Road, generate
 from ds_sim.camera.ground import paint_ground
+from ds_sim.camera.rendered_scene import Sensor
 from ds_sim.camera.renderer import Camera
-from ds_sim.camera.sensor import Sensor
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.registry import STANDARD, make_simulator, spec_of
 from ds_sim.road_simulator import RoadSimulator

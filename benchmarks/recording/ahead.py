@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ds_recording.located import Located, read_located
 from ds_recording.track import Track
 from ds_twin_donkey.dynamics import SUBSTEPS
-from ds_twin_donkey.located import Mounting, fit_located
+from ds_twin_donkey.fit import Mounting, fit_located
 from ds_twin_donkey.logs import LogSegment, read_log
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.windows import RUN_IN, Windows

@@ -27,9 +27,9 @@ from ds_base.folder_files import StoreError
 from ds_base.table import Table, TableError, keep_tables, read_tables, styled
 from ds_orchestrator.engines.cluster import ClusterError, read_cluster
 from ds_road import Road, RoadError
-from ds_road.export import write_all
 from ds_road.files import write_roads
 from ds_road.importing import import_roads
+from ds_road.opendrive import write_all
 from ds_sim.conditions.model import ConditionsError
 from ds_twin_donkey.car_files import read_start
 from ds_twin_donkey.logs import LogError, read_log

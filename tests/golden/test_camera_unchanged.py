@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from ds_road import Road, generate
 from ds_sim.camera import ground as painting
-from ds_sim.camera.atlas import AtlasMemory
+from ds_sim.camera.atlas import AtlasMemory, textures
 from ds_sim.camera.ground import paint_ground
+from ds_sim.camera.rendered_scene import Sensor, scene_rows
 from ds_sim.camera.renderer import Camera
-from ds_sim.camera.sensor import Sensor, scene_rows
 from ds_sim.camera.spec import Look
 from ds_sim.camera.surface import LEAD_IN, LEAD_OUT, RESOLUTION
-from ds_sim.camera.textures import textures
 from ds_sim.registry import STANDARD, spec_of
 from ds_sim.simulator import VehicleState
 

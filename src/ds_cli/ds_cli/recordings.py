@@ -245,8 +245,7 @@ def twin_fit_command(
     """
     from ds_report.fit_picture import draw_fit
     from ds_twin_donkey.car_files import read_start
-    from ds_twin_donkey.fit import fit
-    from ds_twin_donkey.located import fit_located
+    from ds_twin_donkey.fit import fit, fit_located
     from ds_twin_donkey.logs import read_log
     from ds_twin_donkey.parameter_file import document_of, write_parameters
 

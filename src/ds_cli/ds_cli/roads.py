@@ -142,7 +142,7 @@ def road_export_command(
     Example: ds road export roads.json --out exported
     """
     import ds_road
-    from ds_road import export
+    from ds_road.opendrive import write_all
 
     roads = ds_road.read_roads(file)
     raw = ds_road.read_raw_roads(file)
@@ -150,7 +150,7 @@ def road_export_command(
         one["test_id"] if isinstance(one, dict) and isinstance(one.get("test_id"), str) else f"road_{index:04d}"
         for index, one in enumerate(raw)
     ]
-    paths = export.write_all(roads, names, out)
+    paths = write_all(roads, names, out)
     print(*paths, sep="\n")
     say_next(ds_command("road", "import", paths[0]))
 

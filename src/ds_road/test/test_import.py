@@ -18,9 +18,8 @@ import shapely
 
 from ds_base.left_out import LeftOut
 from ds_road import Road, RoadError, Side, generate, read_roads
-from ds_road.export import opendrive, write_all
 from ds_road.importing import import_roads
-from ds_road.opendrive import SPACING
+from ds_road.opendrive import SPACING, opendrive, write_all
 
 ROADS = {
     "random": generate(np.random.default_rng(3)),

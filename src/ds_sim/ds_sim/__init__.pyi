@@ -2,9 +2,8 @@
 from .camera.atlas import Ground
 from .camera.ground import paint_ground
 from .camera.lens import project
-from .camera.rendered_scene import PaintedScene
+from .camera.rendered_scene import PaintedScene, Sensor
 from .camera.renderer import Camera
-from .camera.sensor import Sensor
 from .camera.spec import CameraSpec, Look
 from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, ConditionsError, NotApplicableError
 from .conditions.text import format_conditions, parse_conditions

@@ -15,8 +15,8 @@ from camera_reference import below_horizon, brute_force, directions, ground_of, 
 from ds_road import Road, generate
 from ds_sim.camera.atlas import Ground
 from ds_sim.camera.ground import paint_ground
+from ds_sim.camera.rendered_scene import Sensor
 from ds_sim.camera.renderer import Camera
-from ds_sim.camera.sensor import Sensor
 from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.simulator import VehicleState
 

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from ds_road import Road
 from ds_road.geometry import arc_lengths
-from ds_sim.camera.atlas import TILE, AtlasMemory, Ground
+from ds_sim.camera.atlas import TEXTURE_SIZE, TILE, AtlasMemory, Ground, textures
 from ds_sim.camera.spec import Look
 from ds_sim.camera.surface import LEAD_IN, LEAD_OUT, RESOLUTION, SURFACE_CONDITIONS, Canvas, Strip, Surface
-from ds_sim.camera.textures import TEXTURE_SIZE, textures
 from ds_sim.conditions.model import DEFAULT, Conditions
 
 LEVELS = 6

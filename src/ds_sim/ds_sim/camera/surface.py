@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_road.geometry import arc_lengths
-from ds_sim.camera.atlas import Box
+from ds_sim.camera.atlas import TEXTURE_SIZE, Box
 from ds_sim.camera.optics import decode, encode, light_of
 from ds_sim.camera.spec import Colour, Look
-from ds_sim.camera.textures import TEXTURE_SIZE
 from ds_sim.conditions.model import Conditions
 
 RESOLUTION = 0.05
