@@ -23,7 +23,7 @@ from ds_base.folder_files import locked
 from ds_cli.campaign.run import judged
 from ds_cli.options import CampaignCriteria
 from ds_cli.output import Result, end
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import DriveSettings, Watch

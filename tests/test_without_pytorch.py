@@ -14,7 +14,7 @@ DRIVES = """
 import sys
 import ds_driver
 from ds_driver import Autopilot, DriverError, Frame, NetworkDriver, drive_road, load_pilot, make_driver
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_orchestrator.engines.start import check_driver

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.observations import made_observation
 
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.control.autopilot import Autopilot
 from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.campaign.executor import Stopped

@@ -21,7 +21,7 @@ from tests.campaign.engines import EngineHere, MadeUpEngine
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.folder_files import StoreError
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, parse_config, read_config
 from ds_orchestrator.campaign.engine import Engine, Watch

@@ -17,7 +17,7 @@ from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text, run
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_base.folder_files import StoreError
 from ds_cli.campaign.inspection import campaign_status_command
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import ConfigError, parse_config
 from ds_orchestrator.campaign.engine import Watch

@@ -17,7 +17,7 @@ from tests.engines.dask_processes import DaskProcesses
 from tests.waiting import wait_until
 
 from ds_base.progress import lines_to
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.engine import DriveSettings

@@ -17,8 +17,7 @@ from tests.drives import driven
 from tests.engines.quick_simulator import NONSENSE
 
 from ds_driver.closed_loop import worker_process
-from ds_driver.closed_loop.drive_request import DriveRequest
-from ds_driver.closed_loop.simulation import Phase
+from ds_driver.closed_loop.simulation import DriveRequest, Phase
 from ds_driver.closed_loop.worker_process import WorkerError, WorkerProcess
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_road import Road, generate

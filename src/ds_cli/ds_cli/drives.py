@@ -58,7 +58,7 @@ def drive_in_words(document: dict[str, Any], road: Road) -> list[str]:
 
 
 def _run_without_ros(sim: SimulatorName, driver: DriverName, scenario: Scenario) -> RunRecord:
-    from ds_driver.closed_loop.drive_request import DriveRequest
+    from ds_driver.closed_loop.simulation import DriveRequest
     from ds_orchestrator.engines.local import running_local
 
     say(f"{sim} drives")

@@ -22,7 +22,7 @@ import pytest
 from report_campaigns import EVIL, NOWHERE, make_campaign, make_execution, make_tests, road, set_conditions
 
 from ds_base.folder_files import StoreError
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Watch

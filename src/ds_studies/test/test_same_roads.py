@@ -15,7 +15,7 @@ from made_observations import made_observation
 
 from ds_base.folder_files import StoreError
 from ds_base.progress import LOGGER
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings, Watch

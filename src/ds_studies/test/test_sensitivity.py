@@ -26,7 +26,7 @@ from ds_analysis.sensitivity import (
     factors_named,
     threshold_of,
 )
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines.start import ENGINES

@@ -1,29 +1,64 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives roads without ROS: one by one, or several at once with one question to the network per frame."""
+"""Requests for drives, and drives without ROS: one by one, or several with one question to the network per frame."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ds_driver.closed_loop.drive_request import DriveRequest
 from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.images import Crop, ImageError
 from ds_driver.networks.pilot import DriverError, Frame, attempt
 from ds_road import Road
+from ds_road.files import road_from_json, road_to_json
 from ds_sim.conditions.model import DEFAULT, Conditions, NotApplicableError
+from ds_sim.conditions.text import from_json
 from ds_sim.gates.visible_contrast import ContrastProbe
-from ds_sim.registry import make_simulator
-from ds_sim.scenario import Scenario
+from ds_sim.registry import SimulatorName, make_simulator
+from ds_sim.scenario import OfScenario, Scenario
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
+from ds_sim.simulator import Command, Observation, Outcome, Reason, Simulator, SimulatorSpec
 
 if TYPE_CHECKING:
     from ds_driver.networks.network_driver import NetworkDriver
 
 Driver = Callable[[Observation], Command]
+
+
+@dataclass(frozen=True)
+class DriveRequest(OfScenario):
+    """One scenario to drive; if `probed`, the contrast of the lines is measured, see `ds_sim.gates`."""
+
+    scenario: Scenario
+    driver: DriverName
+    simulator: SimulatorName
+    probed: bool = False
+
+    def ended(self, outcome: Outcome, message: str, reason: Reason = Reason.NONE) -> RunRecord:
+        """Make the record of a drive that ended without a frame."""
+        return RunRecord(scenario=self.scenario, outcome=outcome, message=message, reason=reason)
+
+
+def request_to_json(request: DriveRequest) -> dict[str, Any]:
+    """Convert a request to a JSON value."""
+    return {
+        "simulator": request.simulator,
+        "driver": str(request.driver),
+        "road": road_to_json(request.road),
+        "seed": request.seed,
+        "conditions": request.conditions.changed,
+        "probed": request.probed,
+    }
+
+
+def request_from_json(value: Mapping[str, Any]) -> DriveRequest:
+    """Convert what `request_to_json` made to an equal request; a ValueError if the road or the conditions cannot be."""
+    scenario = Scenario(road_from_json(value["road"]), from_json(value["conditions"]), seed=value["seed"])
+    driver, simulator = DriverName.parse(value["driver"]), SimulatorName(value["simulator"])
+    return DriveRequest(scenario, driver, simulator, probed=value["probed"])
 
 
 def make_driver(driver: DriverName | str, spec: SimulatorSpec) -> Driver:
@@ -60,6 +95,7 @@ def drive_road(
     Examples:
         >>> from ds_driver import drive_road, make_driver
         >>> from ds_road import Road
+    from ds_road.files import road_from_json, road_to_json
         >>> from ds_sim import make_simulator
         >>> simulator = make_simulator("softbody")
         >>> driver = make_driver("autopilot", simulator.spec)

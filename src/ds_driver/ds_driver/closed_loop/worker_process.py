@@ -24,8 +24,14 @@ from pathlib import Path
 
 from ds_base.errors import RunError
 from ds_base.processes import ChildProcesses, RunningClock, last_line_of, python_environment
-from ds_driver.closed_loop.drive_request import DriveRequest, request_from_json, request_to_json
-from ds_driver.closed_loop.simulation import ALL_DRIVES, InterleavedDrives, Phase
+from ds_driver.closed_loop.simulation import (
+    ALL_DRIVES,
+    DriveRequest,
+    InterleavedDrives,
+    Phase,
+    request_from_json,
+    request_to_json,
+)
 from ds_driver.networks.driver_name import DriverName
 from ds_sim.conditions.model import NotApplicableError
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import Literal, Protocol
 
 from ds_base.installation import missing_of_ros
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.engines.cluster import ClusterOptions
 from ds_sim.conditions.model import DEFAULT, Conditions

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.errors import RunError
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.store import rows

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Engine
 from ds_orchestrator.campaign.executor import execution_of

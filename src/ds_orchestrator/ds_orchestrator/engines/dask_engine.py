@@ -20,7 +20,7 @@ from ds_base.errors import RunError
 from ds_base.folder_files import enter_folder
 from ds_base.processes import RunningClock, check_semaphores
 from ds_base.progress import logger_of
-from ds_driver.closed_loop.drive_request import DriveRequest, request_to_json
+from ds_driver.closed_loop.simulation import DriveRequest, request_to_json
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
 from ds_orchestrator.engines import dask_worker
 from ds_orchestrator.engines.cluster import ClusterError, ClusterOptions, connect, own_cluster

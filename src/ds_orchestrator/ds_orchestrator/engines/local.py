@@ -11,7 +11,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from pathlib import Path
 
 from ds_base.folder_files import enter_folder
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.closed_loop.worker_process import WorkerProcess
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.engine import Watch

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ds_base.errors import RunError
 from ds_base.processes import RunningClock
 from ds_base.progress import logger_of
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.graph.supervisor import Supervisor
 from ds_sim.registry import SimulatorName, spec_of

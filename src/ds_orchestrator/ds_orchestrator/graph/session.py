@@ -12,7 +12,7 @@ from pathlib import Path
 from queue import SimpleQueue
 
 from ds_base.errors import RunError
-from ds_driver.closed_loop.drive_request import DriveRequest
+from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.engines.local import LocalEngine, running_local
