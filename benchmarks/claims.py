@@ -26,7 +26,7 @@ from ds_analysis.common.statistics import Array, Bools, Indices, families_of
 from ds_analysis.comparison.analysis import compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
 from ds_analysis.paper.correlation import evaluate, paired_differences
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_base.table import Table, Value, styled
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.maps.campaign_maps import build_maps

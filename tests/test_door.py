@@ -15,10 +15,9 @@ from typing import Any
 
 import pytest
 
-from ds_base.atomic_files import write_whole
-from ds_base.folder_files import StoreError, enter_folder, place_folder
+from ds_base.folder_files import StoreError, enter_folder, place_folder, write_whole
 
-DOOR = {"atomic_files", "bounded_file", "bounded_tables", "folder_files"}
+DOOR = {"bounded_file", "bounded_tables", "folder_files"}
 DOOR_CALLS = {"read_table", "read_parquet", "read_csv"}
 """Functions of this project of the same names as those of libraries, which are called by their module."""
 OPENED = {"whole_file", "open_regular"}
@@ -87,7 +86,7 @@ def test_every_file_goes_through_the_door() -> None:
                 key = f"{module} {name}"
                 excused = (one for one in EXCEPTIONS if fnmatch(key, one) or fnmatch(key, one.replace(" ", " *.")))
                 found.setdefault(next(excused, ""), []).append(key)
-    assert not found.get(""), f"these go past ds_base.bounded_*, atomic_files and folder_files: {found['']}"
+    assert not found.get(""), f"these go past ds_base.bounded_* and folder_files: {found['']}"
     assert set(found) == set(EXCEPTIONS), f"exceptions without a call: {set(EXCEPTIONS) - set(found)}"
 
 

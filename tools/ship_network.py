@@ -25,8 +25,8 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from ds_analysis.paper.open_loop import OpenLoopAnswers, predict
-from ds_base.atomic_files import whole_file
 from ds_base.bounded_file import sha256_of
+from ds_base.folder_files import whole_file
 from ds_cli.output import ScreenProgress
 from ds_driver.data.collection import roads_both_ways
 from ds_driver.data.dataset import road_ids

@@ -17,7 +17,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ds_base.atomic_files import whole_file
+from ds_base.folder_files import whole_file
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.folder import (
     DRIVER_SHA256,

@@ -17,7 +17,7 @@ from pathlib import Path
 from tests.campaign.disk import KINDS, Disk, damage, differences
 from tests.campaign.engines import MadeUpEngine
 
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_cli import application
 from ds_orchestrator.engines.start import ENGINES
 from ds_report import build

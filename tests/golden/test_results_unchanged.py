@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import write_json
+from ds_base.folder_files import write_json
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import Frame

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import sha256_of
+from ds_base.folder_files import write_whole
 from ds_sim.camera.mesa import INSTALL, software_rendering
 from ds_sim.simulator import SimulatorError
 

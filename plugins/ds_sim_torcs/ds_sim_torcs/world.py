@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_road import Road
 from ds_road.geometry import arc_lengths
 from ds_sim.camera.optics import encode, light_of

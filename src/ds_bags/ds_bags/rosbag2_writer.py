@@ -20,11 +20,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ds_bags.layout import MAX_TOPICS, BagError
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_words
 from ds_base.bounded_yaml import load_yaml
 from ds_base.errors import InputError
-from ds_base.folder_files import make_parents
+from ds_base.folder_files import make_parents, write_whole
 from ds_base.installation import share_folders
 
 CHUNK_SIZE = 64 * 1024

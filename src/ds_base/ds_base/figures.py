@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import whole_file
+from ds_base.folder_files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

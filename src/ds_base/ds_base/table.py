@@ -14,10 +14,10 @@ from pydantic import Field, TypeAdapter, ValidationError
 from rich.console import Console
 from rich.text import Text
 
-from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_file import read_regular
 from ds_base.bounded_tables import csv_text
 from ds_base.errors import InputError
+from ds_base.folder_files import write_json, write_whole
 
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Value = str | Number | Annotated[int, Field(ge=-(2**53), le=2**53)] | tuple[Number, Number] | None

@@ -171,8 +171,7 @@ def drive_command(
     from ds_analysis.paper.open_loop import evaluate_recording, write_answers
     from ds_analysis.paper.steering_error_stats import distances, pooled_errors, summarise
     from ds_bags.layout import BagError
-    from ds_base.atomic_files import write_json
-    from ds_base.folder_files import enter_folder
+    from ds_base.folder_files import enter_folder, write_json
     from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
     from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import NetworkDriver

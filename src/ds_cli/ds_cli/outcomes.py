@@ -97,8 +97,7 @@ def _guessed(tables: list[Path], out: Path) -> Columns:
     from ds_analysis.common.outcome_table import OutcomeTableError
     from ds_analysis.outcomes.column_names import FILE, guess_columns
     from ds_analysis.outcomes.columns import Columns
-    from ds_base.atomic_files import write_whole
-    from ds_base.folder_files import make_folder
+    from ds_base.folder_files import make_folder, write_whole
 
     guess = None if any(path.is_dir() for path in tables) else guess_columns(tables[0])
     if guess is None:

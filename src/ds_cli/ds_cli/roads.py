@@ -121,7 +121,7 @@ def road_show_command(
     Example: ds road show --seed 1 --out road.png
     """
     import ds_road
-    from ds_base.atomic_files import write_whole
+    from ds_base.folder_files import write_whole
     from ds_sim.camera.encodings import png
 
     write_whole(out, png(ds_road.draw(one_road(file, seed, max_angle, lane))))

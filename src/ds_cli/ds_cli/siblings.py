@@ -140,7 +140,7 @@ def _write(
     from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
     from ds_analysis.paper.simulator_agreement import APART, most_different
     from ds_analysis.siblings.analysis import analysis_tables
-    from ds_base.atomic_files import whole_file, write_json, write_whole
+    from ds_base.folder_files import whole_file, write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.sections import draw_failures, draw_matrix
     from ds_sim.camera.encodings import png

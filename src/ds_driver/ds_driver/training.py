@@ -24,9 +24,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ds_base.atomic_files import whole_file, write_json
 from ds_base.bounded_file import open_regular
-from ds_base.folder_files import enter_folder
+from ds_base.folder_files import enter_folder, whole_file, write_json
 from ds_base.progress import Progress
 from ds_driver.data.dataset import (
     DatasetError,

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_yaml import DEFAULT_LIMITS, load_yaml
+from ds_base.folder_files import write_whole
 from ds_recording.errors import RecordingError
 from ds_road.road import abbreviated
 

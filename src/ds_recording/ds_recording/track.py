@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_regular
+from ds_base.folder_files import write_whole
 from ds_recording.errors import RecordingError
 from ds_road import RoadError, importing
 

@@ -20,7 +20,7 @@ from ds_analysis.common.statistics import families_of
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
 from ds_analysis.paper.correlation import Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import CORRELATIONS, Network, cautions, evaluate_campaign, network_of
-from ds_base.atomic_files import write_json
+from ds_base.folder_files import write_json
 from ds_base.progress import logger_of
 from ds_base.table import Table, read_tables, write_tables
 from ds_orchestrator.campaign.config import CampaignConfig

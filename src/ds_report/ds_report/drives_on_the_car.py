@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ds_analysis.common.statistics import Array
 from ds_analysis.real.proposal import ProposedDrive
 from ds_analysis.real.records import COLUMNS, FOLDER, OPTIONAL
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_tables import csv_text
 from ds_base.figures import draw_figure
+from ds_base.folder_files import write_whole
 from ds_base.palette import SERIES
 from ds_road import Road
 from ds_road.geometry import arc_lengths

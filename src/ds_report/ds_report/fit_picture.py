@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ds_base.atomic_files import write_whole
 from ds_base.figures import WIDTH, draw_figure
+from ds_base.folder_files import write_whole
 from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
 from ds_sim.simulator import FRAME_TIME

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.prediction.verdicts import CellVerdict, Verdicts
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_base.palette import BETWEEN, FAIL, INK, PASS, Rgb, colour_of_share, ink_on, rgb
 from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, compared_ids, slices_of
 from ds_orchestrator.search.features import Cell, Feature

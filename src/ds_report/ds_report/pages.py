@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
 from ds_base import palette
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_base.words import count, duration
 from ds_sim.camera.encodings import png
 

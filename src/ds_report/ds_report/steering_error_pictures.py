@@ -13,8 +13,8 @@ import numpy as np
 from ds_analysis.common.statistics import Array
 from ds_analysis.paper.open_loop import WORST, OpenLoopAnswers
 from ds_analysis.paper.steering_error_stats import EDGES, density, pooled_errors
-from ds_base.atomic_files import write_whole
 from ds_base.figures import WIDTH, draw_figure
+from ds_base.folder_files import write_whole
 from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
 

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, load_json, read_regular
+from ds_base.folder_files import write_whole
 from ds_road.road import LANE_WIDTH, Road, RoadError, Side, abbreviated
 
 LARGEST_FILE = 16 * 2**20

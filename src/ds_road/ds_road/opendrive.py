@@ -23,8 +23,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import write_whole
-from ds_base.folder_files import enter_folder
+from ds_base.folder_files import enter_folder, write_whole
 from ds_base.left_out import LeftOut
 from ds_road.centre_lines import CentreLine
 from ds_road.commonroad import constant_width

@@ -27,8 +27,8 @@ from typing import Any, get_type_hints
 import llvmlite.binding as llvm
 import numpy as np
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_regular
+from ds_base.folder_files import write_whole
 
 _LOADING = threading.Lock()
 """Held while an engine is made: of two that threads made at once, one would be freed with code that is in use."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_sim.simulator import FRAME_TIME
 from ds_sim_bullet.parameters import GRAVITY, BulletParameters
 

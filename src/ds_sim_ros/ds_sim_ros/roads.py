@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ds_base.atomic_files import write_json, write_whole
+from ds_base.folder_files import write_json, write_whole
 from ds_road import Road, RoadError, Side, read_roads
 from ds_road.centre_lines import in_box
 from ds_road.importing import import_roads

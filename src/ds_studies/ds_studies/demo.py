@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from ds_analysis.sensitivity import Sensitivity, factors_named, ranges_of
-from ds_base.atomic_files import write_json
 from ds_base.bounded_file import read_json
-from ds_base.folder_files import make_folder
+from ds_base.folder_files import make_folder, write_json
 from ds_base.progress import Progress
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import DriverName

@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_file import FileError, open_regular, read_json, read_words
 from ds_base.errors import InputError
-from ds_base.folder_files import make_folder
+from ds_base.folder_files import make_folder, write_json, write_whole
 from ds_base.progress import SILENT, Progress, logger_of
 from ds_base.words import count
 from ds_driver.data.recordings import Reading

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_yaml import DEFAULT_LIMITS, load_yaml
 from ds_base.errors import InputError
+from ds_base.folder_files import write_whole
 from ds_twin_donkey.parameters import DonkeyParameters
 
 if TYPE_CHECKING:  # whoever drives needs no part of SciPy, which takes half a second to import

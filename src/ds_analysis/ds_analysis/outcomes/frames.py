@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from ds_base.atomic_files import whole_file
+from ds_base.folder_files import whole_file
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.store.model import Execution
 from ds_sim.simulator import FRAME_TIME

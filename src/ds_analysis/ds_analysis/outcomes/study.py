@@ -31,9 +31,9 @@ from ds_analysis.outcomes.columns import (
 )
 from ds_analysis.outcomes.known_before import ImportNotes, features_of
 from ds_analysis.outcomes.sbft import read_competition
-from ds_base.atomic_files import whole_file, write_whole
 from ds_base.bounded_file import FileError, load_json
 from ds_base.bounded_tables import plain_cell, read_csv, read_parquet
+from ds_base.folder_files import whole_file, write_whole
 from ds_orchestrator.search.features import column_axis
 from ds_sim.conditions.model import FIELDS
 from ds_sim.registry import SimulatorName

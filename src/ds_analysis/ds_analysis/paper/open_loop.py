@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_analysis.common.statistics import Array
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_tables import csv_text
 from ds_base.errors import InputError
+from ds_base.folder_files import write_whole
 from ds_base.progress import Progress
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_driver.networks.images import Crop

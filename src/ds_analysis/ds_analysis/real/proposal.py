@@ -18,9 +18,8 @@ from ds_analysis.common.outcome_table import MOST_TESTS, OutcomeTable, RoadTable
 from ds_analysis.common.statistics import Indices
 from ds_analysis.prediction.mixture import Prediction
 from ds_analysis.real.records import FOLDER, MOST_ROWS, RecordError, Text
-from ds_base.atomic_files import write_json
 from ds_base.errors import InputError
-from ds_base.folder_files import read_file
+from ds_base.folder_files import read_file, write_json
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
 from ds_sim.conditions.text import format_3sf, format_conditions

@@ -15,10 +15,9 @@ from typing import Annotated
 from pydantic import Field, TypeAdapter, ValidationError
 
 from ds_analysis.common.outcome_table import STUDY, is_study
-from ds_base.atomic_files import write_json
 from ds_base.bounded_file import LARGEST_FILE, FileError, read_regular
 from ds_base.errors import InputError
-from ds_base.folder_files import read_file
+from ds_base.folder_files import read_file, write_json
 
 FOLDER = "real"
 """Folder of proposals and real drives within a campaign's."""

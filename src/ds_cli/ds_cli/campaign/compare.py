@@ -119,7 +119,7 @@ def write_comparison(comparison: Comparison, out: Path, passing: options.Compari
     from ds_analysis.comparison import tables
     from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
     from ds_analysis.comparison.ci_results import cases_of, junit_of
-    from ds_base.atomic_files import write_json, write_whole
+    from ds_base.folder_files import write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
 
@@ -179,7 +179,7 @@ def write_comparison(comparison: Comparison, out: Path, passing: options.Compari
 
 def write_roads(comparison: Comparison, folder: Path) -> dict[str, str]:
     """Write a road file for every test that newly fails, as `ds drive --road` takes it; test -> file."""
-    from ds_base.atomic_files import write_whole
+    from ds_base.folder_files import write_whole
     from ds_road.files import road_object
     from ds_sim.conditions.text import format_conditions
 

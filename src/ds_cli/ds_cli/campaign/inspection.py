@@ -106,7 +106,7 @@ def campaign_roads_command(
 
     Example: ds campaign roads out --failed --out failures.json
     """
-    from ds_base.atomic_files import write_whole
+    from ds_base.folder_files import write_whole
     from ds_orchestrator.campaign.status import roads_of
 
     roads = roads_of(folder, failed=failed, simulator=simulator, cell=cell, test=test)

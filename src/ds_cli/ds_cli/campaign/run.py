@@ -86,7 +86,7 @@ def judged(result: Result, folder: Path, passing: options.CampaignCriteria, vide
     if passing == options.CampaignCriteria() and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
-    from ds_base.atomic_files import write_whole
+    from ds_base.folder_files import write_whole
     from ds_orchestrator.campaign.folder import read_folder
 
     data = read_folder(folder)
@@ -169,9 +169,8 @@ def search_command(
     Example: ds test my_net.yaml --out out
     """
     from ds_analysis.sensitivity import read_ranges
-    from ds_base.atomic_files import write_whole
     from ds_base.bounded_file import read_words
-    from ds_base.folder_files import make_folder
+    from ds_base.folder_files import make_folder, write_whole
     from ds_orchestrator.campaign.config import ConfigError, read_config, rebase_paths
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.start import check_driver

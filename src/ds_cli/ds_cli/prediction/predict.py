@@ -79,8 +79,7 @@ def predict_command(
     from ds_analysis.prediction.mixture import predict, too_few
     from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
     from ds_analysis.prediction.verdicts import cell_table, judge
-    from ds_base.atomic_files import write_json, write_whole
-    from ds_base.folder_files import make_folder
+    from ds_base.folder_files import make_folder, write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.heatmap import draw_verdicts
     from ds_sim.camera.encodings import png

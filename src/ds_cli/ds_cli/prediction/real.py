@@ -27,7 +27,7 @@ def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.records import FOLDER, RecordError
-    from ds_base.atomic_files import write_json, write_whole
+    from ds_base.folder_files import write_json, write_whole
     from ds_report.heatmap import draw_verdicts
     from ds_sim.camera.encodings import png
 

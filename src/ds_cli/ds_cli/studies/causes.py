@@ -61,8 +61,7 @@ def sensitivity_command(
     from rich.console import Console
 
     from ds_analysis.sensitivity import RESOLUTIONS, all_factors, factors_named
-    from ds_base.atomic_files import write_json, write_whole
-    from ds_base.folder_files import make_folder
+    from ds_base.folder_files import make_folder, write_json, write_whole
     from ds_base.table import write_tables
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_report.sensitivity_page import SensitivityPage, draw_sensitivity
@@ -138,8 +137,7 @@ def explain_command(
     Example: ds explain out
     """
     from ds_analysis.failures import groups_of, groups_table, reason_of, reasons_of, where
-    from ds_base.atomic_files import write_json
-    from ds_base.folder_files import make_folder
+    from ds_base.folder_files import make_folder, write_json
     from ds_base.table import write_tables
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError

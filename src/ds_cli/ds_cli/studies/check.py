@@ -45,9 +45,8 @@ def check_command(
     from rich.console import Console
     from rich.table import Table
 
-    from ds_base.atomic_files import write_whole
     from ds_base.errors import InputError
-    from ds_base.folder_files import make_folder
+    from ds_base.folder_files import make_folder, write_whole
     from ds_driver.networks.described_network import DescribedNetworkPilot
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.network_file import KINDS

@@ -13,8 +13,8 @@ from zlib import crc32
 
 import numpy as np
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_words
+from ds_base.folder_files import write_whole
 from ds_base.installation import ds_command
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress

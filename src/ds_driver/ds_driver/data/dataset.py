@@ -15,10 +15,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ds_bags.layout import TRANSLATED
-from ds_base.atomic_files import whole_file, write_json, write_whole
 from ds_base.bounded_file import FileError, read_json, read_regular
 from ds_base.bounded_tables import read_parquet
 from ds_base.errors import InputError
+from ds_base.folder_files import whole_file, write_json, write_whole
 from ds_base.installation import ds_command
 from ds_driver.networks.images import Crop, ImageError, rgb_of_file
 from ds_driver.sim2real.generator import LARGEST_FILE

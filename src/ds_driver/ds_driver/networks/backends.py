@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.atomic_files import write_whole
+from ds_base.folder_files import write_whole
 from ds_base.installation import install_command, processor_flags
 from ds_driver.networks.pilot import DriverError
 

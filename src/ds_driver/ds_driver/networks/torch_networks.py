@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from ds_base.atomic_files import whole_file
+from ds_base.folder_files import whole_file
 from ds_driver.networks.architectures import (
     NETWORKS,
     Architecture,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import load, save
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import load_json, read_regular
 from ds_base.errors import InputError
+from ds_base.folder_files import write_whole
 
 EPSILON = 1e-5
 """Added to the variance of an instance normalisation (PyTorch's default)."""

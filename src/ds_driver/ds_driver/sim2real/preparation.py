@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
-from ds_base.atomic_files import whole_file, write_json
 from ds_base.bounded_file import open_regular
-from ds_base.folder_files import enter_folder
+from ds_base.folder_files import enter_folder, whole_file, write_json
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress, counted, logger_of
 from ds_driver.closed_loop.simulation import make_driver

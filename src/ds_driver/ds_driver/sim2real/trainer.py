@@ -18,8 +18,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ds_base.atomic_files import write_whole
-from ds_base.folder_files import enter_folder
+from ds_base.folder_files import enter_folder, write_whole
 from ds_base.progress import Progress
 from ds_driver.sim2real.generator import Sim2RealError, save_generator
 from ds_driver.sim2real.networks import Discriminator, Generator, ImagePool, to_batch, to_images

@@ -16,9 +16,9 @@ from ds_bags.donkey_tub import MAX_FILE, is_tub, read_tub
 from ds_bags.layout import TRANSLATED
 from ds_bags.reader import BagReader
 from ds_bags.verification import COMPRESSED, IMAGE
-from ds_base.atomic_files import write_json, write_whole
 from ds_base.bounded_file import read_json, read_regular
 from ds_base.bounded_tables import read_parquet
+from ds_base.folder_files import write_json, write_whole
 from ds_base.processes import map_in_processes
 from ds_base.progress import Progress
 from ds_driver.data.dataset import GENERATOR, IMPORTED, decode, keep_import, read_drive, write_drive, write_manifest

@@ -12,9 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import load_json
-from ds_base.folder_files import StoreError, check_name, make_folder, read_file
+from ds_base.folder_files import StoreError, check_name, make_folder, read_file, write_whole
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount
 from ds_driver.networks.driver_name import DriverName

@@ -15,8 +15,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, Field, ValidationError
 
-from ds_base.atomic_files import write_whole
-from ds_base.folder_files import StoreError, read_file
+from ds_base.folder_files import StoreError, read_file, write_whole
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.eta import TimedListener

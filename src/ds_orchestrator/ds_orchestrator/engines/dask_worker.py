@@ -12,10 +12,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import read_regular
 from ds_base.errors import InputError
-from ds_base.folder_files import enter_folder
+from ds_base.folder_files import enter_folder, write_whole
 from ds_driver.closed_loop.simulation import request_from_json
 from ds_driver.networks.driver_name import DESCRIPTIONS, NO_GENERATORS, WEIGHTS, DriverName
 from ds_orchestrator.engines.fingerprint import fingerprint

@@ -13,9 +13,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from ds_analysis.comparison.analysis import Comparison, compare_networks
 from ds_analysis.comparison.paired_drives import ComparedTest, DriveOutcome, Network, PairedDrive
-from ds_base.atomic_files import write_whole
 from ds_base.bounded_file import FileError, read_json
 from ds_base.config_errors import Keys, problems
+from ds_base.folder_files import write_whole
 from ds_base.installation import ds_command
 from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import ConditionsText, ConfigError, DriverText, rebase_paths
