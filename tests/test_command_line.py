@@ -21,8 +21,9 @@ from tests.command_line import document, ds, ds_process, refusal
 from tests.drives import driven
 
 from ds_base.table import Column, Table
-from ds_cli import application, evaluations
+from ds_cli import application
 from ds_cli.output import ScreenProgress
+from ds_cli.prediction.predict import tables_result
 from ds_cli.verbs import VERBS, overview
 from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
@@ -189,11 +190,11 @@ def test_an_evaluation_is_short_unless_all_is_wanted(tmp_path: Path, capsys: pyt
         Table(name=name, title=title, columns=[Column("r", "number")], rows=[[0.5]])
         for name, title in (("rq2", "RQ2"), ("robustness_checks", "RQ2 in other ways"))
     ]
-    evaluations.tables_result(tables, tmp_path, "ds models", everything=False).show()
+    tables_result(tables, tmp_path, "ds models", everything=False).show()
     short = capsys.readouterr().out
     assert "Not shown without --all: RQ2 in other ways" in short
     assert short.count("0.500") == 1 and (tmp_path / "robustness_checks.csv").is_file()
-    evaluations.tables_result(tables, None, "ds models", everything=True).show()
+    tables_result(tables, None, "ds models", everything=True).show()
     assert capsys.readouterr().out.count("0.500") == 2
 
 

@@ -86,7 +86,11 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
         Verb("bag", "bags", "Inspect, re-simulate and repair rosbag2 recordings.", "info recover redrive drive"),
         Verb("serve", "drives", "Serve a simulator to clients of the Donkey simulator.", "donkey"),
         Verb("siblings", "siblings", "Compare how the simulators behave.", "compare"),
-        Verb("evaluate", "evaluations", "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data)."),
+        Verb(
+            "evaluate",
+            "prediction.predict",
+            "Compute how well the siblings predict the twin (RQ2, RQ3; RQ1 with data).",
+        ),
     ),
     "This installation": (
         Verb("doctor", "", "Check the installation and print the command that fixes each problem."),

@@ -7,7 +7,7 @@ import heapq
 
 import pytest
 
-from ds_orchestrator.campaign.eta import TimedListener
+from ds_orchestrator.campaign.live_file import TimedListener
 from ds_orchestrator.store.model import Origin, Test
 from ds_road import Road
 from ds_sim import SimulatorName

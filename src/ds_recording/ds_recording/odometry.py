@@ -24,7 +24,7 @@ from ds_bags.reader import BagReader
 from ds_base.words import multiple
 from ds_driver.data.recordings import MOTION, Recording
 from ds_recording.errors import RecordingError
-from ds_recording.hints import NOTHING, Hint
+from ds_recording.motion import NOTHING, Hint
 from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]

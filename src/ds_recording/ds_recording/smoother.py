@@ -21,9 +21,8 @@ from scipy.sparse.linalg import splu
 
 from ds_base.progress import SILENT, Progress
 from ds_recording.first_guess import SPACING
-from ds_recording.hints import Hint
 from ds_recording.lines import LinePoints
-from ds_recording.motion import Motion
+from ds_recording.motion import Hint, Motion
 from ds_recording.steering import Steering, follow_steering
 from ds_recording.track import Track, wrap
 

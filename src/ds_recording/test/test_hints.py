@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_recording.floor_camera import FloorCamera
-from ds_recording.hints import HintFinder
+from ds_recording.motion import HintFinder
 
 Array = NDArray[np.float64]
 CAMERA = FloorCamera(

@@ -50,14 +50,12 @@ def campaign_status_command(folder: options.Folder) -> Result:
         "executions": executions,
         "executions_in_all": drives,
         "stages": [{**asdict(stage), "state": stage.state} for stage in stages],
-        "searches": [dict(zip(("sibling", "run", "method", "seed"), row, strict=True)) for row in searches],
+        "searches": [row._asdict() for row in searches],
         "outcomes": counts,
         "excluded": exclusion_counts(data),
         "missing_bags": missing,
         "warnings": [habit.text for habit in habits],
-        "errors": [
-            dict(zip(("test_id", "simulator", "attempt", "outcome", "message"), row, strict=True)) for row in errors
-        ],
+        "errors": [row._asdict() for row in errors],
     }
 
     def show() -> None:
