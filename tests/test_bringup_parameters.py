@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import runpy
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -16,6 +15,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from tests.graph.test_interfaces import tables
+from tests.test_layers import imports
 
 from ds_sim.registry import STANDARD
 
@@ -73,11 +73,7 @@ def launched(
             assert {name for name, _ in launch_arguments} <= included["DeclareLaunchArgument"]
 
     def stand_in_for(name: str) -> Any:
-        own: dict[str, type] = {
-            "Node": Node,
-            "Shutdown": _Shutdown,
-            "IncludeLaunchDescription": IncludeLaunchDescription,
-        }
+        own = {"Node": Node, "Shutdown": _Shutdown, "IncludeLaunchDescription": IncludeLaunchDescription}
         return own.get(name) or type(name, (Anything,), {})
 
     for module in (
@@ -93,6 +89,13 @@ def launched(
     if "nodes_of" in described:
         described["nodes_of"](None)
     return made
+
+
+def installed_in(monkeypatch: pytest.MonkeyPatch, prefix_of: Callable[[str], str]) -> None:
+    """Let launch files find packages in the prefix that a function gives; a LookupError is that there is none."""
+    packages: Any = ModuleType("ament_index_python.packages")
+    packages.PackageNotFoundError, packages.get_package_prefix = LookupError, prefix_of
+    monkeypatch.setitem(sys.modules, "ament_index_python.packages", packages)
 
 
 class _Shutdown:
@@ -119,27 +122,17 @@ def test_what_a_launch_file_names_is_there(path: Path, monkeypatch: pytest.Monke
     """What `ros2 launch` looks up: packages, executables, arguments, parameters; and what rosdep installs for it."""
     from ament_index_python.packages import get_package_prefix
 
-    packages = ModuleType("ament_index_python.packages")
-    packages.PackageNotFoundError, packages.get_package_prefix = LookupError, str  # type: ignore[attr-defined]
     with monkeypatch.context() as patched:
-        patched.setitem(sys.modules, "ament_index_python.packages", packages)
+        installed_in(patched, str)
         words: dict[str, set[str]] = {}
-        made = [
-            node
-            for tool in ("rviz", "foxglove")
-            for node in launched(path, patched, words, tool=tool, port="8765", campaign="out")
-        ]
+        options = {"port": "8765", "campaign": "out"}
+        made = [node for tool in ("rviz", "foxglove") for node in launched(path, patched, words, tool=tool, **options)]
     manifest = ElementTree.parse(path.parents[1] / "package.xml")
     depends = {element.text for element in manifest.findall("exec_depend")}
-    tree = ast.parse(path.read_text())
-    modules = {
-        node.module.partition(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) if node.module
-    }
-    assert modules - set(sys.stdlib_module_names) <= depends
+    assert imports(path) - set(sys.stdlib_module_names) <= depends
     assert {node["package"] for node in made} - TOOLS <= depends
-    assert words.get("LaunchConfiguration", set()) <= words["DeclareLaunchArgument"] and words.get(
-        "FindPackageShare", set()
-    ) <= {"ds_bringup"}
+    assert words.get("LaunchConfiguration", set()) <= words["DeclareLaunchArgument"]
+    assert words.get("FindPackageShare", set()) <= {"ds_bringup"}
     for node in made:
         if node["package"] in TOOLS:
             continue
@@ -158,12 +151,9 @@ def test_parameter_files_name_parameters_that_nodes_have(file: Path) -> None:
 
 def test_the_watch_launch_starts_a_tool_that_only_reads(monkeypatch: pytest.MonkeyPatch) -> None:
     def without(package: str) -> str:
-        raise packages.PackageNotFoundError
+        raise LookupError
 
-    packages = ModuleType("ament_index_python.packages")
-    packages.PackageNotFoundError = LookupError  # type: ignore[attr-defined]
-    packages.get_package_prefix = lambda package: "/opt"  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "ament_index_python.packages", packages)
+    installed_in(monkeypatch, lambda package: "/opt")
     (bridge, page) = launched(WATCH, monkeypatch, tool="foxglove", port="8765", campaign="out")
     assert (bridge["package"], page["package"], page["arguments"]) == ("foxglove_bridge", "ds_orchestrator", ["out"])
     assert bridge["parameters"] == [{"address": "127.0.0.1", "port": 8765, "capabilities": ["connectionGraph"]}]
@@ -172,6 +162,6 @@ def test_the_watch_launch_starts_a_tool_that_only_reads(monkeypatch: pytest.Monk
     assert launched(WATCH, monkeypatch, tool="none", campaign="") == []
     with pytest.raises(RuntimeError, match="tool 'x': expected foxglove, rviz or none"):
         launched(WATCH, monkeypatch, tool="x", campaign="")
-    packages.get_package_prefix = without  # type: ignore[attr-defined]
+    installed_in(monkeypatch, without)
     with pytest.raises(RuntimeError, match="apt install ros-jazzy-rviz2, or give tool:=none"):
         launched(WATCH, monkeypatch, tool="rviz", campaign="")

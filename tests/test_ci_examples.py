@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
+from ds_cli.application import make_app
+
 ROOT = Path(__file__).resolve().parents[1]
 CI = ROOT / "examples/ci"
 DS = """\
@@ -25,25 +27,16 @@ exit "${ANSWER:-0}"
 """
 
 
-def github() -> dict[str, Any]:
-    document: dict[str, Any] = yaml.safe_load((CI / "github_actions.yml").read_text())
-    return document
-
-
-def gitlab() -> dict[str, Any]:
-    document: dict[str, Any] = yaml.safe_load((CI / "gitlab.yml").read_text())["check_network"]
-    return document
-
-
 def script_of(name: str) -> tuple[str, dict[str, str]]:
     """Commands that check the network, without those that install, and the variables of the job."""
+    workflow: dict[str, Any] = yaml.safe_load((CI / f"{name}.yml").read_text())
     if name == "gitlab":
-        return "\n".join(gitlab()["script"]), gitlab()["variables"]
-    steps = [step["run"] for step in github()["jobs"]["suite"]["steps"] if step.get("name") == "Drive the suite"]
-    return steps[0], github()["env"]
+        return "\n".join(workflow["check_network"]["script"]), workflow["check_network"]["variables"]
+    (step,) = (step for step in workflow["jobs"]["suite"]["steps"] if step.get("name") == "Drive the suite")
+    return step["run"], workflow["env"]
 
 
-@pytest.mark.parametrize("name", ["github", "gitlab"])
+@pytest.mark.parametrize("name", ["github_actions", "gitlab"])
 @pytest.mark.parametrize("answer", [0, 1, 3])
 def test_the_steps_run_and_end_with_the_status_of_the_suite(tmp_path: Path, name: str, answer: int) -> None:
     checkout = tmp_path / "digital-siblings"
@@ -54,9 +47,8 @@ def test_the_steps_run_and_end_with_the_status_of_the_suite(tmp_path: Path, name
     script, variables = script_of(name)
     summary = tmp_path / "step_summary.md"
     env = {**os.environ, **variables, "ANSWER": str(answer), "GITHUB_STEP_SUMMARY": str(summary)}
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", script], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60
-    )
+    command = ["bash", "-euo", "pipefail", "-c", script]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60)
     assert done.returncode == answer, done.stderr
     call = (tmp_path / "calls").read_text()
     assert call.startswith("suite run suite.json --driver network/my_net.yaml --out results/suite --fail-on regression")
@@ -64,8 +56,6 @@ def test_the_steps_run_and_end_with_the_status_of_the_suite(tmp_path: Path, name
 
 
 def test_the_options_of_the_script_are_options_of_the_verb() -> None:
-    from ds_cli.application import make_app
-
     words = (CI / "check_network.sh").read_text().split()
     application: Any = make_app()
     suite = application.get_command(None, "suite")

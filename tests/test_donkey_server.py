@@ -7,7 +7,6 @@ import asyncio
 import base64
 import json
 import logging
-import os
 import signal
 import socket
 import struct
@@ -26,6 +25,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ds_base.processes import python_environment
 from ds_base.progress import LOGGER, lines_to
 from ds_driver import drive_road, make_driver
 from ds_road import Road, generate, road_to_json
@@ -329,8 +329,7 @@ def test_slow_clients_give_their_places_to_a_new_one() -> None:
 
 def serve(*arguments: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "ds_cli.main", "serve", "donkey", *arguments]
-    paths = os.pathsep.join(p for p in sys.path if p)
-    environment = {**os.environ, "PYTHONPATH": paths}
+    environment = python_environment()
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
 
 

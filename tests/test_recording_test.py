@@ -58,13 +58,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def asked(folder: Path, **changed: float) -> TrackTest:
-    recording = LocationInputs(
-        source=folder / "tub",
-        camera=folder / "camera.yaml",
-        lane_width=changed.get("lane_width", LANE),
-        reading=Reading(whole=True),
-    )
+def asked(folder: Path, lane: float = LANE) -> TrackTest:
+    reading = Reading(whole=True)
+    recording = LocationInputs(source=folder / "tub", camera=folder / "camera.yaml", lane_width=lane, reading=reading)
     return TrackTest(recording=recording, out=folder / "out", driver=AUTOPILOT, roads=2)
 
 
@@ -81,7 +77,7 @@ def test_a_test_that_is_stopped_at_each_step_goes_on_and_ends_in_one_sentence(fo
     stopped(folder, lambda: Stops("steps of the solution"))
     assert not (out / "located" / "index.html").exists()
     stopped(folder, lambda: Stops("phase 2"))  # of the fit, once it is located
-    located = (out / "located" / "index.html").stat().st_mtime_ns
+    since = (out / "located" / "index.html").stat().st_mtime_ns
     stopped(folder, lambda: Stops("nothing"), StopsAfterOne)
     assert json.loads((out / "located" / "twin.json").read_text()) == {"fitted": True, "cautions": []}
     arguments = [
@@ -104,11 +100,11 @@ def test_a_test_that_is_stopped_at_each_step_goes_on_and_ends_in_one_sentence(fo
     again = ds(*arguments)
     assert again.stdout == first.stdout and "on donkey" not in again.stderr  # nothing was driven
     assert [file.read_bytes() for file in files] == before
-    assert (out / "located" / "index.html").stat().st_mtime_ns == located
+    assert (out / "located" / "index.html").stat().st_mtime_ns == since
 
 
 def test_a_folder_of_another_lane_is_refused(folder: Path) -> None:
-    run = asked(folder, lane_width=0.3)
+    run = asked(folder, lane=0.3)
     run.out.mkdir(exist_ok=True)
     if not (run.out / "inputs.json").exists():  # this test alone
         stopped(folder, lambda: Stops("images looked at"))
@@ -116,10 +112,15 @@ def test_a_folder_of_another_lane_is_refused(folder: Path) -> None:
         run_track_test(run, SETTINGS)
 
 
-def test_a_short_track_gives_enough_roads(folder: Path) -> None:
+def located(folder: Path) -> Path:
+    """The located recording, which the first test has left."""
     if not (folder / "out" / "located" / "index.html").exists():
         stopped(folder, lambda: Stops("phase 2"))
-    drive = read_drive(folder / "out" / "located")
+    return folder / "out" / "located"
+
+
+def test_a_short_track_gives_enough_roads(folder: Path) -> None:
+    drive = read_drive(located(folder))
     assert drive.lane.length < 100.0
     assert len(sections(drive, 40.0, 20.0)) < 4 and len(sections(drive, 40.0)) >= 20
     with pytest.raises(RecordingError, match="shorten --length"):
@@ -127,9 +128,7 @@ def test_a_short_track_gives_enough_roads(folder: Path) -> None:
 
 
 def test_without_throttle_the_twin_stays_nominal_and_says_so(folder: Path, tmp_path: Path) -> None:
-    if not (folder / "out" / "located" / "index.html").exists():
-        stopped(folder, lambda: Stops("phase 2"))
-    header, *rows = (folder / "out" / "located" / "located.csv").read_text().splitlines()
+    header, *rows = (located(folder) / "located.csv").read_text().splitlines()
     bare = [row[: row.rindex(",") + 1] for row in rows]
     (tmp_path / "located.csv").write_text("\n".join([header, *bare]) + "\n")
     _fit_twin(tmp_path, SILENT)

@@ -20,17 +20,18 @@ from setup_tool.stamps import Stamps, one_at_a_time
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
-def python(*, headers: bool = True, venv: bool = True) -> Python:
+def python(*, whole: bool = True) -> Python:
+    """This Python, with or without its headers and `venv`."""
     here = machine.describe(sys.executable)
     assert here is not None
-    return Python(here.executable, here.version, has_headers=headers, has_venv=venv, has_rclpy=False)
+    return Python(here.executable, here.version, has_headers=whole, has_venv=whole, has_rclpy=False)
 
 
 def test_all_that_is_missing_is_named_in_one_line_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     clang = {"clang++", "clang"}  # another compiler than GCC will do
     assert machine.find_needs(python(), which=lambda name: name if name in clang else None) == []
     monkeypatch.setattr("os.geteuid", lambda: 1000)
-    needs = machine.find_needs(python(headers=False, venv=False), which=lambda _: None)
+    needs = machine.find_needs(python(whole=False), which=lambda _: None)
     line = machine.missing_line(needs)
     assert "\n" not in line
     series = machine.debian_series(python())
@@ -93,10 +94,14 @@ def test_the_second_set_up_waits_for_the_first(tmp_path: Path) -> None:
     assert first.exitcode == 0
 
 
-def make_ros(prefix: Path) -> Path:
+def index_package(prefix: Path, name: str) -> None:
     index = prefix / "share/ament_index/resource_index/packages"
     index.mkdir(parents=True)
-    (index / "rclpy").touch()
+    (index / name).touch()
+
+
+def make_ros(prefix: Path) -> Path:
+    index_package(prefix, "rclpy")
     (prefix / "setup.bash").write_text(f"export ROS_DISTRO=jazzy AMENT_PREFIX_PATH={prefix}\n")
     return prefix
 
@@ -112,19 +117,16 @@ def test_only_a_real_jazzy_outside_the_project_counts_as_sourced(tmp_path: Path)
 
 
 def test_a_clean_environment_has_no_other_ros_in_it() -> None:
-    clean = ros.clean_environment(
-        {
-            "AMENT_PREFIX_PATH": "/opt/ros/humble",
-            "ROS_DISTRO": "humble",
-            "ROS_DOMAIN_ID": "7",
-            "PYTHONPATH": "/opt/ros/humble/lib/python3.10/site-packages",
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "LD_LIBRARY_PATH": "/opt/ros/humble/lib",
-            "PATH": "/opt/ros/humble/bin:/usr/bin",
-            "HOME": "/home/someone",
-        }
-    )
-    assert clean == {"ROS_DOMAIN_ID": "7", "PATH": "/usr/bin", "HOME": "/home/someone"}
+    kept = {"ROS_DOMAIN_ID": "7", "PATH": "/usr/bin", "HOME": "/home/someone"}
+    of_humble = {
+        "AMENT_PREFIX_PATH": "/opt/ros/humble",
+        "ROS_DISTRO": "humble",
+        "PYTHONPATH": "/opt/ros/humble/lib/python3.10/site-packages",
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "LD_LIBRARY_PATH": "/opt/ros/humble/lib",
+        "PATH": "/opt/ros/humble/bin:/usr/bin",
+    }
+    assert ros.clean_environment(kept | of_humble) == kept
 
 
 def test_a_ros_that_is_gone_is_reported_in_one_line(tmp_path: Path) -> None:
@@ -157,9 +159,7 @@ def test_the_workspace_is_built_again_only_where_it_must(
 
 def test_an_installed_standard_package_is_preferred(tmp_path: Path) -> None:
     assert {"simulation_interfaces", "tf2_msgs"} <= workspace.packages(REPOSITORY / "src", tmp_path).keys()
-    index = tmp_path / "share/ament_index/resource_index/packages"
-    index.mkdir(parents=True)
-    (index / "simulation_interfaces").touch()
+    index_package(tmp_path, "simulation_interfaces")
     missing = workspace.packages(REPOSITORY / "src").keys() - workspace.packages(REPOSITORY / "src", tmp_path).keys()
     assert missing == {"simulation_interfaces"}
 

@@ -11,6 +11,7 @@ from ds_bags.layout import LEVELS
 from ds_bags.run_writer import write_bag
 from ds_driver.closed_loop.simulation import make_driver
 from ds_road import Road
+from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
@@ -20,11 +21,11 @@ FRAMES = 40
 ROAD = Road([(125.0 + 8.0 * (i % 2), 25.0 * i) for i in range(9)])
 
 
-def drive(frames: int = FRAMES, *, seed: int = 3, road: Road = ROAD) -> RunRecord:
+def drive(frames: int = FRAMES, *, road: Road = ROAD, conditions: Conditions = DEFAULT) -> RunRecord:
     """Drive the twin with the autopilot, for a number of frames."""
     simulator = make_simulator("donkey")
     driver, session = make_driver("autopilot", simulator.spec), Session(simulator)
-    observation = session.start(Scenario(road, seed=seed))
+    observation = session.start(Scenario(road, conditions, seed=3))
     while observation is not None and session.driving and observation.step < frames:
         observation = session.advance(driver(observation))
     session.end(Outcome.CANCELLED, "that is enough")

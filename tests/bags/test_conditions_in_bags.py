@@ -7,34 +7,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.bags.conftest import drive
 
 from ds_bags.layout import BagError
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import facts_of, write_bag
-from ds_road import Road
 from ds_sim.conditions.model import Conditions
-from ds_sim.registry import DONKEY, make_simulator
-from ds_sim.scenario import Scenario
-from ds_sim.session import ResimulationError, RunRecord, Session, resimulate
-from ds_sim.simulator import Command
+from ds_sim.registry import DONKEY
+from ds_sim.session import ResimulationError, resimulate
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 CONDITIONS = Conditions(steering_lag=0.2, friction=1 / 3, visibility=80.0)
 
 
-def driven(conditions: Conditions) -> RunRecord:
-    simulator = make_simulator("donkey")
-    session = Session(simulator)
-    session.start(Scenario(STRAIGHT, conditions, seed=3))
-    for _ in range(10):
-        session.advance(Command(0.3, 0.8))
-    simulator.close()
-    assert session.run is not None
-    return session.run
-
-
 def test_a_bag_keeps_the_conditions_of_its_run(tmp_path: Path) -> None:
-    run = driven(CONDITIONS)
+    run = drive(10, conditions=CONDITIONS)
     write_bag(tmp_path / "bag", "/ds1", DONKEY, run, {"driver": "constant"}, "compressed")
     with BagReader(tmp_path / "bag") as bag:
         found = read_run(bag)
@@ -46,10 +32,10 @@ def test_a_bag_keeps_the_conditions_of_its_run(tmp_path: Path) -> None:
 
 
 def test_default_conditions_leave_no_trace_in_a_bag() -> None:
-    assert "conditions" not in facts_of(DONKEY, driven(Conditions()), "telemetry")
+    assert "conditions" not in facts_of(DONKEY, drive(10), "telemetry")
 
 
 def test_damaged_conditions_get_one_line(tmp_path: Path) -> None:
-    write_bag(tmp_path / "bag", "/ds1", DONKEY, driven(CONDITIONS), {"conditions": "fog=1"}, "telemetry")
+    write_bag(tmp_path / "bag", "/ds1", DONKEY, drive(10, conditions=CONDITIONS), {"conditions": "fog=1"}, "telemetry")
     with BagReader(tmp_path / "bag") as bag, pytest.raises(BagError, match="unknown condition 'fog'"):
         read_run(bag)

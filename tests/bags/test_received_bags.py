@@ -16,11 +16,11 @@ from typing import Any
 import pytest
 import yaml
 from backports import zstd
+from foreign_bags import foreign_bag
 from rosbags.convert.converter import convert
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import get_types_from_msg
 
 from ds_bags.bounded_rosbags import check_types
 from ds_bags.copying import recover, rewrite_bag
@@ -98,13 +98,16 @@ def test_hidden_folders_of_others_are_left_alone(bags: Path, tmp_path: Path) -> 
     refused(lambda: recover(tmp_path / "left.mcap", tmp_path / "link"), "exists already")
 
 
+def bomb_of_320_mib() -> bytes:
+    compressor = zstd.ZstdCompressor(level=1)
+    return b"".join(compressor.compress(bytes(2**24)) for _ in range(20)) + compressor.flush()
+
+
 @pytest.mark.parametrize("declared", [6 * 10**9, 1000])
 def test_chunks_that_open_to_gigabytes_are_refused(bag: Path, tmp_path: Path, declared: int) -> None:
     data = (bag / "telemetry.mcap").read_bytes()
     header = 17 + struct.unpack("<Q", data[9:17])[0]
-    compressor = zstd.ZstdCompressor(level=1)
-    block = bytes(2**24)
-    bomb = b"".join(compressor.compress(block) for _ in range(20)) + compressor.flush()
+    bomb = bomb_of_320_mib()
     assert len(bomb) < 100_000
     body = struct.pack("<QQQII4sQ", 0, 0, declared, 0, 4, b"zstd", len(bomb)) + bomb
     chunk = b"\x06" + struct.pack("<Q", len(body)) + body
@@ -120,16 +123,14 @@ def test_chunks_that_open_to_gigabytes_are_refused(bag: Path, tmp_path: Path, de
 
 
 def test_a_compressed_file_that_opens_to_gigabytes_is_refused(bag: Path) -> None:
-    compressor = zstd.ZstdCompressor(level=1)
-    bomb = b"".join(compressor.compress(bytes(2**24)) for _ in range(20)) + compressor.flush()
-    (bag / "telemetry.mcap.zstd").write_bytes(bomb)
+    (bag / "telemetry.mcap.zstd").write_bytes(bomb_of_320_mib())
     new = {"compression_mode": "FILE", "compression_format": "zstd", "relative_file_paths": ["telemetry.mcap.zstd"]}
     change(bag, lambda information: information.update(new))
     refused(lambda: describe(bag), "the limit for a bag of this size")
 
 
 def test_tables_that_are_computed_are_refused(tmp_path: Path) -> None:
-    with Ros2Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3):
+    with foreign_bag(tmp_path / "bag", StoragePlugin.SQLITE3):
         pass
     file = next((tmp_path / "bag").glob("*.db3"))
     endless = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x AS id FROM c"
@@ -149,13 +150,11 @@ def test_definitions_become_code_only_within_limits() -> None:
 
 
 def test_limits_are_not_those_of_everybody_who_imports_rosbags(tmp_path: Path) -> None:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg("string[6000] names", "a/msg/B"))
-    with Ros2Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        writer.add_connection("/names", "a/msg/B", typestore=store)
+    with foreign_bag(tmp_path / "bag", B="string[6000] names") as writer:
+        writer.write("/names", 0, writer.make("car/B", names=["x"] * 6000))
     refused(lambda: describe(tmp_path / "bag"), "the limit is 5000", TooLargeError)
     with AnyReader([tmp_path / "bag"]) as reader:
-        assert reader.connections[0].msgtype == "a/msg/B"
+        assert reader.connections[0].msgtype == "car/msg/B"
 
 
 @pytest.mark.parametrize(
@@ -188,12 +187,18 @@ def test_a_state_that_is_not_a_number_is_refused(bags: Path, tmp_path: Path) -> 
         refused(lambda: read_run(found), "is nan in a state")
 
 
+def converted(bag: Path, folder: Path) -> Path:
+    """A bag as `rosbags-convert` writes it anew."""
+    convert([bag], folder / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
+    return folder / "converted"
+
+
 def test_a_converted_bag_is_redriven_with_what_it_has_lost(bags: Path, tmp_path: Path) -> None:
     """`rosbags-convert` drops custom data; the road is in a message, simulator and seed must be given."""
-    convert([bags / "telemetry"], tmp_path / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
-    refused(lambda: verify_bag(tmp_path / "converted"), r"does not say its simulator, seed.*give --sim NAME --seed N")
-    refused(lambda: verify_bag(tmp_path / "converted", DONKEY), r"does not say its seed.*give --seed N")
-    found = verify_bag(tmp_path / "converted", DONKEY, seed=3)
+    made = converted(bags / "telemetry", tmp_path)
+    refused(lambda: verify_bag(made), r"does not say its simulator, seed.*give --sim NAME --seed N")
+    refused(lambda: verify_bag(made, DONKEY), r"does not say its seed.*give --seed N")
+    found = verify_bag(made, DONKEY, seed=3)
     assert (found.step, found.frames) == (None, 41)
 
 
@@ -201,6 +206,6 @@ def test_a_bag_of_a_drive_in_the_left_lane_comes_out_the_same_with_and_without_c
     left_run: RunRecord, tmp_path: Path
 ) -> None:
     write_bag(tmp_path / "left", "/twin", DONKEY, left_run, {})
-    convert([tmp_path / "left"], tmp_path / "converted", "mcap", 9, None, "none", None, None, (), (), (), ())
-    for found in (verify_bag(tmp_path / "left"), verify_bag(tmp_path / "converted", DONKEY, seed=3)):
+    made = converted(tmp_path / "left", tmp_path)
+    for found in (verify_bag(tmp_path / "left"), verify_bag(made, DONKEY, seed=3)):
         assert (found.step, found.frames) == (None, 6)

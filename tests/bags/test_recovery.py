@@ -55,9 +55,8 @@ def test_everything_flushed_survives_a_kill(tmp_path: Path, seed: int) -> None:
     flushed = rng.random(400) < 0.3
     target, delay = int(rng.integers(1, 200)), float(rng.uniform(0.0, 0.004))
     store, make = typestore(), message_builder("/x")
-    empty = make._make(
-        "sensor_msgs/CompressedImage", header=make.header(5, "camera"), format="jpeg", data=np.zeros(0, np.uint8)
-    )
+    header, nothing = make.header(5, "camera"), np.zeros(0, np.uint8)
+    empty = make._make("sensor_msgs/CompressedImage", header=header, format="jpeg", data=nothing)
 
     def message(number: int) -> bytes:
         empty.data = np.random.default_rng(number).integers(0, 255, int(sizes[number]), dtype=np.uint8)

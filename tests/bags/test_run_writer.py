@@ -69,13 +69,9 @@ def test_rosbags_reads_every_value(bags: Path, run: RunRecord, level: Level) -> 
     messages = read_all(bags / level)
     for (stamp, state), seen in zip(messages["/twin/state"], run.observations, strict=True):
         assert stamp == state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == 10**9 + seen.step * 50_000_000
-        assert (state.step, state.x, state.y, state.yaw, state.lateral_position) == (
-            seen.step,
-            seen.vehicle.x,
-            seen.vehicle.y,
-            seen.vehicle.yaw,
-            seen.lane.lateral_position,
-        )
+        vehicle = seen.vehicle
+        assert (state.step, state.x, state.y, state.yaw) == (seen.step, vehicle.x, vehicle.y, vehicle.yaw)
+        assert state.lateral_position == seen.lane.lateral_position
     for (_, drive), command in zip(messages["/twin/drive"], run.commands, strict=True):
         assert (drive.steering, drive.throttle) == (command.steering, command.throttle)
     assert messages["/twin/outcome"][0][1].value == int(Outcome.CANCELLED)
@@ -155,13 +151,8 @@ def test_a_bag_describes_its_run(bags: Path, run: RunRecord) -> None:
     found = recorded.run
     assert (found.road, found.seed, found.commands) == (run.road, run.seed, run.commands)
     assert (found.outcome, found.message) == (run.outcome, run.message)
-    for ours, theirs in zip(found.observations, run.observations, strict=True):
-        assert (ours.step, ours.time, ours.vehicle, ours.lane) == (
-            theirs.step,
-            theirs.time,
-            theirs.vehicle,
-            theirs.lane,
-        )
+    ours, theirs = ([(one.step, one.time, one.vehicle, one.lane) for one in of.observations] for of in (found, run))
+    assert ours == theirs
     assert (recorded.simulator, recorded.driver, recorded.namespace) == ("donkey", "autopilot", "/twin")
     document = describe(bags / "raw")
     facts = document["facts"]
@@ -188,18 +179,15 @@ def test_images_of_a_run_that_does_not_come_out_the_same_are_refused(run: RunRec
 
 
 def test_what_is_no_bag_is_reported_in_one_line(bags: Path, tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="no such bag"):
-        describe(tmp_path / "none")
-    with pytest.raises(BagError, match=r"expected a folder with metadata\.yaml"):
-        describe(tmp_path)
-    shutil.copytree(bags / "telemetry", tmp_path / "cut")
+    for name in ("cut", "damaged"):
+        shutil.copytree(bags / "telemetry", tmp_path / name)
     file = tmp_path / "cut" / "telemetry.mcap"
     file.write_bytes(file.read_bytes()[:2000])
-    with pytest.raises(BagError, match="ds bag recover"):
-        describe(tmp_path / "cut")
-    (tmp_path / "cut" / "metadata.yaml").write_text("{")
-    with pytest.raises(BagError, match="cannot be read"):
-        describe(tmp_path / "cut")
+    (tmp_path / "damaged" / "metadata.yaml").write_text("{")
+    reasons = {"none": "no such bag", ".": "with metadata.yaml", "cut": "ds bag recover", "damaged": "cannot be read"}
+    for name, reason in reasons.items():
+        with pytest.raises(BagError, match=reason):
+            describe(tmp_path / name)
 
 
 def test_the_file_repeats_the_metadata_of_its_folder(bags: Path, tmp_path: Path) -> None:

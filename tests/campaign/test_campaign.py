@@ -41,6 +41,7 @@ from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 
+OWN = "tests.campaign.own_parts"
 DONKEYS = [SimulatorName("ds_twin_donkey.simulator:DonkeySimulator"), DONKEY]
 CONFIG = CampaignConfig(
     siblings=DONKEYS,
@@ -215,6 +216,21 @@ def test_an_error_on_one_sibling_stops_the_others_at_once(tmp_path: Path) -> Non
         ({"features": ["turns_count", "segment_count"]}, "the same number"),
         ({"migration": "some"}, "migration: some, expected one of all, elites"),
         ({"sim2real": True}, "sim2real: True: expected false, or a set of generators"),
+        ({"features": ["turns_count", f"{OWN}:NOTHING"]}, "NOTHING is a str, expected a Feature"),
+        ({"features": ["turns_count", "no.such:FEATURE"]}, "cannot be imported"),
+        ({"features": [f"{OWN}:EASTING", f"{OWN}:EASTING:2"]}, "expected two or three different ones"),
+        ({"operators": {"quality_loss": f"{OWN}:EASTING"}}, "is a Feature, expected a MergeOperator"),
+        ({"search": {"method": f"{OWN}:MEDIAN"}}, "is a MergeOperator, expected a type"),
+        ({"search": {"method": "tests.campaign.engines:EngineHere"}}, "no subclass of"),
+        ({"search": {"conditions": {"rain": {"low": 0.0, "high": 1.0}}}}, "unknown condition 'rain'"),
+        ({"search": {"conditions": {"visibility": {"low": 5.0, "high": 50.0}}}}, "expected a finite range within 20"),
+        (
+            {"search": {"conditions": {"visibility": {"low": 20.0, "high": 200.0}}}, "conditions": "visibility=40"},
+            "visibility is fixed and searched",
+        ),
+        ({"features": ["curvature", "visibility"]}, "visibility is not searched"),
+        ({"features": ["curvature", "visible_contrast"]}, "is measured by the gates, expected conditions"),
+        ({"search": {"conditions": {"visibility": {"low": 20.0}}}}, "search.conditions.visibility.high"),
     ],
 )
 def test_a_wrong_configuration_is_refused_in_one_line(raw: object, named: str) -> None:

@@ -13,18 +13,11 @@ from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.campaign.folder import open_store
-from ds_sim import BULLET, DONKEY, SOFTBODY
+from ds_sim import BULLET, SOFTBODY
 from ds_studies.whole_campaign import CampaignOutcome, run_campaign
 
-CONFIG = CampaignConfig(
-    siblings=[BULLET, SOFTBODY],
-    twin=DONKEY,
-    driver=AUTOPILOT,
-    seed=7,
-    record="none",
-    engine="local",
-    search=SearchConfig(population=6, iterations=6, runs=1, min_angle=150),
-)
+SEARCH = SearchConfig(population=6, iterations=6, runs=1, min_angle=150)
+CONFIG = CampaignConfig(siblings=[BULLET, SOFTBODY], driver=AUTOPILOT, record="none", engine="local", search=SEARCH)
 
 
 class Run:

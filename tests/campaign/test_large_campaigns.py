@@ -18,7 +18,6 @@ from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_sim.registry import BULLET, DONKEY, SOFTBODY
 
 BUDGET = 100
-SIMULATORS = (BULLET, SOFTBODY, DONKEY)
 _INSIDE = """
 import sys
 from ds_cli.main import main
@@ -34,13 +33,8 @@ finally:
 def large_campaign(folder: Path, runs: int) -> Path:
     """Create a finished campaign whose executions are copies of a few."""
     folder.mkdir()
-    config = CampaignConfig(
-        siblings=list(SIMULATORS[:2]),
-        twin=SIMULATORS[2],
-        driver=AUTOPILOT,
-        record="none",
-        search=SearchConfig(population=BUDGET, iterations=0, runs=runs),
-    )
+    search = SearchConfig(population=BUDGET, iterations=0, runs=runs)
+    config = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=DONKEY, driver=AUTOPILOT, search=search)
     make_campaign(folder, config, 1).close()
     count = f"WITH n(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM n WHERE n < {runs * BUDGET - 1}) "
     test_id = f"printf('%s-%d-%04d', sibling, n / {BUDGET}, n % {BUDGET})"

@@ -12,18 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.campaign.own_parts import StraightSearch
-from tests.campaign.test_campaign import CONFIG, run
+from tests.campaign.test_campaign import CONFIG, OWN, run
 from tests.campaign.test_gates import GatedEngine
 
 from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.extension import installed
-from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
+from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.maps.algebra import operator_of
 from ds_orchestrator.maps.feature_map import MapId
 from ds_orchestrator.search.algorithms import search_of
-
-OWN = "tests.campaign.own_parts"
 
 
 def config_of(**changes: Any) -> CampaignConfig:
@@ -68,24 +66,6 @@ def test_a_campaign_runs_with_parts_of_the_users_own(tmp_path: Path, feature: st
     values = np.array([[0.0, 0.5], [1.0, 0.5]])
     assert operator_of(median).combine(values, np.ones(2)).tolist() == [0.5, 0.5]
     assert merged.cells and set(merged.cells) <= set(expected.values())
-
-
-@pytest.mark.parametrize(
-    ("changes", "problem"),
-    [
-        ({"features": ["turns_count", f"{OWN}:NOTHING"]}, "NOTHING is a str, expected a Feature"),
-        ({"features": ["turns_count", "no.such:FEATURE"]}, "cannot be imported"),
-        ({"features": [f"{OWN}:EASTING", f"{OWN}:EASTING:2"]}, "expected two or three different ones"),
-        ({"operators": {"quality_loss": f"{OWN}:EASTING"}}, "is a Feature, expected a MergeOperator"),
-        ({"search": {"method": f"{OWN}:MEDIAN"}}, "is a MergeOperator, expected a type"),
-        ({"search": {"method": "tests.campaign.engines:EngineHere"}}, "no subclass of"),
-        ({"search": {"method": "climbing"}}, "expected one of deephyperion"),
-    ],
-)
-def test_a_name_that_leads_to_no_such_part_gets_one_line(changes: dict[str, Any], problem: str) -> None:
-    with pytest.raises(ConfigError, match=problem) as refused:
-        config_of(**changes)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(("allowed", "status"), [("", 2), (f"{OWN}:MEDIAN,{OWN}:EASTING,{OWN}:StraightSearch", 0)])

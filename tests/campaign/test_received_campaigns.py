@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,41 +100,38 @@ def packed(*numbers: float) -> bytes:
     return zlib.compress(struct.pack(f"<{len(numbers)}d", *numbers))
 
 
-IMPOSSIBLE: dict[str, tuple[str, tuple[object, ...], str]] = {
-    "infinity": ("UPDATE executions SET fitness=9e999", (), "fitness: .inf, expected a finite number"),
-    "a blob for text": ("UPDATE executions SET message=x'00'", (), "message: !!binary"),
-    "text that is not UTF-8": ("UPDATE executions SET message=CAST(x'ff' AS TEXT)", (), "is damaged"),
-    "too many steps": ("UPDATE executions SET steps=2000000000", (), "steps: 2000000000, expected at most 1e+06"),
-    "unknown outcome": ("UPDATE executions SET outcome='WON'", (), "outcome: 'WON', expected one of COMPLETED"),
-    "another trajectory": ("UPDATE executions SET trajectory_sha256=?", ("0" * 64,), "match its stored SHA-256"),
+IMPOSSIBLE: dict[str, tuple[Any, ...]] = {
+    "infinity": ("UPDATE executions SET fitness=9e999", "fitness: .inf, expected a finite number"),
+    "a blob for text": ("UPDATE executions SET message=x'00'", "message: !!binary"),
+    "text that is not UTF-8": ("UPDATE executions SET message=CAST(x'ff' AS TEXT)", "is damaged"),
+    "too many steps": ("UPDATE executions SET steps=2000000000", "steps: 2000000000, expected at most 1e+06"),
+    "unknown outcome": ("UPDATE executions SET outcome='WON'", "outcome: 'WON', expected one of COMPLETED"),
+    "another trajectory": ("UPDATE executions SET trajectory_sha256=?", "match its stored SHA-256", "0" * 64),
     "a trajectory of NaN": (
         "UPDATE executions SET steps=0, simulated_seconds=0, steering=?, trajectory=?, trajectory_sha256=?",
-        (packed(), packed(*[float("nan")] * 5), trajectory_sha256(np.full((1, 5), np.nan))),
         "trajectory holds NaN or infinity",
+        *(packed(), packed(*[float("nan")] * 5), trajectory_sha256(np.full((1, 5), np.nan))),
     ),
-    "a short trajectory": ("UPDATE executions SET trajectory=?", (packed(0.0),), "trajectory does not hold"),
-    "a largest offset that does not fit": (
-        "UPDATE executions SET max_lateral_position=0.125",
-        (),
-        "max_lateral_position does not match",
-    ),
-    "a bag elsewhere": ("UPDATE executions SET bag='bags/../../../etc'", (), "etc, expected text like"),
-    "another simulator": ("UPDATE executions SET simulator='bullet' WHERE rowid=1", (), "not in its configuration"),
-    "no test": ("DELETE FROM tests WHERE rowid=1", (), "a test that does not exist"),
-    "another road": ("UPDATE tests SET road_id='0123456789ab'", (), "road_id does not match"),
-    "no road": ("UPDATE tests SET road='[[1e400, 0]]'", (), "is damaged (the test"),
-    "brackets": ("UPDATE tests SET road=?", ("[" * 100_000,), "road is not JSON"),
-    "seconds that are none": ("INSERT INTO about VALUES ('seconds search', 'long')", (), "expected seconds"),
-    "an unknown kind of error": ("INSERT INTO errors VALUES ('a','b',0,'COMPLETED','')", (), "outcome: 'COMPLETED'"),
-    "no configuration": ("UPDATE about SET value='[' WHERE key='config'", (), "is not JSON"),
-    "a trigger": ("CREATE TRIGGER t AFTER INSERT ON tests BEGIN DELETE FROM about; END", (), "not a campaign's store"),
+    "a short trajectory": ("UPDATE executions SET trajectory=?", "trajectory does not hold", packed(0.0)),
+    "another offset": ("UPDATE executions SET max_lateral_position=0.125", "max_lateral_position does not match"),
+    "a bag elsewhere": ("UPDATE executions SET bag='bags/../../../etc'", "etc, expected text like"),
+    "another simulator": ("UPDATE executions SET simulator='bullet' WHERE rowid=1", "not in its configuration"),
+    "no test": ("DELETE FROM tests WHERE rowid=1", "a test that does not exist"),
+    "another road": ("UPDATE tests SET road_id='0123456789ab'", "road_id does not match"),
+    "no road": ("UPDATE tests SET road='[[1e400, 0]]'", "is damaged (the test"),
+    "brackets": ("UPDATE tests SET road=?", "road is not JSON", "[" * 100_000),
+    "seconds that are none": ("INSERT INTO about VALUES ('seconds search', 'long')", "expected seconds"),
+    "an unknown kind of error": ("INSERT INTO errors VALUES ('a','b',0,'COMPLETED','')", "outcome: 'COMPLETED'"),
+    "no configuration": ("UPDATE about SET value='[' WHERE key='config'", "is not JSON"),
+    "a trigger": ("CREATE TRIGGER t AFTER INSERT ON tests BEGIN DELETE FROM about; END", "not a campaign's store"),
 }
+"""Statement, what is said of it, and its values."""
 
 
 @pytest.mark.parametrize("what", IMPOSSIBLE)
 def test_content_that_no_campaign_wrote_is_refused_in_one_line(tmp_path: Path, what: str) -> None:
     folder = make(tmp_path / "received")
-    statement, values, reason = IMPOSSIBLE[what]
+    statement, reason, *values = IMPOSSIBLE[what]
     change(folder, statement, *values)
     before = content(folder)
     said = refusal("report", folder)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 from tests.command_line import ds
+from tests.fuzz.kinds_suites import suite_of
 
 from ds_cli.output import Result
 from ds_driver.networks.description import file_of, read_description
@@ -73,28 +74,7 @@ def test_a_test_writes_a_file_that_is_read_as_what_was_typed(project: Path, monk
 
 
 def test_a_suite_finds_the_car_beside_it(project: Path) -> None:
-    outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
-    points = [[125.0, 25.0 * number] for number in range(9)]
-    from ds_studies.suite.suite_file import road_sha256
-
-    test = {
-        "name": "a",
-        "why": ["cell"],
-        "control_points": points,
-        "road_sha256": road_sha256(points),
-        "seed": 1,
-        "outcomes": {"bullet": outcome, "donkey@car.yaml": outcome},
-    }
-    raw = {
-        "format": "digital-siblings-suite",
-        "version": 1,
-        "campaign": "c",
-        "driver": "nets/mine.yaml",
-        "siblings": ["bullet"],
-        "twin": "donkey@car.yaml",
-        "tests": [test],
-    }
-    (project / "suite.json").write_text(json.dumps(raw))
+    (project / "suite.json").write_text(json.dumps(suite_of(1, driver="nets/mine.yaml", twin="donkey@car.yaml")))
     suite = read_suite(project / "suite.json")
     assert suite.twin == "donkey@../my project/car.yaml" and set(suite.tests[0].outcomes) == {"bullet", suite.twin}
     make_simulator(suite.twin).close()

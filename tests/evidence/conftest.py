@@ -3,12 +3,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from tests.evidence.subjects import SUBJECTS, Subject, started
+
+from ds_sim.parts import Vehicle
 
 Compare = Callable[..., None]
+
+
+@pytest.fixture(params=sorted(SUBJECTS))
+def subject(request: pytest.FixtureRequest) -> Subject:
+    return SUBJECTS[request.param]()
+
+
+@pytest.fixture
+def car(subject: Subject) -> Iterator[Vehicle]:
+    vehicle = started(subject)
+    yield vehicle
+    vehicle.close()
 
 
 @pytest.fixture

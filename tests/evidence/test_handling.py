@@ -11,13 +11,8 @@ from tests.evidence.bicycle import GRAVITY
 from tests.evidence.conftest import Compare
 from tests.evidence.subjects import SUBJECTS, Subject, drive, settled, started, times
 
+from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME
-
-
-@pytest.fixture(params=sorted(SUBJECTS))
-def subject(request: pytest.FixtureRequest) -> Subject:
-    return SUBJECTS[request.param]()
-
 
 STEPS = {
     # Name of the vehicle, speed in road m/s, steering. These steps keep the tyres in their linear range (below 0.2 g)
@@ -65,14 +60,12 @@ def rise_time(rates: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
 
 @pytest.mark.parametrize("speed", [3.0, 7.0])
 def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(
-    subject: Subject, speed: float, compare: Compare
+    subject: Subject, car: Vehicle, speed: float, compare: Compare
 ) -> None:
     """Gillespie ch. 6: R = (L + K v^2) / angle, K from the axles' slip stiffnesses, 0 without slip."""
-    car = started(subject)
     throttle = settled(car, speed)
     steering = subject.circle
     last = drive(car, 80, steering, throttle)[-1]
-    car.close()
     model = subject.model
     angle = math.tan(steering * subject.lock)
     radius = (model.wheelbase + model.understeer_gradient * (last.speed / subject.scale) ** 2) / angle
@@ -81,17 +74,15 @@ def test_a_steady_circle_has_the_radius_that_steering_and_speed_give(
     compare(subject.name, what, "(L + K v^2) / angle", driven, radius * subject.scale, rel=0.02)
 
 
-def test_the_understeer_gradient_follows_from_the_axles(subject: Subject, compare: Compare) -> None:
+def test_the_understeer_gradient_follows_from_the_axles(subject: Subject, car: Vehicle, compare: Compare) -> None:
     """Steering angle lost on a faster circle per lateral acceleration, in degrees per g."""
     points = []
-    car = started(subject)
     for speed in (3.0, subject.fast):
         throttle = settled(car, speed)
         last = drive(car, 80, subject.circle, throttle)[-1]
         curvature = -last.yaw_rate / last.speed * subject.scale
         points.append((subject.model.wheelbase * curvature, curvature * (last.speed / subject.scale) ** 2))
         car.reset(0.0, 0.0, 0.0, np.random.default_rng(0))
-    car.close()
     (slow, slow_lateral), (fast, fast_lateral) = points
     per_g = math.degrees((slow - fast) / (fast_lateral - slow_lateral)) * GRAVITY
     by_hand = math.degrees(subject.model.understeer_gradient) * GRAVITY
@@ -99,16 +90,16 @@ def test_the_understeer_gradient_follows_from_the_axles(subject: Subject, compar
     compare(subject.name, "understeer, degrees per g", "both axles' slip and bushes, by hand", per_g, by_hand, **within)
 
 
-def test_coasting_to_a_stop_takes_the_distance_that_follows_from_the_forces(subject: Subject, compare: Compare) -> None:
+def test_coasting_to_a_stop_takes_the_distance_that_follows_from_the_forces(
+    subject: Subject, car: Vehicle, compare: Compare
+) -> None:
     """Coasting is the only way to brake: m dv/dt = -c - k min(v, v_f), solved by hand.
 
     Above the fade speed (v^2 - v_f^2) m / 2 / (c + k v_f); below it m/k (v - c/k ln(1 + k v / c)).
     """
-    car = started(subject)
     settled(car, 7.0)
     first = car.state()
     states = drive(car, 200, 0.0, 0.0)
-    car.close()
     speed = first.speed / subject.scale
     slope = subject.regeneration / subject.fade_speed
     constant, mass = subject.coasting_force, subject.mass
@@ -124,13 +115,11 @@ def test_coasting_to_a_stop_takes_the_distance_that_follows_from_the_forces(subj
     compare(subject.name, what, by, states[-1].x - first.x, distance * subject.scale, rel=0.02)
 
 
-def test_the_nose_dips_in_proportion_to_the_deceleration(subject: Subject, compare: Compare) -> None:
+def test_the_nose_dips_in_proportion_to_the_deceleration(subject: Subject, car: Vehicle, compare: Compare) -> None:
     """Change of pitch = moment of inertial forces / (stiffness of springs minus effect of the leaning weight)."""
-    car = started(subject)
     settled(car, 7.0)
     cruising = car.state().pitch
     states = drive(car, 30, 0.0, 0.0)
-    car.close()
     speeds = np.array([s.speed for s in states]) / subject.scale
     slowing = -np.gradient(speeds, FRAME_TIME)
     pitch = np.array([s.pitch for s in states]) - cruising

@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from tests.evidence.subjects import SUBJECTS, Subject, drive, started
+from tests.evidence.subjects import Subject, drive
 
 from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
@@ -23,18 +22,6 @@ MIRROR = {"bullet": 0.01, "softbody": 1e-3, "donkey": 1e-9, "panda": 0.03}
 """Largest difference of a turn to the right from the mirror image of one to the left, relative."""
 WHEELS = {"bullet": 1e-3, "softbody": 0.05, "donkey": 1e-3, "panda": 1e-9}
 """Largest relative error of the steering angle of a turn that has lasted."""
-
-
-@pytest.fixture(params=sorted(SUBJECTS))
-def subject(request: pytest.FixtureRequest) -> Subject:
-    return SUBJECTS[request.param]()
-
-
-@pytest.fixture
-def car(subject: Subject) -> Iterator[Vehicle]:
-    vehicle = started(subject)
-    yield vehicle
-    vehicle.close()
 
 
 def slalom(car: Vehicle, frames: int = 120) -> list[VehicleState]:

@@ -166,9 +166,8 @@ def test_the_soft_car_slides_at_the_limit_of_friction(compare: Compare) -> None:
     parallel = replace(S, ackermann=0.0)
     lateral, angle = sliding(SoftbodyVehicle(parallel), 15.0, 0.6)
     lever, length, share = S.centre_of_mass_height / S.track, S.wheelbase / S.track, 2.0 * S.roll_front_share
-    limit = grip_limit(
-        S.friction, angle, angle, sensitivity=S.load_sensitivity, share=share, lever=lever, length=length
-    )
+    axle = {"sensitivity": S.load_sensitivity, "share": share, "lever": lever, "length": length}
+    limit = grip_limit(S.friction, angle, angle, **axle)
     compare("softbody", LARGEST, SLIDES, lateral / GRAVITY, limit, rel=0.05)
 
 
@@ -178,9 +177,8 @@ def test_the_twin_slides_at_the_limit_of_friction(compare: Compare) -> None:
     car = D.changed(full_duty=0.9, stall_force=100.0, drive_front_share=0.0, ackermann=0.0, **stiff)
     lateral, angle = sliding(DonkeyVehicle(car), 3.5 * SCALE, 1.0)
     lever, length, share = D.centre_of_mass_height / D.track, D.wheelbase / D.track, 2.0 * D.roll_front_share
-    limit = grip_limit(
-        D.friction, angle, angle, sensitivity=D.load_sensitivity, share=share, lever=lever, length=length
-    )
+    axle = {"sensitivity": D.load_sensitivity, "share": share, "lever": lever, "length": length}
+    limit = grip_limit(D.friction, angle, angle, **axle)
     compare("donkey", f"{LARGEST} (made faster)", SLIDES, lateral / SCALE / GRAVITY, limit, rel=0.05)
 
 

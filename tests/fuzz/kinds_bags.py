@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -25,7 +25,7 @@ from tubs import write_tub
 from ds_bags.copying import recover
 from ds_bags.donkey_tub import TubError, read_tub
 from ds_bags.info import describe, info_in_words
-from ds_bags.layout import BagError
+from ds_bags.layout import BagError, Level
 from ds_bags.reader import BagReader, read_run
 from ds_bags.run_writer import write_bag
 from ds_base.bounded_file import FileError
@@ -59,20 +59,13 @@ def _run(frames: int) -> RunRecord:
     return session.run
 
 
-def _write_bag(folder: Path, n: int) -> Path:
-    write_bag(folder / "bag", "/twin", DONKEY, _run(n), {"driver": "autopilot"}, "telemetry")
-    return folder / "bag"
-
-
-def _write_image_bag(folder: Path, n: int) -> Path:
-    write_bag(folder / "bag", "/twin", DONKEY, _run(n), {"driver": "autopilot"}, "compressed")
+def _write_bag(folder: Path, n: int, level: Level = "telemetry") -> Path:
+    write_bag(folder / "bag", "/twin", DONKEY, _run(n), {"driver": "autopilot"}, level)
     return folder / "bag"
 
 
 def _write_unfinished(folder: Path, n: int) -> Path:
-    file = _write_bag(folder, n) / "bag.mcap"
-    shutil.copy(file, folder / "left.mcap")
-    return folder / "left.mcap"
+    return Path(shutil.copy(_write_bag(folder, n) / "bag.mcap", folder / "left.mcap"))
 
 
 def _write_foreign(folder: Path, n: int) -> Path:
@@ -226,7 +219,7 @@ KINDS = [
     Kind("bag-log", _write_bag, _damage_bag, read_log, (LogError,), 20, small=4),
     Kind("bag-sqlite", _write_foreign, damaged_one_of, _read_everything, _ERRORS, 500, small=5),
     Kind("bag-ros1", _write_ros1, damaged_file, _read_everything, _ERRORS, 500, small=5),
-    Kind("bag-images", _write_image_bag, _damage_bag, _read_recording, _ERRORS, 20, small=4),
+    Kind("bag-images", partial(_write_bag, level="compressed"), _damage_bag, _read_recording, _ERRORS, 20, small=4),
     Kind("bag-recover", _write_unfinished, damaged_file, _recover, _ERRORS, 20, small=4),
     Kind("tub", tub, _damage_lines, read_tub, (TubError,), 100, small=6),
     Kind("tub-images", tub, _damage_lines, _read_recording, (TubError, BagError), 50, small=6),

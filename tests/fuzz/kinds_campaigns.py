@@ -8,11 +8,14 @@ import sqlite3
 import zlib
 from collections.abc import Callable
 from contextlib import closing, suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
+from report_campaigns import make_tests, set_conditions
 from tests.campaign.damaged_stores import lax_tables
 from tests.fuzz.damage import (
     STRANGE,
@@ -32,7 +35,7 @@ from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.weights import WeightsError, load_weights
-from ds_orchestrator.campaign.config import ConfigError, read_config
+from ds_orchestrator.campaign.config import ConfigError, parse_config, read_config
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.store.store import Store
@@ -78,12 +81,8 @@ outputs: {steering: {output: steering, index: 0, scale: -1.0, offset: 0.0}, thro
 
 def _write_store(folder: Path, n: int) -> Path:
     """Write a small campaign with conditions, gates, errors, drives, notes and results."""
-    from report_campaigns import make_tests, set_conditions
-
-    config = read_config(
-        as_text(lambda n: _CONFIG.replace("population: 2", f"population: {max(n, 2)}"), "config.yaml")(folder, n)
-    )
-    (folder / "config.yaml").unlink()
+    raw = yaml.safe_load(_CONFIG.replace("population: 2", f"population: {max(n, 2)}"))
+    config = parse_config(raw, "config.yaml")
     store = Store(folder / "campaign.sqlite", config=config.identity())
     store.note("version numpy", "2")
     store.add_seconds("search", 12.5)
@@ -93,10 +92,8 @@ def _write_store(folder: Path, n: int) -> Path:
             store.add_execution(execution)
             store.add_gate(test.test_id, execution.simulator, Gate(state=GateState.VALID, outcome=Outcome.COMPLETED))
         if executions:
-            gate = Gate(
-                state=GateState.INFEASIBLE, message="too far", outcome=Outcome.OUT_OF_BOUNDS, visible_contrast=0.7
-            )
-            store.add_gate(test.test_id, executions[0].simulator, gate)
+            failed = Gate(state=GateState.INFEASIBLE, outcome=Outcome.OUT_OF_BOUNDS, visible_contrast=0.7)
+            store.add_gate(test.test_id, executions[0].simulator, replace(failed, message="too far"))
     store.add_search(BULLET, 0, "deephyperion", n)
     store.set_result("maps", n)
     store.close()

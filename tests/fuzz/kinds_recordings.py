@@ -34,12 +34,8 @@ def _write_located(folder: Path, n: int) -> Path:
     source = tub(made, n)
     along = 0.35 * np.arange(n - 1.0)
     table = np.zeros((n - 1, len(COLUMNS)))
-    for name, values in (
-        ("frame", np.arange(n - 1.0)),
-        ("time_s", 0.05 * np.arange(n - 1)),
-        ("x_m", along),
-        ("along_m", along),
-    ):
+    frames = np.arange(n - 1.0)
+    for name, values in {"frame": frames, "time_s": 0.05 * frames, "x_m": along, "along_m": along}.items():
         table[:, COLUMNS.index(name)] = values
     track = Track(np.column_stack((np.linspace(-1.0, 0.35 * n + 3.0, 4 * n + 1), np.zeros(4 * n + 1))))
     about = {"source": source.name, "lane_width_m": 0.25, "closed": False}

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tests.fuzz.damage import damaged_file
@@ -15,11 +16,12 @@ from ds_road import generate
 from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
 
 
-def _write(folder: Path, n: int) -> Path:
+def suite_of(count: int, *, driver: str = "dave2", twin: str = "donkey") -> dict[str, Any]:
+    """A suite of so many tests, as its file has it."""
+    outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
     tests = []
-    for number in range(n):
+    for number in range(count):
         points = [list(map(float, point)) for point in generate(np.random.default_rng(number)).control_points]
-        outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
         tests.append(
             {
                 "name": f"bullet-0-{number:04d}",
@@ -29,11 +31,15 @@ def _write(folder: Path, n: int) -> Path:
                 "seed": number,
                 "conditions": "visibility=80" if number else "",
                 "cell": [3, 17],
-                "outcomes": {"bullet": outcome, "donkey": outcome},
+                "outcomes": {"bullet": outcome, twin: outcome},
             }
         )
-    raw = {"campaign": "mine", "driver": "dave2", "siblings": ["bullet"], "twin": "donkey", "tests": tests}
-    write_suite(Suite.model_validate(raw), folder / "suite.json")
+    format_ = {"format": "digital-siblings-suite", "version": 1}
+    return {**format_, "campaign": "mine", "driver": driver, "siblings": ["bullet"], "twin": twin, "tests": tests}
+
+
+def _write(folder: Path, n: int) -> Path:
+    write_suite(Suite.model_validate(suite_of(n)), folder / "suite.json")
     return folder / "suite.json"
 
 

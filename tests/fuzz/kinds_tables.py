@@ -26,7 +26,7 @@ from ds_analysis.sensitivity import RESULT, read_ranges
 from ds_base.folder_files import StoreError
 from ds_base.table import Table, TableError, keep_tables, read_tables, styled
 from ds_orchestrator.engines.cluster import ClusterError, read_cluster
-from ds_road import Road, RoadError
+from ds_road import Road, RoadError, read_roads
 from ds_road.files import write_roads
 from ds_road.importing import import_roads
 from ds_road.opendrive import write_all
@@ -141,8 +141,6 @@ def _tables(folder: Path, n: int) -> Path:
 
 def _comparison(folder: Path, n: int) -> Path:
     write_roads([_road(20, 1 + k / n) for k in range(n)], folder / "roads.json")
-    from ds_road import read_roads
-
     found = [
         {"road_id": road.road_id, "failed": {"a": True, "b": False}, "max_lateral_position": {"a": 2.1, "b": 0.3}}
         for road in read_roads(folder / "roads.json")
@@ -152,14 +150,8 @@ def _comparison(folder: Path, n: int) -> Path:
 
 
 def _ranges(folder: Path, n: int) -> Path:
-    row: dict[str, object] = {
-        "condition": "visibility",
-        "end": 5.0,
-        "verdict": "fails",
-        "share_of_range": 0.4,
-        "start": 1e3,
-        "first_fails": 40.0,
-    }
+    numbers = {"end": 5.0, "share_of_range": 0.4, "start": 1e3, "first_fails": 40.0}
+    row = {"condition": "visibility", "verdict": "fails", **numbers}
     (folder / RESULT).write_text(json.dumps({"thresholds": [row] * n, "seed": 1}))
     return folder
 

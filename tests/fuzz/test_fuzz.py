@@ -33,8 +33,7 @@ KINDS: list[Kind] = [
 def test_every_damaged_input_is_accepted_or_refused_in_one_line(
     kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    base = kind.base(tmp_path / "base")
-    work = tmp_path / "work"
+    base, work = kind.base(tmp_path / "base"), tmp_path / "work"
     work.mkdir()
     whole = try_inputs(replace(kind, damage=lambda path, rng: None), base, work, range(1))
     assert list(whole) == [Finding(seed=0, refused=False, defect="")], "the undamaged input is not accepted"
@@ -64,8 +63,7 @@ def test_ten_times_the_input_takes_less_than_twenty_times_as_long(kind: Kind, tm
 def test_no_hostile_file_takes_a_reader_time_or_memory(
     kind: Kind, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    base = kind.base(tmp_path / "base")
-    work = tmp_path / "work"
+    base, work = kind.base(tmp_path / "base"), tmp_path / "work"
     work.mkdir()
     monkeypatch.chdir(work)
     files = sorted(path.relative_to(base) for path in base.rglob("*") if path.is_file()) if base.is_dir() else [Path()]

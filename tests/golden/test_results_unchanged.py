@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from made_executions import made_execution
 from numpy.typing import NDArray
 
 from ds_base.folder_files import write_json
@@ -30,7 +32,7 @@ from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.maps.campaign_maps import build_maps
 from ds_orchestrator.maps.feature_map import to_json
 from ds_orchestrator.search.algorithms import SEARCHES
-from ds_orchestrator.store.model import NO_DRIVE, Execution, Origin, Test
+from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_road import Road
 from ds_sim.camera.lens import components, sample_rays
 from ds_sim.camera.spec import CameraSpec
@@ -76,19 +78,8 @@ def demo_tests() -> list[Test]:
 
 def demo_executions() -> list[Execution]:
     return [
-        Execution(
-            test_id=test_id,
-            simulator=simulator,
-            outcome=Outcome[outcome],
-            message="",
-            fitness=fitness,
-            max_lateral_position=max_lateral_position,
-            steps=steps,
-            simulated_seconds=steps / 20,
-            trajectory_sha256="",
-            drive=NO_DRIVE,
-        )
-        for test_id, simulator, outcome, fitness, max_lateral_position, steps in DEMO["executions"]
+        replace(made_execution(test_id, simulator, Outcome[outcome], largest, steps=steps), fitness=fitness)
+        for test_id, simulator, outcome, fitness, largest, steps in DEMO["executions"]
     ]
 
 

@@ -9,11 +9,11 @@ import re
 import sys
 import tomllib
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+from tests.test_layers import imports
 
 SOURCE = Path(__file__).resolve().parents[2] / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/package.xml"))
@@ -84,15 +84,6 @@ WITHOUT_IMPORT = {
 NO_KEY_WITHOUT_IMPORT = {"ds_sim_panda": {"panda3d"}}  # imported when the first scene is made
 
 
-def top_level(file: Path) -> Iterator[str]:
-    """List the top-level modules that a file imports."""
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name.partition(".")[0] for alias in node.names)
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            yield node.module.partition(".")[0]
-
-
 def executables(name: str) -> dict[str, str]:
     """Map each executable of a package to its entry point, `module:function`."""
     config = configparser.ConfigParser()
@@ -109,7 +100,7 @@ def imports_of(name: str) -> set[str]:
     used: set[str] = {target.partition(".")[0] for target in executables(name).values()}
     launched = list((SOURCE / name).glob("launch/*.py"))
     for file in [*(SOURCE / name / name).rglob("*.py"), *launched]:
-        used.update(top_level(file))
+        used.update(imports(file))
     for file in launched:
         constants = (node.value for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant))
         used.update(str(value) for value in constants if value in PACKAGES)
@@ -152,7 +143,7 @@ def test_every_executable_has_its_function(name: str) -> None:
 
 @pytest.mark.parametrize("name", PYTHON_PACKAGES)
 def test_a_package_is_set_up_by_files_of_its_own_folder(name: str) -> None:
-    assert list(top_level(SOURCE / name / "setup.py")) == ["setuptools"]
+    assert imports(SOURCE / name / "setup.py") == {"setuptools"}
 
 
 @pytest.mark.parametrize("name", PACKAGES)
