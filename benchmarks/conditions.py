@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.camera import draw_sheet, road_simulator, standing
 from numpy.typing import NDArray
 
-from ds_driver.sim2real.image_translation import ImageTranslation, open_set
+from ds_driver.sim2real.image_translation import open_set
 from ds_road import Road
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import STANDARD
@@ -62,7 +62,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     sheets = {}
     if arguments.set:
-        stage = ImageTranslation(open_set(arguments.set))
+        stage = open_set(arguments.set)
         for name in arguments.sim:
             images = zip(TRANSLATED, pictures(name, TRANSLATED), strict=True)
             pairs = {condition: [image, stage.translate(image, name)] for condition, image in images}

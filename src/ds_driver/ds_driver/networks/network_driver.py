@@ -32,7 +32,6 @@ from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction, atte
 from ds_driver.networks.weights import Weights, generators_in, load_weights, shipped_networks, weights_sha256
 from ds_driver.sim2real.image_translation import (
     GeneratorSet,
-    ImageTranslation,
     TranslatingPilot,
     open_set,
     set_of_network,
@@ -207,7 +206,7 @@ class NetworkDriver:
         return self._pilot.rows_seen(crop, height, simulator)
 
     @property
-    def translation(self) -> ImageTranslation | None:
+    def translation(self) -> GeneratorSet | None:
         """Return what translates images before the network sees them; None if it sees them as they are."""
         return self._pilot.translation
 
@@ -222,25 +221,18 @@ def load_pilot(driver: DriverName | str) -> Pilot:
     """
     name = DriverName.of(driver)
     weights = load_weights(name.network) if name.has_weights else None
-    translation = _image_translation(name)
+    translation = generators_of(name)
     pilot = _load_network(name) if weights is None else BuiltInPilot(weights, name.backend, name.device)
     return pilot if translation is None else TranslatingPilot(pilot, translation)
 
 
-def _image_translation(name: DriverName) -> ImageTranslation | None:
-    if (generators := generators_of(name)) is None:
-        return None
-    return ImageTranslation(generators, default_backend() if name.backend == "auto" else name.backend, name.device)
-
-
-_kept_image_translation = cache(_image_translation)
 Translation = Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
 """Maps a camera image to what a network sees of it, both (160, 320, 3) uint8 RGB."""
 
 
 def translation_of(driver: DriverName, simulator: str) -> Translation | None:
     """Return how a driver sees a simulator's images, None if as they are; a DriverError without its generators."""
-    translation = _kept_image_translation(driver)
+    translation = _kept_generators_of(driver)
     if translation is None:
         return None
     name, lock = spec_of(simulator).name, Lock()
@@ -254,10 +246,14 @@ def translation_of(driver: DriverName, simulator: str) -> Translation | None:
 
 def generators_of(driver: DriverName) -> GeneratorSet | None:
     """Find a driver's generators, None if it sees images as they are; a ValueError if there are no such files."""
+    computed = default_backend() if driver.backend == "auto" else driver.backend, driver.device
     if driver.generators:
-        return None if driver.generators == NO_GENERATORS else open_set(driver.generators)
+        return None if driver.generators == NO_GENERATORS else open_set(driver.generators, computed)
     trained_with = generators_in(driver.network) if driver.has_weights else {}
-    return set_of_network(driver.network, trained_with) if trained_with else None
+    return set_of_network(driver.network, trained_with, computed) if trained_with else None
+
+
+_kept_generators_of = cache(generators_of)
 
 
 def sees_translated(driver: DriverName) -> bool:

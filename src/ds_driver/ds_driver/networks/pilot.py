@@ -19,7 +19,7 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.simulator import Observation, SimulatorSpec
 
 if TYPE_CHECKING:
-    from ds_driver.sim2real.image_translation import ImageTranslation
+    from ds_driver.sim2real.image_translation import GeneratorSet
 
 _Question = TypeVar("_Question")
 _Answer = TypeVar("_Answer")
@@ -114,7 +114,7 @@ class Pilot(ABC):
     largest_batch: int = 1
     sees_crop_only: bool = False
     has_memory: bool = False
-    translation: ImageTranslation | None = None
+    translation: GeneratorSet | None = None
 
     def start(self) -> None:
         """Reset all state at the start of a run; most networks have none."""

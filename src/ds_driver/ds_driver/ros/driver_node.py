@@ -22,7 +22,7 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import NOT_SIMULATED, DriverError
 from ds_driver.networks.pilot import Frame as Seen
 from ds_driver.ros.simulator_client import SimulatorClient, SimulatorInfo
-from ds_driver.sim2real.image_translation import ImageTranslation
+from ds_driver.sim2real.image_translation import GeneratorSet
 from ds_sim.ros.conversions import MESSAGES, pixels_of
 from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.frame_publisher import FRAME_DEPTH
@@ -82,7 +82,7 @@ class DriverNode(Node):
         if info.name != self._names[index]:
             namespace = self._namespaces[index] or self.get_namespace()
             try:
-                digest = self._translation.generators.generator(info.name).sha256[:12]
+                digest = self._translation.generator(info.name).sha256[:12]
                 self.get_logger().info(f"{namespace}: generator {digest} translates images of {info.name}")
             except DriverError as error:  # every frame will state it, too
                 self.get_logger().error(str(error))
@@ -106,7 +106,7 @@ class DriverNode(Node):
         return command
 
     def _translated(
-        self, translation: ImageTranslation, index: int, frame: Frame, image: NDArray[np.uint8]
+        self, translation: GeneratorSet, index: int, frame: Frame, image: NDArray[np.uint8]
     ) -> NDArray[np.uint8]:
         """Translate as the driver would do by itself, and publish the same bits if somebody subscribes."""
         name = self._names[index]

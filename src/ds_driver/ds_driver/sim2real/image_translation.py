@@ -30,6 +30,8 @@ from ds_driver.sim2real.generator import (
 from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.registry import SIMULATORS, label_of
 
+Computed = tuple[str, str]
+"""Backend and device."""
 BACKENDS = ("onnx", "openvino", "openvino-bf16", "torch")
 
 
@@ -78,13 +80,17 @@ class Translator:
 
 
 class GeneratorSet:
-    """Generators by the labels of their simulators, loaded when first needed; `digests` are SHA-256 of the files."""
+    """Generators by the labels of their simulators, loaded when first needed, each for the images of its simulator.
 
-    def __init__(self, name: str, files: Mapping[str, Path], digests: Mapping[str, str] | None = None) -> None:
+    `digests`, simulator -> SHA-256, are those of the files where they are known.
+    """
+
+    def __init__(self, name: str, files: Mapping[str, Path], digests: Mapping[str, str], computed: Computed) -> None:
         self.name = name
         self.files = dict(sorted(files.items()))
         self._digests = digests
         self._loaded: dict[str, StoredGenerator] = {}
+        self._translator = cache(lambda simulator: Translator(self.generator(simulator), *computed))
 
     def __contains__(self, simulator: str) -> bool:
         return label_of(simulator) in self.files
@@ -108,69 +114,10 @@ class GeneratorSet:
                 raise DriverError(f"{path} translates images of {generator.simulator}, not of {simulator}: rename it")
             if generator.window.bottom > IMAGE_HEIGHT or generator.window.right > IMAGE_WIDTH:
                 raise DriverError(f"{path} has a crop, {generator.window}, beyond the image: train the generator again")
-            if self._digests is not None and generator.sha256 != self._digests[label]:
+            if generator.sha256 != self._digests.get(simulator, generator.sha256):
                 raise DriverError(f"{path} has changed: put back the generator that {self.name} was trained with")
             self._loaded[label] = generator
         return self._loaded[label]
-
-    @property
-    def sha256(self) -> str:
-        """Digest of all files."""
-        lines = "".join(f"{label} {_sha256(path)}\n" for label, path in self.files.items())
-        return hashlib.sha256(lines.encode()).hexdigest()
-
-
-def open_set(name: str) -> GeneratorSet:
-    """Open a shipped set by name, or a folder with a `SIMULATOR.safetensors` for each; or a DriverError."""
-    sets = shipped_sets()
-    files = _files_in(sets.get(name, Path(name)))
-    if not files:
-        shipped = f"a shipped one ({', '.join(sets)}), or " if sets else ""
-        raise DriverError(
-            f"no generators in {name!r}: expected {shipped}a folder with files such as {next(iter(SIMULATORS))}"
-            ".safetensors, checkpoints of `ds sim2real train`"
-        )
-    return GeneratorSet(name, files)
-
-
-def set_of_network(name: str, digests: Mapping[str, str]) -> GeneratorSet:
-    """Find the generators, simulator -> SHA-256, beside a network or shipped; a DriverError if one is missing."""
-    beside = path_of_weights(name).parent / GENERATORS
-    places = [beside, *sorted(path for path in beside.glob("*") if path.is_dir()), *shipped_sets().values()]
-    files: dict[str, Path] = {}
-    for simulator, digest in digests.items():
-        label = label_of(simulator)
-        candidates = (_files_in(place).get(label) for place in dict.fromkeys(places))
-        match = next((path for path in candidates if path is not None and _sha256(path) == digest), None)
-        if match is None:
-            raise DriverError(
-                f"{name} was trained on images of {simulator} that a generator translated, which is missing: copy it "
-                f"to {beside}/{label}.safetensors"
-            )
-        files[label] = match
-    return GeneratorSet(name, files, _by_label(digests))
-
-
-def _by_label(digests: Mapping[str, str]) -> dict[str, str]:
-    return {label_of(simulator): digest for simulator, digest in digests.items()}
-
-
-def _files_in(folder: Path) -> dict[str, Path]:
-    return {path.stem: path for path in sorted(folder.glob("*.safetensors"))} if folder.is_dir() else {}
-
-
-def _sha256(path: Path) -> str:
-    if path.stat().st_size > LARGEST_FILE:
-        raise DriverError(f"{path} has more than {LARGEST_FILE // 2**20} MiB: expected a generator")
-    return sha256_of([path])
-
-
-class ImageTranslation:
-    """Translates camera images of several simulators, each with its own generator."""
-
-    def __init__(self, generators: GeneratorSet, backend: str = "onnx", device: str = "cpu") -> None:
-        self.generators = generators
-        self._translator = cache(lambda simulator: Translator(generators.generator(simulator), backend, device))
 
     def translate(self, image: NDArray[np.uint8], simulator: str) -> NDArray[np.uint8]:
         """Translate one camera image, (160, 320, 3) uint8 RGB, which is not to be cropped then; or a ValueError."""
@@ -191,13 +138,60 @@ class ImageTranslation:
                 translated[index] = replace(frames[index], image=image, crop=Crop(), simulator=NOT_SIMULATED)
         return translated
 
+    @property
+    def sha256(self) -> str:
+        """Digest of all files."""
+        lines = "".join(f"{label} {_sha256(path)}\n" for label, path in self.files.items())
+        return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def open_set(name: str, computed: Computed = ("onnx", "cpu")) -> GeneratorSet:
+    """Open a shipped set by name, or a folder with a `SIMULATOR.safetensors` for each; or a DriverError."""
+    sets = shipped_sets()
+    files = _files_in(sets.get(name, Path(name)))
+    if not files:
+        shipped = f"a shipped one ({', '.join(sets)}), or " if sets else ""
+        raise DriverError(
+            f"no generators in {name!r}: expected {shipped}a folder with files such as {next(iter(SIMULATORS))}"
+            ".safetensors, checkpoints of `ds sim2real train`"
+        )
+    return GeneratorSet(name, files, {}, computed)
+
+
+def set_of_network(name: str, digests: Mapping[str, str], computed: Computed) -> GeneratorSet:
+    """Find the generators, simulator -> SHA-256, beside a network or shipped; a DriverError if one is missing."""
+    beside = path_of_weights(name).parent / GENERATORS
+    places = [beside, *sorted(path for path in beside.glob("*") if path.is_dir()), *shipped_sets().values()]
+    files: dict[str, Path] = {}
+    for simulator, digest in digests.items():
+        label = label_of(simulator)
+        candidates = (_files_in(place).get(label) for place in dict.fromkeys(places))
+        match = next((path for path in candidates if path is not None and _sha256(path) == digest), None)
+        if match is None:
+            raise DriverError(
+                f"{name} was trained on images of {simulator} that a generator translated, which is missing: copy it "
+                f"to {beside}/{label}.safetensors"
+            )
+        files[label] = match
+    return GeneratorSet(name, files, digests, computed)
+
+
+def _files_in(folder: Path) -> dict[str, Path]:
+    return {path.stem: path for path in sorted(folder.glob("*.safetensors"))} if folder.is_dir() else {}
+
+
+def _sha256(path: Path) -> str:
+    if path.stat().st_size > LARGEST_FILE:
+        raise DriverError(f"{path} has more than {LARGEST_FILE // 2**20} MiB: expected a generator")
+    return sha256_of([path])
+
 
 class TranslatingPilot(Pilot):
     """Drives with a network that sees translated images."""
 
-    def __init__(self, pilot: Pilot, translation: ImageTranslation) -> None:
+    def __init__(self, pilot: Pilot, translation: GeneratorSet) -> None:
         self._pilot = pilot
-        self.translation: ImageTranslation = translation
+        self.translation: GeneratorSet = translation
         self.largest_batch, self.has_memory = pilot.largest_batch, pilot.has_memory
 
     def start(self) -> None:
@@ -222,7 +216,7 @@ class TranslatingPilot(Pilot):
 
     def rows_seen(self, crop: Crop, height: int, simulator: str) -> tuple[int, int] | None:
         """See `ds_driver.networks.pilot.Pilot`."""
-        if simulator not in self.translation.generators:
+        if simulator not in self.translation:
             return None
-        window = self.translation.generators.generator(simulator).window
+        window = self.translation.generator(simulator).window
         return window.top, window.bottom

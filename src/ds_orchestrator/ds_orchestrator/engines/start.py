@@ -60,7 +60,7 @@ def check_driver(driver: DriverName, simulators: Sequence[SimulatorName], *, att
     translation = load_pilot(driver).translation
     if translation is not None:
         for name in simulators:
-            translation.generators.generator(spec_of(name).name)
+            translation.generator(spec_of(name).name)
 
 
 Start = Callable[[DriveSettings, Path], AbstractContextManager[Engine]]
