@@ -28,9 +28,6 @@ _EXACT, _UNKNOWN = 1e-9, 1e12
 GROUND_TRUTH_COVARIANCE: NDArray[np.float64] = np.diag([_EXACT, _EXACT, _UNKNOWN, _UNKNOWN, _UNKNOWN, _EXACT]).ravel()
 """Row-major 6 x 6 covariance of the pose (m^2, rad^2) and of the twist ((m/s)^2, (rad/s)^2) in odometry."""
 GROUND_TRUTH_COVARIANCE.setflags(write=False)
-
-Pose = tuple[tuple[float, float, float], tuple[float, float, float, float]]
-"""Translation x, y, z in m, and rotation as a quaternion x, y, z, w."""
 _LINE_STRIP = 4
 """Of `visualization_msgs/Marker`."""
 
@@ -129,22 +126,25 @@ class MessageBuilder:
         )
 
     def body_transform(self, vehicle: VehicleState, stamp: Any) -> Any:
-        """Pose of the body in the road frame, roll, pitch and heave included."""
-        return self._transform(stamp, ROAD_FRAME, self.base_frame, body_pose(vehicle))
+        """Pose of the body in the road frame; its origin is on the ground below the centre when the body is at rest."""
+        turn = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
+        return self._transform(stamp, ROAD_FRAME, self.base_frame, (vehicle.x, vehicle.y, vehicle.heave), turn)
 
     def camera_transform(self, camera: CameraSpec, stamp: Any) -> Any:
         """Pose of the camera's optical frame in the body's frame."""
-        return self._transform(stamp, self.base_frame, self.camera_frame, camera_pose(camera))
+        mount = Rotation.from_euler("Y", camera.pitch)
+        if camera.yaw:
+            mount = Rotation.from_euler("ZY", [camera.yaw, camera.pitch])
+        place = (camera.forward, 0.0, camera.height)
+        return self._transform(stamp, self.base_frame, self.camera_frame, place, mount * _OPTICAL)
 
-    def _transform(self, stamp: Any, parent: str, child: str, pose: Pose) -> Any:
-        place, turn = pose
+    def _transform(self, stamp: Any, parent: str, child: str, place: tuple[float, float, float], turn: Rotation) -> Any:
+        rotation = self._quaternion(*turn.as_quat().tolist())
         stamped = self._make(
             "geometry_msgs/TransformStamped",
             header=self._header(stamp, parent),
             child_frame_id=child,
-            transform=self._make(
-                "geometry_msgs/Transform", translation=self._vector(*place), rotation=self._quaternion(*turn)
-            ),
+            transform=self._make("geometry_msgs/Transform", translation=self._vector(*place), rotation=rotation),
         )
         return self._make("tf2_msgs/TFMessage", transforms=[stamped])
 
@@ -247,22 +247,3 @@ def road_from_message(message: Any) -> Road:
 def frame_of(namespace: str, name: str) -> str:
     """Name of a frame in a namespace: `base_link` of the vehicle, or `camera_optical`, whose suffix is REP-103's."""
     return f"{namespace.strip('/')}/{name}".strip("/")
-
-
-def body_pose(vehicle: VehicleState) -> Pose:
-    """Pose of the vehicle in the road frame; its origin is on the ground below the centre when the body is at rest."""
-    turn = Rotation.from_euler("ZYX", [vehicle.yaw, vehicle.pitch, vehicle.roll])
-    return (vehicle.x, vehicle.y, vehicle.heave), _quaternion(turn)
-
-
-def camera_pose(camera: CameraSpec) -> Pose:
-    """Pose of the camera's optical frame in the vehicle's frame."""
-    mount = Rotation.from_euler("Y", camera.pitch)
-    if camera.yaw:
-        mount = Rotation.from_euler("ZY", [camera.yaw, camera.pitch])
-    return (camera.forward, 0.0, camera.height), _quaternion(mount * _OPTICAL)
-
-
-def _quaternion(turn: Rotation) -> tuple[float, float, float, float]:
-    x, y, z, w = (float(v) for v in turn.as_quat())
-    return x, y, z, w

@@ -176,11 +176,6 @@ def label_of(name: str) -> str:
     A name of letters, digits, `_`, `-` and `.` is its own label. In any other name, all other characters become `.`,
     the middle is left out if the name is long, and the first eight digits of its SHA-256 are appended, so that
     different names have different labels.
-
-    Examples:
-        >>> from ds_sim.registry import label_of
-        >>> label_of("bullet"), label_of("donkey@cars/mine.yaml")
-        ('bullet', 'donkey.cars.mine.yaml-3014bbc5')
     """
     label = "".join(c if c.isascii() and (c.isalnum() or c in "_-.") else "." for c in name)
     if label == name and len(label) <= MAX_LABEL_LENGTH:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ds_base.installation import versions
 from ds_road import Road
-from ds_sim.camera.lens import Axes, Vector, optical_axes
+from ds_sim.camera.lens import optical_axes
 from ds_sim.camera.optics import CAMERA_CONDITIONS
 from ds_sim.camera.rendered_scene import RenderedScene
 from ds_sim.camera.spec import CameraSpec, Look
@@ -153,14 +153,6 @@ class MultiBodyVehicle(Vehicle):
         return self._x
 
 
-def camera_pose(axes: Axes, position: Vector) -> NDArray[np.float64]:
-    """Pose of the camera in the road frame, (4, 4): rows right, forward, up and position, as Panda3D multiplies."""
-    right, down, forward = axes
-    pose = np.eye(4)
-    pose[:, :3] = right, forward, [-v for v in down], position
-    return pose
-
-
 class PandaScene(RenderedScene):
     """Implements `ds_sim.parts.Scene` with Panda3D: textured meshes, shadows of the sun, haze; for a pinhole camera."""
 
@@ -192,11 +184,12 @@ class PandaScene(RenderedScene):
         world, spec = self._world, self._run_spec
         if world is None:
             raise SimulatorError("the scene has no road: load one first")
-        pose = camera_pose(*optical_axes(spec, state))
-        pose[3, :2] -= world.origin
+        (right, down, forward), (x, y, z) = optical_axes(spec, state)
+        place = (x - float(world.origin[0]), y - float(world.origin[1]), z)
+        pose = (*right, 0.0, *forward, 0.0, *(-v for v in down), 0.0, *place, 1.0)  # right, forward, up and position
         self._camera.reparent_to(world.root)
-        self._camera.set_mat(panda().LMatrix4(*pose.ravel().tolist()))
-        world.follow(*pose[3, :3].tolist())
+        self._camera.set_mat(panda().LMatrix4(*pose))
+        world.follow(*place)
         top, bottom = rows
         drawn = graphics().draw(self._camera, spec.width, spec.height_px, top=top)[::-1]
         image = np.zeros((spec.height_px, spec.width, 3), np.uint8)
