@@ -90,11 +90,9 @@ WAVE = 0.4 * np.sin(np.linspace(0.0, 20.0, 200))
 )
 def test_names_what_is_unusual_about_commands(steering: NDArray[np.float64], speed: float, kinds: list[str]) -> None:
     found = command_habits(steering, np.full(len(steering) + 1, speed))
-
     assert [habit.kind for habit in found] == kinds
 
 
 def test_says_the_share_of_saturated_commands() -> None:
     (habit,) = command_habits(np.repeat([1.0, -1.0, 0.3], [60, 32, 8]), np.full(100, 7.0))
-
     assert "92%" in habit.text

@@ -57,6 +57,7 @@ def saved(network: Any, *, old: bool = False) -> Callable[[Path], None]:
 
 LINEAR = torch.nn.Linear(3, 1)
 HDF5 = b"\x89HDF\r\n\x1a\n"
+KERAS = zipped("metadata.json", "config.json", "model.weights.h5")
 
 
 @pytest.mark.parametrize(
@@ -75,11 +76,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
         ("n.h5", written(HDF5 + b"..model_config.."), r"whole Keras model.*--keras \S*n\.h5 --output n"),
         ("n.h5", written(HDF5), r"weights alone in Keras's HDF5.*load_weights"),
         ("n.onnx", written(HDF5 + b"model_config"), "n.onnx is a whole Keras model in HDF5"),
-        (
-            "n.keras",
-            zipped("metadata.json", "config.json", "model.weights.h5"),
-            r"n\.keras is a whole Keras model: .*export\('n\.onnx', format='onnx'\)",
-        ),
+        ("n.keras", KERAS, r"n\.keras is a whole Keras model: .*export\('n\.onnx', format='onnx'\)"),
         ("n.tflite", tflite(b"FlexConv3D\0FlexRelu\0"), r"only TensorFlow runs \(FlexConv3D, FlexRelu\).*tf2onnx"),
         ("n.pkl", written(pickle.dumps(Bomb())), "is a Python pickle, which is a program"),
         ("n.trt", written(b"ftrt"), "TensorRT engine, built for one GPU"),

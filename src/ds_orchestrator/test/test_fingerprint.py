@@ -98,5 +98,6 @@ def test_a_campaign_resumes_on_the_back_end_on_which_it_began(
 
 def test_an_executable_of_a_package_that_is_not_built_says_how_to_build_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(executables, "ABOVE", "not_built.ros.executables")
-    with pytest.raises(SystemExit, match="orchestrator: not_built is not in this .*--packages-up-to ds_bringup"):
+    said = "orchestrator: not_built is not in this workspace.*--packages-up-to ds_bringup"
+    with pytest.raises(SystemExit, match=said):
         executables.orchestrator()

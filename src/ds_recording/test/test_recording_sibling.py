@@ -21,7 +21,7 @@ from ds_recording.floor_camera import FloorCamera, write_camera
 from ds_recording.located import COLUMNS
 from ds_recording.sibling.recorded_drive import read_drive, sections
 from ds_recording.sibling.simulator import PhotoScene, RecordingSimulator, network_grid
-from ds_road import RoadError
+from ds_road import Road, RoadError
 from ds_sim.registry import UnknownSimulatorError, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
@@ -128,9 +128,14 @@ def test_what_a_photograph_does_not_show_comes_from_those_behind(folder: Path) -
     assert scene.unseen < 0.6 * alone.unseen
 
 
-def test_it_drives_to_the_end_and_repeats_its_bytes(folder: Path) -> None:
-    simulator = RecordingSimulator.from_file(folder)
+@pytest.fixture
+def road(folder: Path) -> Road:
     (road,) = sections(read_drive(folder), 80.0, 1000.0)
+    return road
+
+
+def test_it_drives_to_the_end_and_repeats_its_bytes(folder: Path, road: Road) -> None:
+    simulator = RecordingSimulator.from_file(folder)
     digests = []
     for _ in range(2):
         session = Session(simulator)
@@ -145,9 +150,8 @@ def test_it_drives_to_the_end_and_repeats_its_bytes(folder: Path) -> None:
     assert digests[0] == digests[1]
 
 
-def test_beyond_its_photographs_it_does_not_know(folder: Path) -> None:
+def test_beyond_its_photographs_it_does_not_know(folder: Path, road: Road) -> None:
     session = Session(RecordingSimulator.from_file(folder))
-    (road,) = sections(read_drive(folder), 80.0, 1000.0)
     session.start(Scenario(road, seed=1))
     while session.driving:
         session.advance(Command(1.0, 0.6))
@@ -159,12 +163,14 @@ def test_beyond_its_photographs_it_does_not_know(folder: Path) -> None:
         scene.still(pose_near(folder, 75, 0.3, 0.0)[0])
 
 
-def test_only_its_own_track_is_driven(folder: Path) -> None:
+def test_only_its_own_track_is_driven(folder: Path, road: Road) -> None:
     simulator = RecordingSimulator.from_file(folder)
-    (road,) = sections(read_drive(folder), 80.0, 1000.0)
     for other in (road.reversed(), road.mirrored(), road.in_lane("left")):
         with pytest.raises(RoadError, match="is no section of the recorded track: make roads with"):
             simulator.load(other, seed=1)
+
+
+NO_NUMBERS = ",".join(["nan"] * 14)
 
 
 @pytest.mark.parametrize(
@@ -174,11 +180,7 @@ def test_only_its_own_track_is_driven(folder: Path) -> None:
         ("recording.json", '{"source": "tub", "lane_width_m": 4.0}', "a lane of 4 m, expected 0.0625 to 1.25"),
         ("recording.json", '{"source": "elsewhere", "lane_width_m": 0.25}', "elsewhere: .*: put the recording there"),
         ("located.csv", "frame,x\n1,2\n", "located.csv has the columns frame,x, expected frame,time_s"),
-        (
-            "located.csv",
-            ",".join(COLUMNS) + 2 * ("\n" + ",".join(["nan"] * 14)),
-            "located.csv needs a row of 14 numbers",
-        ),
+        ("located.csv", "\n".join([",".join(COLUMNS), NO_NUMBERS, NO_NUMBERS]), "needs a row of 14 numbers"),
         ("camera.yaml", "image_width: -1\n", "camera.yaml: "),
         ("track.csv", "0,0\n", "track.csv: not a track: expected at least two lines"),
         ("simulator.yaml", "car: 3\n", "simulator.yaml: car: "),

@@ -44,9 +44,8 @@ def test_resampling_keeps_the_shape() -> None:
 def test_a_roboracer_file_comes_back(tmp_path: Path, closed: bool) -> None:
     track = CIRCLE if closed else Track(CIRCLE.points[:60])
     write_track(tmp_path / "track.csv", track, 0.25)
-    assert (
-        (tmp_path / "track.csv").read_text().startswith("# x_m,y_m,w_tr_right_m,w_tr_left_m\n3.0000,0.0000,0.2500,0.25")
-    )
+    head, first, *_ = (tmp_path / "track.csv").read_text().splitlines()
+    assert (head, first) == ("# x_m,y_m,w_tr_right_m,w_tr_left_m", "3.0000,0.0000,0.2500,0.2500")
     again = read_track(tmp_path / "track.csv")
     assert again.closed is closed
     np.testing.assert_allclose(again.points, track.points, atol=1e-4)

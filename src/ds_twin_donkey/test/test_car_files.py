@@ -39,6 +39,7 @@ vesc_to_odom_node:
 """
 GYM = """{mu: 1.0489, C_Sf: 4.718, C_Sr: 5.4562, lf: 0.15875, lr: 0.17145, h: 0.074, m: 3.74, I: 0.04712,
           s_max: 0.4189, sv_max: 3.2}"""
+WHEEL = '<link name="{}_wheel"><visual><geometry><cylinder radius="0.05"/></geometry></visual></link>'
 URDF = """<?xml version="1.0"?>
 <robot name="racecar">
   <link name="base_link"><inertial><mass value="3.0"/></inertial></link>
@@ -61,12 +62,8 @@ URDF = """<?xml version="1.0"?>
   </joint>
   <joint name="e" type="fixed"><parent link="mast"/><child link="camera_link"/><origin rpy="0 0.1 0"/></joint>
 </robot>
-""".format(
-    wheels="".join(
-        f'<link name="{name}_wheel"><visual><geometry><cylinder radius="0.05"/></geometry></visual></link>'
-        for name in ("front_left", "front_right", "back_left")
-    )
-)
+""".format(wheels="".join(map(WHEEL.format, ("front_left", "front_right", "back_left"))))
+CIRCLE = '<joint><parent link="wheel"/><child link="wheel"/></joint>'
 NOMINAL = DonkeyParameters()
 
 
@@ -129,11 +126,7 @@ def test_a_urdf_gives_wheels_steering_and_the_pose_of_the_camera(tmp_path: Path)
         ("car.urdf", URDF.replace('"0.32 0.1 0"', '"${wheelbase} 0 0"'), "type `xacro FILE > car.urdf`"),
         ("car.urdf", URDF.replace("_wheel", ""), "no front and rear wheels"),
         ("car.urdf", '<!DOCTYPE r [<!ENTITY a "aa">]><robot>&a;</robot>', "document type"),
-        (
-            "car.urdf",
-            '<robot><link name="wheel"/><joint><parent link="wheel"/><child link="wheel"/></joint></robot>',
-            "form a circle",
-        ),
+        ("car.urdf", f'<robot><link name="wheel"/>{CIRCLE}</robot>', "form a circle"),
     ],
 )
 def test_what_no_car_has_is_refused_in_one_line(tmp_path: Path, name: str, text: str, expected: str) -> None:

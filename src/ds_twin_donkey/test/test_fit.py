@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from benchmarks.twin_drives import coast, hard_bends, hidden_and_start, manoeuvres, random_commands, simulated_recording
 from progress_lines import ProgressLines
@@ -30,11 +31,9 @@ MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
 
 
 def tub_of(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
-    rows = []
-    for index, (angle, throttle) in enumerate(commands.tolist()):
-        row = {f"{'user' if mode == 'user' else 'pilot'}/angle": angle, "user/throttle": throttle, "user/mode": mode}
-        row |= {"pilot/throttle": throttle} if mode == "local" else {}
-        rows.append(row | {key: column[index] for key, column in extra.items()})
+    driver = "user" if mode == "user" else "pilot"
+    columns = {f"{driver}/angle": commands[:, 0], f"{driver}/throttle": commands[:, 1], **extra}
+    rows = pd.DataFrame(columns).assign(**{"user/mode": mode}).to_dict("records")
     return write_tub(folder, rows, deleted=[3])
 
 
@@ -91,9 +90,7 @@ def test_parameters_not_determined_by_a_straight_drive_stay_at_their_start(tmp_p
     rng = np.random.default_rng(2)
     commands = np.column_stack((np.zeros(120), np.repeat(rng.uniform(0.2, 0.8, 6), 20)))
     states = rollout(P, commands)[:-1, [0, 1, 2, 3, 5]] + rng.normal(size=(120, 5)) * MOTION_CAPTURE
-    drives = drives_of(
-        np.array([i * FRAME_TIME for i in range(120)], dtype=np.float64), commands, states.astype(np.float64)
-    )
+    drives = drives_of(np.linspace(0.0, 119 * FRAME_TIME, 120), commands, states)
     begin = P.changed(friction=0.7, servo_rate=4.0)
     names = ("friction", "servo_rate", "front_stiffness", "max_steering_angle", "full_duty", "stall_force")
     found = fit(drives, begin, FitSettings(window_seconds=2.0, names=names))
@@ -174,42 +171,25 @@ def test_a_left_turn_of_a_tub_is_a_left_turn_of_the_car(tmp_path: Path) -> None:
     assert bend(drive.measured[:, :2]) > 0.0
 
 
-def test_a_tub_without_throttle_is_refused_for_that(tmp_path: Path) -> None:
-    rows = [{"user/mode": "user", "user/angle": 0.1, "pos/speed": 1.0} for _ in range(60)]
+def test_tubs_without_throttle_or_of_inconsistent_units_are_refused(tmp_path: Path) -> None:
+    rows = [{"user/mode": "user", "user/angle": 0.1, "pos/speed": 1.0}] * 60
     with pytest.raises(LogError, match="t: no record has throttle, without which nothing is known"):
         read_log(write_tub(tmp_path / "t", rows))
-
-
-def test_a_tub_with_inconsistent_units_is_refused(tmp_path: Path) -> None:
-    x = np.arange(40.0) * 0.05
-    speed = np.full(40, 8.0)
-    tub = tub_of(
-        tmp_path / "t", np.tile((0.0, 0.5), (40, 1)), {"pos/pos_x": x, "pos/pos_z": 0.0 * x, "pos/speed": speed}
-    )
+    motion = {"pos/pos_x": np.arange(40.0) * 0.05, "pos/pos_z": np.zeros(40), "pos/speed": np.full(40, 8.0)}
     with pytest.raises(LogError, match=r"0\.125 times as fast as its speed says: record both in metres"):
-        read_log(tub)
+        read_log(tub_of(tmp_path / "t", np.tile((0.0, 0.5), (40, 1)), motion))
 
 
-def test_a_bag_of_another_vehicle_is_refused(tmp_path: Path) -> None:
-    writer = Rosbag2Writer(tmp_path / "bag", {})
-    writer.close({"simulator": "bullet"})
+def test_bags_of_another_vehicle_and_of_several_runs_are_refused(tmp_path: Path) -> None:
+    Rosbag2Writer(tmp_path / "bag", {}).close({"simulator": "bullet"})
     with pytest.raises(LogError, match="a drive of bullet, which is not a 1:16 car"):
         read_log(tmp_path / "bag")
-
-
-def test_a_bag_of_several_runs_is_refused(tmp_path: Path) -> None:
     writer = Rosbag2Writer(tmp_path / "runs", {})
     for run in ("a", "b"):
         writer.channel(topic_of(f"/{run}/ds1/state", "ds_interfaces/msg/VehicleState", depth=1))
     writer.close({})
     with pytest.raises(LogError, match="states of 2 runs.*give bags of one run"):
         read_log(tmp_path / "runs")
-
-
-def test_drives_of_a_standing_car_are_refused() -> None:
-    rng = np.random.default_rng(0)
-    with pytest.raises(FitError, match="record"):
-        fit([simulated_recording(P, rng, np.zeros((100, 2)))], settings=FitSettings(window_seconds=1.0))
 
 
 def test_wheels_at_an_end_of_the_play_do_not_stop_the_fit() -> None:
@@ -231,7 +211,7 @@ def test_wheels_at_an_end_of_the_play_do_not_stop_the_fit() -> None:
 
 
 def test_gaps_and_reverse_throttle_end_a_drive() -> None:
-    times = np.array([i * FRAME_TIME for i in range(60)], dtype=np.float64)
+    times = np.linspace(0.0, 59 * FRAME_TIME, 60)
     times[20:] += 1.0
     commands = np.tile((0.0, 0.3), (60, 1))
     commands[40:45, 1] = -0.5
@@ -295,6 +275,13 @@ def test_a_table_of_motion_is_a_log(tmp_path: Path) -> None:
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(("frames", "said"), [(20, "record longer ones"), (100, "drives in which the car moves")])
+def test_short_drives_and_those_of_a_standing_car_are_refused(frames: int, said: str) -> None:
+    standing = simulated_recording(P, np.random.default_rng(0), np.zeros((frames, 2)))
+    with pytest.raises(FitError, match=said):
+        fit([standing])
+
+
 def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such log"):
         read_log(tmp_path / "none")
@@ -303,8 +290,6 @@ def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "metadata.yaml").write_text("nonsense")
     with pytest.raises(LogError, match=r"is not as rosbag2 writes it .*copy the bag again$"):
         read_log(tmp_path)
-    with pytest.raises(FitError, match="record longer ones"):
-        fit([simulated_recording(P, np.random.default_rng(0), np.zeros((20, 2)))])
     for text, message in (
         ("a: [", "not YAML"),
         ("a: 1", "not a file of"),
@@ -312,10 +297,9 @@ def test_bad_logs_and_files_are_refused_in_one_line(tmp_path: Path) -> None:
         ("format: ds_twin_donkey parameters 1\nparameters: {weight: {value: 1}}", "weight is not a parameter"),
         ("format: ds_twin_donkey parameters 1\nparameters: {mass: {value: .nan}}", "mass is nan"),
     ):
-        file = tmp_path / "car.yaml"
-        file.write_text(text)
+        (tmp_path / "car.yaml").write_text(text)
         with pytest.raises(ParameterFileError, match=message) as caught:
-            read_parameters(file)
+            read_parameters(tmp_path / "car.yaml")
         assert "\n" not in str(caught.value)
 
 

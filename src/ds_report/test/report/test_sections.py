@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's section on the car: what it predicts, which cells it marks, and what it says where nothing can be."""
+"""Sections of the report on the car and on why tests failed, and the page of imported outcomes."""
 
 from __future__ import annotations
 
@@ -7,17 +7,26 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pandas as pd
 import pytest
 from prediction_tables import real_drive
 from report_campaigns import NOWHERE, campaign_data, results
 
+from ds_analysis.failures import FailureReason
+from ds_analysis.outcomes.columns import Columns
+from ds_analysis.outcomes.study import import_outcomes, write_study
 from ds_analysis.real.records import write_drives
 from ds_base.installation import ds_command
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.search.features import feature_of
 from ds_report.build import write_report
-from ds_report.sections import AnswerSection, answer_section
+from ds_report.pages import render
+from ds_report.sections import AnswerSection, answer_section, failure_section
+from ds_report.study_page import write_study_page
+from ds_sim import BULLET, SOFTBODY, SimulatorName
 
 
 def data_of(folder: Path, config: CampaignConfig = NOWHERE, per_sibling: int = 8) -> CampaignData:
@@ -81,3 +90,69 @@ def test_without_an_answer_the_section_says_why(tmp_path: Path, what: str) -> No
     problem = {"few": "expected at least 10", "damaged": "drives.json", "foreign": "of no test here"}[what]
     assert not section.picture and problem in section.sentence and section.sentence.startswith("No prediction")
     assert section.sentence[:30] in write_report(tmp_path, data, *results(data), answer=section).read_text()
+
+
+def test_groups_count_every_failure_once_and_link_to_a_test_of_their_own(tmp_path: Path) -> None:
+    config = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=None, driver=AUTOPILOT)
+    data = campaign_data(tmp_path, config, 6, roads=12)
+    section = failure_section(data)
+    assert section is not None
+    failed = {(e.test_id, e.simulator) for e in data.executions if e.outcome.is_failure}
+    sizes = [failures for failures, *_ in section.groups]
+    assert sum(sizes) == len(failed) and sizes == sorted(sizes, reverse=True)
+    assert f"{sizes[0]} of {len(failed)} failures" in section.sentences[0]
+    for failures, where, worst, address in section.groups:
+        assert (worst.test_id, worst.simulator) in failed
+        assert sum(int(words.split()[0]) for words in where.split(", ")) == failures
+        assert "-".join(map(str, data.cells[worst.test_id])) in address
+    html = render("failures.html.j2", failures=section)
+    linked = re.findall(r'href="#cell=[-\d]+&amp;test=([^"]+)"', html)
+    assert linked == [worst.test_id for _, _, worst, _ in section.groups]
+
+
+@pytest.mark.parametrize(("wide", "said"), [(14, "Most often (14 of 16 failures), the driver wide."), (9, "No way of")])
+def test_the_most_frequent_way_of_failing_is_named_only_if_it_leads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wide: int, said: str
+) -> None:
+    config = CampaignConfig(siblings=[BULLET], twin=None, driver=AUTOPILOT)
+    data = campaign_data(tmp_path, config, 16, roads=16)
+    kinds = ["wide"] * wide + ["cuts"] * (16 - wide)
+    made = [FailureReason(test.test_id, BULLET, kind, "") for test, kind in zip(data.tests, kinds, strict=True)]
+    monkeypatch.setattr("ds_report.sections.reasons_of", lambda data: made)
+    section = failure_section(data)
+    assert section is not None and section.sentences[0].startswith(said)
+
+
+CAR, OTHER = map(SimulatorName, ("car", "other"))
+
+HOSTILE = "<script>alert(1)</script>"
+
+
+def table(folder: Path, tests: int) -> Path:
+    rng = np.random.default_rng(3)
+    speed, curve = rng.uniform(5, 20, tests), rng.uniform(0, 0.2, tests)
+    rows = [
+        (test, simulator, int(speed[test] * level > 12), speed[test], curve[test])
+        for test in range(tests)
+        for simulator, level in ((HOSTILE, 1.0), ("other", 1.2), ("car", 0.9))
+    ]
+    frame = pd.DataFrame(rows, columns=["test_id", "simulator", "failed", "speed", "curve"])
+    frame.to_csv(folder / "t.csv", index=False)
+    return folder / "t.csv"
+
+
+def test_a_page_says_where_each_simulator_fails_and_runs_nothing(tmp_path: Path) -> None:
+    study = import_outcomes([table(tmp_path, 60)], Columns(twin=CAR))
+    write_study(tmp_path, study)
+    text = write_study_page(tmp_path, study).read_text()
+    assert HOSTILE not in text and "&lt;script&gt;" in text and "default-src 'none'" in text
+    assert "where speed is " in text and "did not choose this threshold" in text
+    assert "real propose" in text and text.count("data:image/png") == 5
+    assert "predicted without driving it" in text  # predictors are scored on the twin
+    assert write_study_page(tmp_path, study).read_text() == text
+
+
+def test_too_few_tests_still_have_maps_and_counts(tmp_path: Path) -> None:
+    study = import_outcomes([table(tmp_path, 4)], Columns())
+    text = write_study_page(tmp_path, study).read_text()
+    assert "expected at least 10" in text and "What was read" in text

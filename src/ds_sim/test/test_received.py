@@ -1,22 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sends runs as bytes: every bit arrives, and damaged bytes are refused in one line."""
+"""What others send: runs arrive with every bit or are refused, and simulators' names import nothing unconfirmed."""
 
 from __future__ import annotations
 
 import json
 import math
+import sys
 from contextlib import suppress
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from installed_package import installed_package
 from made_observations import made_observation
 
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
+from ds_sim.registry import (
+    SIMULATORS,
+    UntrustedSimulatorError,
+    make_simulator,
+    received_simulator,
+    simulators,
+    unknown_simulator,
+)
 from ds_sim.run_codec import RunCodecError, decode_run, encode_run
 from ds_sim.scenario import MAX_SEED, Scenario
 from ds_sim.session import NO_IMAGE, RunRecord
@@ -153,3 +164,54 @@ def test_what_nobody_could_read_is_not_sent() -> None:
         encode_run(RunRecord(scenario=Scenario(ROAD, seed=1), message="x" * 70_000))
     with pytest.raises(RunCodecError, match="cannot be sent: must be real number, not str"):
         encode_run(a_run(roll="0"))  # type: ignore[arg-type]
+
+
+def test_shipped_names_pass_with_and_without_a_parameter_file() -> None:
+    for name in {*SIMULATORS, *SIMULATORS.values(), "donkey@car.yaml"} - {"ros", SIMULATORS["ros"]}:
+        assert received_simulator(name) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "recording@folder",
+        f"{SIMULATORS['recording']}@folder",
+        "evilmod:S",
+        "donkey:S",
+        "ds_sim.registry:Simulator",
+        "Donkey",
+        "",
+        "evil\nmod:S",
+        "a" * 100_000 + ":S",
+        3,
+        None,
+    ],
+)
+def test_any_other_name_is_refused_in_one_line(name: object) -> None:
+    with pytest.raises(UntrustedSimulatorError) as refused:
+        received_simulator(name)
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 500
+
+
+def test_only_exactly_the_confirmed_name_is_let_through(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "evilmod.py").write_text("raise SystemExit('imported')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(UntrustedSimulatorError, match=r"name it yourself with --trust 'evilmod:S'"):
+        received_simulator("evilmod:S", confirmed=["evilmod:T", "evilmod"])
+    assert received_simulator("evilmod:S", confirmed=["evilmod:S"]) == "evilmod:S"
+    assert "evilmod" not in sys.modules
+
+
+def test_a_simulator_of_an_installed_package_is_made_by_name_and_no_file_of_it_is_trusted(tmp_path: Path) -> None:
+    (tmp_path / "their_car.py").write_text("from ds_sim_softbody.simulator import SoftbodySimulator as Car\n")
+    with installed_package(tmp_path, "simulators", {"theirs": "their_car:Car"}):
+        assert received_simulator("theirs") == "theirs" and "theirs" in simulators()
+        assert make_simulator("theirs").spec.name == "softbody"
+        with pytest.raises(UntrustedSimulatorError, match="opens a file of its own kind"):
+            received_simulator("theirs@file")
+
+
+def test_a_plugin_of_the_checkout_that_is_not_installed_is_named_with_what_installs_it() -> None:
+    line = unknown_simulator("torcs")
+    assert "expected one of bullet," in line
+    assert line.endswith("plugins/ds_sim_torcs of this checkout has it: type make torcs")

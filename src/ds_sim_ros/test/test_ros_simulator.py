@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is read from messages, what is written as a road, and the speed that a throttle asks for."""
+"""A simulator of ROS: its description, what is read from messages, what is written as a road, and its throttle."""
 
 from __future__ import annotations
 
@@ -11,13 +11,103 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_description import GOOD
+import yaml
 
 from ds_road import Road, RoadError
+from ds_sim.registry import UnknownSimulatorError, UntrustedSimulatorError, make_simulator, received_simulator
+from ds_sim.road_simulator import COMMAND_CONDITIONS
 from ds_sim.simulator import MAX_SPEED, Command, SimulatorError
 from ds_sim_ros.roads import check_is_track, read_track, write_road
-from ds_sim_ros.settings import CommandSettings, RosSettings, RosSettingsError
-from ds_sim_ros.simulator import OdometryReader, RosSimulator, image_of
+from ds_sim_ros.settings import CommandSettings, RosSettings, RosSettingsError, read_settings
+from ds_sim_ros.simulator import NOT_REPEATABLE, OdometryReader, RosSimulator, image_of
+
+GOOD: dict[str, Any] = {
+    "name": "mine",
+    "vehicle": {"length": 4.0, "width": 1.8, "wheelbase": 2.6, "max_steering_angle": 0.5},
+    "image": "/car/camera",
+    "odometry": "/car/odom",
+    "command": {"topic": "/car/cmd", "type": "twist"},
+    "road": {"service": "/load_road"},
+    "time": {"step": "/step", "seconds": 0.01},
+}
+
+
+def written(folder: Path, **changes: Any) -> Path:
+    path = folder / "sim.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in (GOOD | changes).items() if value is not None}))
+    return path
+
+
+def test_a_description_makes_a_simulator_without_ros_or_the_simulator(tmp_path: Path) -> None:
+    simulator = make_simulator(f"ros@{written(tmp_path, crop_top=50, autopilot={'proportional': 0.3})}")
+    spec = simulator.spec
+    assert (spec.name, spec.wheelbase, spec.crop_top, spec.autopilot.proportional) == ("mine", 2.6, 50, 0.3)
+    assert set(spec.conditions) == COMMAND_CONDITIONS
+    assert spec.extra["time"] == "lock-step of 5 steps" and spec.extra["camera"] == "geometry unknown"
+    simulator.close()
+
+
+def test_real_time_says_that_it_is_not_deterministic(tmp_path: Path) -> None:
+    assert make_simulator(f"ros@{written(tmp_path, time='realtime')}").spec.extra["time"] == NOT_REPEATABLE
+
+
+def reloaded(file: str) -> dict[str, Any]:
+    return {"road": {"file": file, "reload": "/r"}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"image": None}, "image: Field required"),
+        ({"image": "a b"}, "image: 'a b' is no name of a topic or service, expected one such as /camera/image"),
+        ({"speed": 3}, r"speed: there is no such key \(keys: name, vehicle, image"),
+        ({"vehicle": GOOD["vehicle"] | {"wheelbase": -1.0}}, "vehicle.wheelbase: -1.0, expected above 0"),
+        ({"vehicle": GOOD["vehicle"] | {"width": float("nan")}}, "vehicle.width: "),
+        ({"command": {"topic": "/cmd", "type": "joy"}}, "command.type: joy, expected one of twist, twist_stamped"),
+        ({"road": {}}, "road: expected exactly one of service, file with reload, and centre_line"),
+        ({"road": {"file": "road.json"}}, "road: file and reload belong together: give both, or neither"),
+        (reloaded("road.exe"), "road.file: 'road.exe': expected a file that ends in .json or"),
+        (reloaded("/etc/road.json"), "road.file: '/etc/road.json' lies outside of the description's folder"),
+        (reloaded("a/../../road.csv"), "road.file: 'a/../../road.csv' lies outside"),
+        ({"time": "sometimes"}, "time: expected realtime, or the keys step and seconds"),
+        ({"time": {"step": "/step", "seconds": 0.03}}, "time: seconds is 0.03: no whole number of steps makes a frame"),
+        ({"time": {"step": "/s", "second": 0.01}}, "time.seconds: Field required; time.second: there is no such key"),
+        ({"crop_top": 159}, "crop of 159 rows at the top"),
+        ({"timeout": 0.0}, "timeout: 0.0, expected at least 0.1"),
+    ],
+)
+def test_a_mistake_is_one_line_that_names_the_file_and_the_key(
+    tmp_path: Path, changes: dict[str, Any], line: str
+) -> None:
+    with pytest.raises(RosSettingsError, match=rf"^{tmp_path}/sim.yaml: .*{line}") as caught:
+        read_settings(written(tmp_path, **changes))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("a: [", "not YAML: line"), ("a: 1\na: 2\n", "the key a comes twice"), ("- 1\n", "expected keys with values")],
+)
+def test_a_file_that_is_no_mapping_is_one_line(tmp_path: Path, text: str, line: str) -> None:
+    path = tmp_path / "sim.yaml"
+    path.write_text(text)
+    with pytest.raises(RosSettingsError, match=line) as caught:
+        read_settings(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_no_file_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RosSettingsError, match=r"cannot be read \(No such file or directory\): check the path"):
+        make_simulator(f"ros@{tmp_path / 'absent.yaml'}")
+    with pytest.raises(UnknownSimulatorError, match="simulator 'ros' needs a file or folder: ros@PATH"):
+        make_simulator("ros")
+
+
+def test_a_received_file_does_not_decide_who_is_commanded() -> None:
+    with pytest.raises(UntrustedSimulatorError, match=r"'ros@sim.yaml' sends commands .* --trust 'ros@sim.yaml'"):
+        received_simulator("ros@sim.yaml")
+    assert received_simulator("ros@sim.yaml", confirmed=["ros@sim.yaml"]) == "ros@sim.yaml"
+
 
 TRACK = Road.from_road_points([(125.0, 20.0 + 5.0 * i) for i in range(21)])
 
@@ -57,9 +147,8 @@ def test_nonsense_is_one_line() -> None:
     with pytest.raises(SimulatorError, match="^/car/odom: position.y is nan, expected a finite number"):
         made.state(odometry(0.0, math.nan, 0.0), 0.0)
     small = Message(data=b"123", encoding="rgb8", height=2, width=2, step=6)
-    with pytest.raises(
-        SimulatorError, match="^/car/camera: image of 2 x 2 px, 6 bytes a row and 3 bytes: does not fit"
-    ):
+    wrong = "image of 2 x 2 px, 6 bytes a row and 3 bytes: does not fit"
+    with pytest.raises(SimulatorError, match=f"^/car/camera: {wrong}"):
         image_of(small, "/car/camera")
 
 
@@ -84,11 +173,10 @@ def test_only_the_road_of_a_fixed_track_is_accepted(tmp_path: Path) -> None:
     simulator = RosSimulator(settings, tmp_path)
     for lane in ("right", "left"):
         check_is_track(TRACK.in_lane(lane), TRACK, "mine")  # type: ignore[arg-type]
+    fixed = "is not the track of mine, which is fixed: drive the road that ds road import makes"
     shifted = Road.from_road_points(TRACK.points + [0.5, 0.0])
     for road in (shifted, Road.from_road_points(TRACK.points[:-4])):
-        with pytest.raises(
-            RoadError, match="is not the track of mine, which is fixed: drive the road that ds road import makes"
-        ):
+        with pytest.raises(RoadError, match=fixed):
             simulator.load(road, seed=1)
     with pytest.raises(SimulatorError, match="mine: no road is loaded"):
         simulator.step(Command(0.0, 0.0))
