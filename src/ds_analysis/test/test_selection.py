@@ -12,13 +12,10 @@ from statsmodels.stats.proportion import proportion_confint
 from ds_analysis.common.selection import ALPHA, Share, choose_split, most_frequent, p_of_leads
 from ds_analysis.common.statistics import Array, Bools, Indices
 
-SIZES = {14: (4, 3, 2, 2, 2, 1), 40: (6, 5, 5, 3, 3, 3, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1)}
-"""Tests -> sizes of their families, as searches of these lengths have them."""
+SIZES = ((4, 3, 2, 2, 2, 1), (6, 5, 5, 3, 3, 3, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1))
+FAMILIES = {sum(sizes): np.repeat(np.arange(len(sizes)), sizes) for sizes in SIZES}
+"""Tests -> their families, of sizes that searches of these lengths have."""
 CAMPAIGNS = 300
-
-
-def families_of_size(tests: int) -> Indices:
-    return np.repeat(np.arange(len(SIZES[tests])), SIZES[tests])
 
 
 def values_of(families: Indices, axes: int, rng: np.random.Generator) -> Array:
@@ -36,7 +33,7 @@ def drawn(rate: Array, rng: np.random.Generator) -> Bools:
 def test_noise_is_stated_in_at_most_a_twentieth_of_campaigns(tests: int, axes: int, alike: bool) -> None:
     """Also where mutants of a road end alike, for reasons that no axis knows."""
     rng = np.random.default_rng([tests, axes, alike])
-    families, stated = families_of_size(tests), 0
+    families, stated = FAMILIES[tests], 0
     for _ in range(CAMPAIGNS):
         rate = rng.choice((0.05, 0.95), families.max() + 1)[families] if alike else np.full(tests, 0.3)
         split = choose_split(values_of(families, axes, rng), drawn(rate, rng), families, rng)
@@ -46,7 +43,7 @@ def test_noise_is_stated_in_at_most_a_twentieth_of_campaigns(tests: int, axes: i
 
 def test_a_clear_effect_is_found_and_its_shares_are_covered() -> None:
     rng = np.random.default_rng(1)
-    families, stated, covered = families_of_size(40), 0, np.zeros(2)
+    families, stated, covered = FAMILIES[40], 0, np.zeros(2)
     for _ in range(CAMPAIGNS):
         values = values_of(families, 3, rng)
         # An axis of unit variance, and a tenth of it within families; the threshold is in the middle.
@@ -96,9 +93,8 @@ def test_families_make_intervals_wider() -> None:
     together = Share.of(np.repeat([True, False, False, False] * 2, 3), np.repeat(np.arange(8), 3)).interval
     assert together[1] - together[0] > 1.3 * (alone[1] - alone[0])
     # Where all end alike, a family counts as one test.
-    assert Share.of(np.ones(24, np.bool_), np.arange(24) // 3).interval == pytest.approx(
-        proportion_confint(8, 8, method="beta")
-    )
+    alike = Share.of(np.ones(24, np.bool_), np.arange(24) // 3).interval
+    assert alike == pytest.approx(proportion_confint(8, 8, method="beta"))
 
 
 def test_the_best_of_three_is_named_only_if_its_lead_is_no_accident() -> None:

@@ -14,8 +14,6 @@ from ds_driver.control.bicycle import Geometry, MotionError
 from ds_driver.control.other_stacks import KINDS, MotionRequest, StampMatcher, part, set_part
 
 CAR = Geometry(wheelbase=2.7, max_steering_angle=0.5)
-
-
 PATHS = {
     "twist": ("angular.z", "linear.x"),
     "twist_stamped": ("twist.angular.z", "twist.linear.x"),
@@ -26,26 +24,22 @@ PATHS = {
 """Where the lateral and the longitudinal value of a message are."""
 
 
+def zeros(*names: str) -> SimpleNamespace:
+    return SimpleNamespace(**dict.fromkeys(names, 0.0))
+
+
 def blank(kind: str) -> Any:
     """Make a message as a plain object with the fields of its .msg file."""
     header = SimpleNamespace(stamp=None)
-    linear, angular = (SimpleNamespace(x=0.0, y=0.0, z=0.0) for _ in range(2))
-    twist = SimpleNamespace(linear=linear, angular=angular)
+    twist = SimpleNamespace(linear=zeros("x", "y", "z"), angular=zeros("x", "y", "z"))
+    drive = zeros("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
+    lateral = zeros("steering_tire_angle", "steering_tire_rotation_rate")
     return {
         "twist": twist,
         "twist_stamped": SimpleNamespace(header=header, twist=twist),
-        "ackermann": SimpleNamespace(
-            header=header,
-            drive=SimpleNamespace(
-                steering_angle=0.0, steering_angle_velocity=0.0, speed=0.0, acceleration=0.0, jerk=0.0
-            ),
-        ),
-        "servo": SimpleNamespace(angle=0.0, throttle=0.0),
-        "autoware": SimpleNamespace(
-            stamp=None,
-            lateral=SimpleNamespace(steering_tire_angle=0.0, steering_tire_rotation_rate=0.0),
-            longitudinal=SimpleNamespace(velocity=0.0, acceleration=0.0),
-        ),
+        "ackermann": SimpleNamespace(header=header, drive=drive),
+        "servo": zeros("angle", "throttle"),
+        "autoware": SimpleNamespace(stamp=None, lateral=lateral, longitudinal=zeros("velocity", "acceleration")),
     }[kind]
 
 
@@ -56,11 +50,9 @@ def values(kind: str, message: Any) -> tuple[float, float]:
 
 
 def motion_of(kind: str, steering: float, forward: float) -> MotionRequest:
-    return (
-        MotionRequest(steering, throttle=forward)
-        if KINDS[kind].needs_throttle
-        else MotionRequest(steering, speed=forward)
-    )
+    if KINDS[kind].needs_throttle:
+        return MotionRequest(steering, throttle=forward)
+    return MotionRequest(steering, speed=forward)
 
 
 LEFT = {
@@ -134,18 +126,22 @@ def test_an_impossible_geometry_is_refused(wheelbase: float, angle: float) -> No
 
 
 STEP = 50_000_000
+Matching = StampMatcher[str, str]
 
 
-def test_a_stamped_command_answers_its_frame_in_either_order() -> None:
-    matching: StampMatcher[str, str] = StampMatcher()
+@pytest.fixture
+def matching() -> Matching:
+    return StampMatcher()
+
+
+def test_a_stamped_command_answers_its_frame_in_either_order(matching: Matching) -> None:
     assert matching.frame(STEP, "a") is None
     assert matching.command(STEP, "left") == ("a", "left")
     assert matching.command(2 * STEP, "right") is None
     assert matching.frame(2 * STEP, "b") == ("b", "right")
 
 
-def test_repeated_late_and_unknown_stamps_are_refused() -> None:
-    matching: StampMatcher[str, str] = StampMatcher()
+def test_repeated_late_and_unknown_stamps_are_refused(matching: Matching) -> None:
     matching.frame(STEP, "a")
     matching.command(STEP, "left")
     for stamp in (STEP, STEP // 2, 1_700_000_000 * 10**9):
@@ -154,8 +150,7 @@ def test_repeated_late_and_unknown_stamps_are_refused() -> None:
     assert matching.frame(2 * STEP, "b") is None
 
 
-def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next() -> None:
-    matching: StampMatcher[str, str] = StampMatcher()
+def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next(matching: Matching) -> None:
     matching.frame(STEP, "a")
     matching.frame(2 * STEP, "b")
     assert matching.command(0, "left") == ("b", "left")
@@ -165,19 +160,15 @@ def test_a_command_without_stamp_answers_the_newest_frame_once_or_the_next() -> 
     assert matching.frame(4 * STEP, "d") is None
 
 
-def test_a_repeated_frame_can_be_answered_again() -> None:
-    matching: StampMatcher[str, str] = StampMatcher()
+def test_a_repeated_frame_can_be_answered_again(matching: Matching) -> None:
     for _ in range(2):
         assert matching.frame(STEP, "a") is None
         assert matching.command(STEP, "left") == ("a", "left")
 
 
-def test_memory_is_bounded() -> None:
-    matching: StampMatcher[int, int] = StampMatcher()
+def test_memory_is_bounded(matching: Matching) -> None:
+    early: Matching = StampMatcher()
     for number in range(1, 2000):
-        matching.frame(number * STEP, number)
-    assert len(matching._frames) <= 20
-    matching = StampMatcher()
-    for number in range(1, 2000):
-        matching.command(number * STEP, number)
-    assert len(matching._early) <= 20
+        matching.frame(number * STEP, "frame")
+        early.command(number * STEP, "command")
+    assert len(matching._frames) <= 20 and len(early._early) <= 20

@@ -26,13 +26,7 @@ from ds_driver.networks.backends import cpu_capabilities
 from ds_driver.networks.images import Crop
 from ds_driver.networks.onnx_export import OnnxGraph, generator_to_onnx
 from ds_driver.networks.pilot import DriverError
-from ds_driver.sim2real.generator import (
-    GeneratorShape,
-    Sim2RealError,
-    Window,
-    generator_input,
-    load_generator,
-)
+from ds_driver.sim2real.generator import GeneratorShape, Sim2RealError, Window, generator_input, load_generator
 from ds_driver.sim2real.image_translation import Translator, open_set
 from ds_driver.sim2real.lane_pairs import HEIGHTS, NEIGHBOURS, LanePairs, align_lane, lane_shapes, pair_lanes
 from ds_driver.sim2real.lane_view import BOUND, Match, find_lines, lane_difference, match_windows, measure_lane
@@ -64,20 +58,13 @@ SETTINGS = Sim2RealSettings(
 WHOLE = Window(0, 160, 0, 320)
 
 
-def lane_image(yellow: float, white: float, horizon: float, size: tuple[int, int] = (120, 160)) -> NDArray[np.uint8]:
+def lane_image(yellow: float, white: float, horizon: float) -> NDArray[np.uint8]:
     """Draw a straight lane on grass: columns of its lines at the bottom, and the row where they meet."""
-    rows, columns = size
-    image = np.full((rows, columns, 3), (60, 130, 50), np.uint8)
-    middle = columns / 2
-    far = np.array([middle, horizon])
-
-    def line(bottom: float, half: float, colour: tuple[int, int, int]) -> None:
-        corners = np.array([far, [bottom - half, rows], [bottom + half, rows]])
+    image = np.full((120, 160, 3), (60, 130, 50), np.uint8)
+    road, lines = (-160.0, white + 3, (80, 80, 80)), ((yellow, (225, 190, 40)), (white, (235, 235, 235)))
+    for left, right, colour in (road, *((middle - 5, middle + 5, paint) for middle, paint in lines)):
+        corners = np.array([[80.0, horizon], [left, 120.0], [right, 120.0]])
         cv2.fillPoly(image, [corners.round().astype(np.int32)], colour)
-
-    cv2.fillPoly(image, [np.array([far, [-columns, rows], [white + 3, rows]]).astype(np.int32)], (80, 80, 80))
-    line(yellow, 5, (225, 190, 40))
-    line(white, 5, (235, 235, 235))
     return image
 
 
@@ -177,20 +164,16 @@ def test_the_learning_rate_is_constant_and_then_falls_to_nothing() -> None:
     assert np.diff(shares[9:]) == pytest.approx(-1 / 11) and shares[-1] == pytest.approx(1 / 11)
 
 
-def test_a_stored_generator_has_the_weights_that_were_trained(tmp_path: Path) -> None:
-    train(domains(np.random.default_rng(3)), SETTINGS, tmp_path, SILENT)
-    trained = torch.load(tmp_path / CHECKPOINT, weights_only=True)["networks"][0]
-    stored = load_generator(tmp_path / EPOCHS / "epoch_002.safetensors").tensors
-    assert stored.keys() == trained.keys()
-    for name, value in trained.items():
-        assert np.array_equal(stored[name], value.to(torch.float16).float().numpy()), name
-
-
-def test_a_stopped_training_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
+def test_a_stopped_training_ends_as_an_undisturbed_one_and_stores_what_was_trained(tmp_path: Path) -> None:
     data = domains(np.random.default_rng(3))
     for name in ("whole", "stopped"):
         (tmp_path / name).mkdir()
     train(data, SETTINGS, tmp_path / "whole", SILENT)
+    trained = torch.load(tmp_path / "whole" / CHECKPOINT, weights_only=True)["networks"][0]
+    stored = load_generator(tmp_path / "whole" / EPOCHS / "epoch_002.safetensors").tensors
+    assert stored.keys() == trained.keys()
+    for name, value in trained.items():
+        assert np.array_equal(stored[name], value.to(torch.float16).float().numpy()), name
 
     class Stopping(ProgressLines):
         def describe(self, line: str) -> None:
@@ -226,10 +209,9 @@ def test_lines_are_found_where_the_lens_shows_them(name: str) -> None:
     first = simulator.load(road, seed=1)
     simulator.close()
     window, lines = network_window(simulator.spec), find_lines(first.image)
-    edge = np.asarray(road.points) + (np.asarray(road.right_edge) - road.points) * (
-        1.0 - simulator.spec.look.line_width / 2 / road.lane_width
-    )
-    for mask, line in ((lines.yellow, np.asarray(road.points)), (lines.white, edge)):
+    inset = 1.0 - simulator.spec.look.line_width / 2 / road.lane_width
+    edge = road.points + (road.right_edge - road.points) * inset
+    for mask, line in ((lines.yellow, road.points), (lines.white, edge)):
         pixels, depths = project(line, first.vehicle, simulator.spec.camera)
         columns, rows = pixels[np.isfinite(pixels[:, 0]) & (depths < 20.0)][::-1].T
         shifts = []
@@ -381,10 +363,9 @@ def test_a_bag_is_translated_with_the_bits_of_driving(tmp_path: Path) -> None:
 
     run = drive_road(simulator, record, generate(np.random.default_rng(5)), 1)
     levels: tuple[Level, ...] = ("raw", "compressed")
+    translator = Translator(write_generator(tmp_path / "g.safetensors"))
     for level in levels:
         write_bag(tmp_path / level, "/ds1", BULLET, run, {}, level, seen)
-    translator = Translator(write_generator(tmp_path / "g.safetensors"))
-    for level in ("raw", "compressed"):
         out = tmp_path / f"{level}_real"
         before = list(open_recording(tmp_path / level, Reading()).frames())
         assert translate(tmp_path / level, out, translator, SILENT) == len(before)

@@ -36,15 +36,7 @@ from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
 from ds_studies import sensitivity
-from ds_studies.sensitivity import (
-    GATE,
-    MOST_SEGMENTS,
-    TESTED,
-    candidate_roads,
-    choose_roads,
-    first_failure,
-    measure,
-)
+from ds_studies.sensitivity import GATE, MOST_SEGMENTS, TESTED, candidate_roads, choose_roads, first_failure, measure
 
 X = SimulatorName("x")
 

@@ -19,7 +19,7 @@ from sklearn.metrics import average_precision_score
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, State
 from ds_analysis.prediction.betting import ALPHA, sibling_help
 from ds_analysis.prediction.experts import RateExpert, SiblingOutcomes, experts_of, fit_logistic
-from ds_analysis.prediction.mixture import Drive, Prediction, predict
+from ds_analysis.prediction.mixture import Drive, predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables, features_alone
 from ds_analysis.prediction.verdicts import judge
 from ds_sim import SimulatorName
@@ -46,13 +46,8 @@ def test_the_logistic_fit_is_that_of_a_general_optimiser() -> None:
     mode, covariance, _ = fit_logistic(design, failed, mean, precision)
     best = minimize(loss, mean, method="BFGS", options={"gtol": 1e-9})
     assert mode == pytest.approx(best.x, abs=1e-5)
-    step = 1e-4 * np.eye(3)
-    hessian = np.array(
-        [
-            [loss(best.x + a + b) - loss(best.x + a - b) - loss(best.x - a + b) + loss(best.x - a - b) for a in step]
-            for b in step
-        ]
-    ) / (4e-8)
+    share = expit(design @ best.x)
+    hessian = design.T @ np.diag(share * (1.0 - share)) @ design + np.diag(precision)  # McCullagh and Nelder
     assert covariance == pytest.approx(np.linalg.inv(hessian), rel=1e-3, abs=1e-4)
 
 
@@ -220,10 +215,8 @@ def test_siblings_that_all_agree_are_predicted(level: float) -> None:
 
 def test_cells_without_tests_are_untested_and_one_drive_decides_no_cell() -> None:
     table = made_up(15, tests=60)
-    cells = tuple((0, 0) if cell == (1, 1) else cell for cell in table.cells)
-    table = replace(table, cells=cells)
-    prediction: Prediction = predict(table).updated([Drive(0, True)])
-    found = judge(table, prediction)
+    table = replace(table, cells=tuple((0, 0) if cell == (1, 1) else cell for cell in table.cells))
+    found = judge(table, predict(table).updated([Drive(0, True)]))
     by_cell = {one.cell: one for one in found.cells}
     assert by_cell[(1, 1)].verdict == "untested" and by_cell[(1, 1)].rate is None
     assert sum(found.counts.values()) == len(found.cells) and found.tests[0].driven

@@ -27,8 +27,7 @@ TWO = CampaignConfig(
     siblings=[SimulatorName("nowhere:A"), SimulatorName("path_to_x:Sim")], twin=SimulatorName("nowhere:Twin")
 )
 """Simulators that cannot be created, so that nothing is rendered; one has a name that looks like a migration."""
-ONE = CampaignConfig(siblings=[SimulatorName("nowhere:A")], twin=SimulatorName("nowhere:Twin"))
-ALONE = CampaignConfig(siblings=[SimulatorName("nowhere:A"), SimulatorName("path_to_x:Sim")], twin=None)
+ONE, ALONE = (TWO.model_copy(update=changed) for changed in ({"siblings": TWO.siblings[:1]}, {"twin": None}))
 FAILS, PASSES = 2.5, 0.5
 
 
@@ -97,9 +96,8 @@ def test_a_report_says_what_each_sibling_adds(tmp_path: Path) -> None:
     store = campaign(tmp_path, TWO, [FAILS if one else PASSES for one in fails], list(range(24)))
     page = write_all(tmp_path, store).read_text(encoding="utf-8")
     store.close()
-    assert re.search(
-        r"<li>nowhere:A adds 0\.\d+ bits \(.*\) about nowhere:Twin beyond features: adds information</li>", page
-    )
+    adds = r"<li>nowhere:A adds 0\.\d+ bits \(.*\) about nowhere:Twin beyond features: adds information</li>"
+    assert re.search(adds, page)
     assert re.search(r"<li>path_to_x:Sim adds .* beyond features and nowhere:A: nothing shown</li>", page)
     assert page.count('<img class="wide" src="data:image/png;base64,') == 2
     rows = list(csv.DictReader((tmp_path / "evaluation" / "sibling_information.csv").open()))
@@ -108,19 +106,9 @@ def test_a_report_says_what_each_sibling_adds(tmp_path: Path) -> None:
 
 def test_correlations_of_an_earlier_version_are_read(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
-    row = {
-        "name": "union_path_to_x:Sim",
-        "value": "quality",
-        "cells": 9,
-        "r": 0.5,
-        "p": 0.1,
-        "reason": "",
-        "baseline": 0,
-        "r_interval": [0.1, 0.9],
-        "auc": None,
-        "auc_interval": None,
-        "auc_reason": "why",
-    }
+    of_r = {"cells": 9, "r": 0.5, "p": 0.1, "reason": "", "r_interval": [0.1, 0.9]}
+    of_auc = {"baseline": 0, "auc": None, "auc_interval": None, "auc_reason": "why"}
+    row = {"name": "union_path_to_x:Sim", "value": "quality", **of_r, **of_auc}
     (tmp_path / "maps" / "correlations.json").write_text(json.dumps([row]))
     (found,) = read_correlations(tmp_path, TWO)
     assert found.map == MapId.union(SimulatorName("path_to_x:Sim")) and found.value == "quality_loss"

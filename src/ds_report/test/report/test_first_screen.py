@@ -52,21 +52,14 @@ def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
     assert "only drives on a twin or on your car can say" in first.believe and first.command == "ds real propose ."
 
 
+ALL_FAIL = "of which the twin fails all, and missed none of the 16 failures"
+
+
 @pytest.mark.parametrize(
     ("failing", "where", "said", "command"),
     [
-        (
-            set(),
-            "failed on none of 16 roads",
-            "completed all 16 tests, and the twin c:Three failed none.",
-            "--min-angle 200",
-        ),
-        (
-            set(range(16)),
-            "failed on all 16 roads",
-            "failed 16 of 16 tests, of which the twin fails all, and missed none of the 16 failures",
-            "--max-angle 60",
-        ),
+        (set(), "none of 16 roads", "completed all 16 tests, and the twin c:Three failed none.", "--min-angle 200"),
+        (set(range(16)), "all 16 roads", f"failed 16 of 16 tests, {ALL_FAIL}", "--max-angle 60"),
     ],
 )
 def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
@@ -74,37 +67,25 @@ def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
 ) -> None:
     first = first_screen(with_outcomes(tmp_path, NOWHERE, dict.fromkeys(NOWHERE.simulators, failing)))
 
-    assert where in first.where and command in first.command
+    assert f"failed on {where}" in first.where and command in first.command
     assert "The siblings a:One and b:Two agree on all 16 tests: they " in first.believe and said in first.believe
 
 
 ALONE = NOWHERE.model_copy(update={"siblings": ["a:One"]})
+UNTWINNED = ALONE.model_copy(update={"twin": None})
+ONE_MISSED = "of which the twin fails 2, and missed 1 of the 3 failures"
+MISSED = "completed all 16 tests and missed every one of the"
 PAIR = "The siblings a:One and b:Two agree on all 16 tests: they "
 
 
 @pytest.mark.parametrize(
     ("config", "of_siblings", "of_twin", "said"),
     [
-        (ALONE, set(), {1, 2, 3}, "a:One completed all 16 tests and missed every one of the 3 failures that the twin "),
-        (
-            ALONE,
-            {1, 2, 3},
-            {1, 2, 9},
-            "a:One failed 3 of 16 tests, of which the twin fails 2, and missed 1 of the 3 failures",
-        ),
-        (
-            NOWHERE,
-            set(),
-            {4},
-            f"{PAIR}completed all 16 tests and missed every one of the 1 failure that the twin c:Three",
-        ),
+        (ALONE, set(), {1, 2, 3}, f"a:One {MISSED} 3 failures that the twin c:Three"),
+        (ALONE, {1, 2, 3}, {1, 2, 9}, f"a:One failed 3 of 16 tests, {ONE_MISSED}"),
+        (NOWHERE, set(), {4}, f"{PAIR}{MISSED} 1 failure that the twin c:Three"),
         (NOWHERE, {4}, set(), f"{PAIR}failed 1 of 16 tests, and the twin c:Three failed none."),
-        (
-            ALONE.model_copy(update={"twin": None}),
-            {4},
-            None,
-            "a:One failed 1 of 16 tests; only drives on a twin or on your",
-        ),
+        (UNTWINNED, {4}, None, "a:One failed 1 of 16 tests; only drives on a twin or on your"),
     ],
 )
 def test_siblings_that_never_disagree_are_measured_by_the_twin(
