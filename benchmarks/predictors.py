@@ -32,7 +32,7 @@ from scipy.special import expit, log_expit, logit
 from ds_analysis.common.outcome_table import OutcomeTable
 from ds_analysis.common.statistics import Array, Bools, Indices
 from ds_analysis.outcomes.reading import read_table
-from ds_analysis.prediction.betting import sibling_help
+from ds_analysis.prediction.car import sibling_help
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.predictors import FEATURES, features_alone, merged
 from ds_analysis.prediction.verdicts import ERROR_RATE

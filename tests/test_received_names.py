@@ -16,7 +16,7 @@ from ds_sim.scenario import MAX_SEED, Scenario, ScenarioError
     "content", ["secret:x:0:0", "secret: {a: 1}\n", "- secret\n", "'secret", "siblings: [secret]\n"]
 )
 def test_a_goal_that_names_a_file_does_not_get_to_read_it(content: str, tmp_path: Path) -> None:
-    from ds_studies.ros.goals import _config_of
+    from ds_studies.ros.orchestrator_node import _config_of
 
     path = tmp_path / "passwd"
     path.write_text(content)

@@ -42,13 +42,12 @@ from .paper.correlation import (
     evaluate,
     paired_differences,
 )
-from .paper.simulator_agreement import PairComparison
 from .prediction.car import CarPrediction, predict_car
 from .prediction.mixture import Drive, Prediction, predict
 from .prediction.predictors import PredictorComparison, PredictorScore, compare_predictors, comparison_tables
 from .prediction.verdicts import CellVerdict, TestVerdict, Verdicts, judge
 from .sensitivity import RESOLUTIONS, Factor, Sensitivity, Threshold, all_factors, factors_named
-from .siblings.analysis import SiblingAnalysis, analyse, analysis_tables
+from .siblings.analysis import PairComparison, SiblingAnalysis, analyse, analysis_tables
 from .siblings.beyond_features import AddedInformation, Baseline, ResidualCorrelation
 
 __all__ = [

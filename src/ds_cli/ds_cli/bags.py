@@ -175,7 +175,7 @@ def drive_command(
     from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
     from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import NetworkDriver
-    from ds_report.steering_error_pictures import draw_errors
+    from ds_report.error_pictures import draw_errors
 
     reading = Reading(
         camera=camera,

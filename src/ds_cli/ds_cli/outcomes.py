@@ -41,8 +41,7 @@ def outcomes_import_command(
 
     Example: ds outcomes import table.csv --out study
     """
-    from ds_analysis.outcomes.columns import read_columns
-    from ds_analysis.outcomes.known_before import ImportNotes
+    from ds_analysis.outcomes.columns import ImportNotes, read_columns
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_analysis.prediction.mixture import FEWEST_TESTS
     from ds_bags.layout import printable

@@ -243,7 +243,7 @@ def twin_fit_command(
 
     Example: ds twin fit located --out car.yaml
     """
-    from ds_report.fit_picture import draw_fit
+    from ds_report.error_pictures import draw_fit
     from ds_twin_donkey.car_files import read_start
     from ds_twin_donkey.fit import fit, fit_located
     from ds_twin_donkey.logs import read_log

@@ -20,8 +20,7 @@ from ds_sim.registry import SimulatorName
 if TYPE_CHECKING:
     from ds_analysis.common.driven_road import DrivenRoad
     from ds_analysis.common.outcome_table import RoadTable
-    from ds_analysis.paper.simulator_agreement import PairComparison
-    from ds_analysis.siblings.analysis import SiblingAnalysis
+    from ds_analysis.siblings.analysis import PairComparison, SiblingAnalysis
     from ds_road import Road
 
 TABLES = "tables.txt"
@@ -69,8 +68,7 @@ def siblings_compare_command(
     Example: ds siblings compare --driver dave2 --out compared
     """
     from ds_analysis.common.outcome_table import table_of_runs
-    from ds_analysis.paper.simulator_agreement import compare, summary
-    from ds_analysis.siblings.analysis import analyse, outcome_rows
+    from ds_analysis.siblings.analysis import analyse, compare, outcome_rows, summary
     from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_cli.roads import roads_of
@@ -138,8 +136,7 @@ def _write(
     """Write siblings.json, roads.json, pictures, and tables, once more with every sentence as text for people."""
     import ds_road
     from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
-    from ds_analysis.paper.simulator_agreement import APART, most_different
-    from ds_analysis.siblings.analysis import analysis_tables
+    from ds_analysis.siblings.analysis import APART, analysis_tables, most_different
     from ds_base.folder_files import whole_file, write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.sections import draw_failures, draw_matrix

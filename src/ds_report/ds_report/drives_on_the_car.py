@@ -34,6 +34,7 @@ _PER_METRE = round(1 / SPACING)
 _MARGIN = 0.25
 """m at the car's size around the road, so that the grid's origin lies beside it."""
 _PIXELS = 900
+LINES = ("centre_line", "left_edge", "right_edge", "lane_centre")
 _HOW = (
     "Tape each road out by its drawing or its CSV (metres on the floor, origin at the lower left), set the conditions, "
     "start at the arrow in the marked lane, and let the network drive once. The drive fails if the middle of the car "
@@ -46,24 +47,20 @@ _HOW = (
 class RoadSheet:
     """A road at the car's size; the origin is the lower left corner of a rectangle around it, x right and y up, m.
 
-    Lines have (n, 2) points at the (n,) stations along the centre line; there is none on the centre of the `lane`.
+    The four `LINES` have (n, 2) points at the (n,) stations along the centre line; no paint is on the lane's centre.
     """
 
     width: float
     height: float
     stations: Array
-    centre: Array
-    left: Array
-    right: Array
-    lane: Array
+    lines: Sequence[Array]
     lane_width: float
     two_lanes: bool
 
     def csv(self) -> str:
         """The points, one row per station, in metres to the millimetre."""
-        names = ("centre_line", "left_edge", "right_edge", "lane_centre")
-        values = np.column_stack((self.stations, self.centre, self.left, self.right, self.lane))
-        heads = ["station_m", *(f"{name}_{axis}_m" for name in names for axis in "xy")]
+        values = np.column_stack((self.stations, *self.lines))
+        heads = ["station_m", *(f"{name}_{axis}_m" for name in LINES for axis in "xy")]
         return csv_text([heads, *([f"{value:.3f}" for value in row] for row in values)])
 
 
@@ -83,10 +80,7 @@ def sheet_of(road: Road, scale: float) -> RoadSheet:
         width=float(extent[0]),
         height=float(extent[1]),
         stations=stations,
-        centre=scaled[0],
-        left=scaled[1],
-        right=scaled[2],
-        lane=scaled[3],
+        lines=scaled,
         lane_width=road.lane_width / scale,
         two_lanes=road.has_centre_line,
     )
@@ -103,15 +97,16 @@ def draw_sheet(sheet: RoadSheet, title: str) -> NDArray[np.uint8]:
         axes.set(xlim=(0.0, sheet.width), ylim=(0.0, sheet.height), xlabel="m", ylabel="m")
         axes.set(xticks=np.arange(0.0, sheet.width, 0.5), yticks=np.arange(0.0, sheet.height, 0.5))
         axes.set_title(f"{title}\ngrid 0.5 m; black: white edge lines; amber: yellow centre line; arrow: start")
-        lines = ((sheet.left, "black"), (sheet.right, "black"), (sheet.centre, "#cd9600"))
-        for line, colour in lines if sheet.two_lanes else lines[:2]:
+        centre, left, right, lane = sheet.lines
+        painted = ((left, "black"), (right, "black"), (centre, "#cd9600"))
+        for line, colour in painted if sheet.two_lanes else painted[:2]:
             axes.plot(*line.T, color=colour, linewidth=2.5)
-        axes.plot(*sheet.lane[::2].T, ".", color=SERIES[0], markersize=4)
-        across = np.stack((sheet.left, sheet.right))[:, :-1:_PER_METRE]
+        axes.plot(*lane[::2].T, ".", color=SERIES[0], markersize=4)
+        across = np.stack((left, right))[:, :-1:_PER_METRE]
         axes.plot(*np.moveaxis(across, 2, 0), color="#bebebe", linewidth=1)
-        ahead = 0.35 * sheet.lane_width * (sheet.lane[1] - sheet.lane[0]) / np.hypot(*(sheet.lane[1] - sheet.lane[0]))
+        ahead = 0.35 * sheet.lane_width * (lane[1] - lane[0]) / np.hypot(*(lane[1] - lane[0]))
         side = np.array((-ahead[1], ahead[0]))
-        axes.fill(*(sheet.lane[0] + np.array([1.6 * ahead, side, -side])).T, color=SERIES[0])
+        axes.fill(*(lane[0] + np.array([1.6 * ahead, side, -side])).T, color=SERIES[0])
 
     return draw_figure(*size, draw)
 

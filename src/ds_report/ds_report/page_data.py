@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import base64
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -75,7 +75,7 @@ def page_data(data: CampaignData, maps: Mapping[MapId, FeatureMap]) -> dict[str,
         **({"conditions": conditions} if any(conditions) else {}),
         **({"excluded": _excluded(data)} if data.excluded else {}),
         "simulators": simulator_rows(config),
-        "axes": _axes(config, maps, places),
+        "axes": axes_of(config, {*places, *(cell for one in maps.values() for cell in one.cells)}),
         "groups": _groups(maps),
         "driver": str(config.driver),
         "maps": {map_id.name: _map(config, feature_map) for map_id, feature_map in maps.items()},
@@ -128,13 +128,12 @@ def _excluded(data: CampaignData) -> dict[str, list[str]]:
     return dict(sorted(reasons.items()))
 
 
-def _axes(config: CampaignConfig, maps: Mapping[MapId, FeatureMap], places: Sequence[Cell]) -> list[dict[str, Any]]:
+def axes_of(config: CampaignConfig, filled: Collection[Cell]) -> list[dict[str, Any]]:
     """Describe every axis: title, bins from the smallest to the largest filled one, and their edges.
 
     `begins` and `radii` hold the lower edge of every bin and the upper edge of the last one, `radii` as the radius of a
     bend, or None. `whole`: each bin is a single whole number.
     """
-    filled = {cell for feature_map in maps.values() for cell in feature_map.cells} | set(places)
     axes = []
     for k, name in enumerate(config.features):
         feature = feature_of(name)
@@ -192,14 +191,14 @@ def _map(config: CampaignConfig, feature_map: FeatureMap) -> dict[str, Any]:
 def about(config: CampaignConfig, map_id: MapId) -> str:
     """Explain in one line what a map of the campaign shows."""
     simulator, origin = map_id.simulator, map_id.origin
-    if map_id.kind == "union":
-        return f"Every test, whichever sibling's search found it, driven on {simulator}."
-    if map_id.kind == "twin":
-        return f"The same tests on {simulator}, which stands for the real car: what the siblings should predict."
-    if map_id.kind == "search":
-        return f"The tests that the search on {simulator} generated, driven on {simulator} itself."
-    if map_id.kind == "migration":
-        return f"The tests that the search on {origin} generated, driven on {simulator}."
+    of_tests = {
+        "union": f"Every test, whichever sibling's search found it, driven on {simulator}.",
+        "twin": f"The same tests on {simulator}, which stands for the real car: what the siblings should predict.",
+        "search": f"The tests that the search on {simulator} generated, driven on {simulator} itself.",
+        "migration": f"The tests that the search on {origin} generated, driven on {simulator}.",
+    }
+    if map_id.kind in of_tests:
+        return of_tests[map_id.kind]
     if map_id.operator:
         return f"The same, merged by {map_id.operator.replace('_', ' ')} instead."
     return (

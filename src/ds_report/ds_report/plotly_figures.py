@@ -140,8 +140,7 @@ def correlation_chart(
                 showlegend=axis == "x",
                 hovertemplate="%{y}: %{x:.3f}<extra>the paper</extra>",
             )
-    document: dict[str, Any] = figure.to_plotly_json()
-    return document
+    return dict(figure.to_plotly_json())
 
 
 def _label(correlation: Correlation, siblings: Sequence[SimulatorName]) -> str:
@@ -193,5 +192,4 @@ def density_chart(table: Table) -> dict[str, Any]:
             name=column.name,
             hovertemplate="%{y:.2f}",
         )
-    document: dict[str, Any] = figure.to_plotly_json()
-    return document
+    return dict(figure.to_plotly_json())

@@ -14,7 +14,7 @@ from progress_lines import ProgressLines
 from tubs import write_tub
 
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
-from ds_report.fit_picture import draw_fit
+from ds_report.error_pictures import draw_fit
 from ds_sim.simulator import FRAME_TIME
 from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
 from ds_twin_donkey.fit import FitSettings, Mounting, _Phases, find_mounting, fit, fit_located, rough_start

@@ -288,9 +288,9 @@ def adjusted(p: Sequence[float], correction: Correction) -> list[float]:
 
 def fewest_changes(family: int, *, sequential: bool = False) -> int:
     """Fewest changes in one direction that Holm's procedure can call significant among so many tests."""
-    for changes in count(1):
+
+    def p_of(changes: int) -> float:
         order = (1,) * changes if sequential else None
-        counts = PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0, changes=order)
-        if counts.p * max(family, 1) < ALPHA:
-            return changes
-    raise AssertionError
+        return PairedCounts(newly_fail=changes, fixed=0, both_fail=0, both_pass=0, changes=order).p
+
+    return next(changes for changes in count(1) if p_of(changes) * max(family, 1) < ALPHA)

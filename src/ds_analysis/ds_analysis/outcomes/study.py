@@ -17,11 +17,13 @@ import pyarrow.parquet as pq
 from ds_analysis.common.outcome_table import MOST_TESTS, STUDY, OutcomeTable, OutcomeTableError, RoadTable, State
 from ds_analysis.outcomes.columns import (
     Columns,
+    ImportNotes,
     Margin,
     Rule,
     Verdict,
     as_list,
     column_of,
+    features_of,
     is_empty,
     numbers_of,
     place_of,
@@ -29,7 +31,6 @@ from ds_analysis.outcomes.columns import (
     texts_of,
     verdicts_of,
 )
-from ds_analysis.outcomes.known_before import ImportNotes, features_of
 from ds_analysis.outcomes.sbft import read_competition
 from ds_base.bounded_file import FileError, load_json
 from ds_base.bounded_tables import plain_cell, read_csv, read_parquet

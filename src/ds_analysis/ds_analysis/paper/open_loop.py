@@ -149,8 +149,13 @@ def predict(
     groups: dict[str, list[Sample]] = {}
     for sample in read_samples(data):
         groups.setdefault(sample.simulator, []).append(sample)
-    if images is not None:
-        groups = {n: of[:images] if pilot.has_memory else _spread(of, images) for n, of in groups.items()}
+
+    def chosen(group: list[Sample]) -> list[Sample]:
+        if images is None or pilot.has_memory or len(group) <= images:
+            return group[:images]
+        return [group[k] for k in np.linspace(0, len(group) - 1, images).round().astype(int)]
+
+    groups = {name: chosen(group) for name, group in groups.items()}
     total, done = sum(map(len, groups.values())), 0
     progress.start(total)
     answers, crops, recorded = {}, crops_of(data, groups, trusted=trusted), imported_names(data)
@@ -184,10 +189,3 @@ def predict(
             images=len(group),
         )
     return answers
-
-
-def _spread(group: list, images: int) -> list:  # type: ignore[type-arg]
-    """Select at most `images` elements of a list, evenly spread."""
-    if len(group) <= images:
-        return group
-    return [group[i] for i in np.linspace(0, len(group) - 1, images).round().astype(int)]

@@ -12,8 +12,7 @@ import pytest
 import yaml
 
 from ds_analysis.common.outcome_table import OutcomeTableError, State
-from ds_analysis.outcomes.columns import Columns, read_columns
-from ds_analysis.outcomes.known_before import ImportNotes
+from ds_analysis.outcomes.columns import Columns, ImportNotes, read_columns
 from ds_analysis.outcomes.reading import read_table
 from ds_analysis.outcomes.study import Study, import_outcomes, read_frame, read_study, write_rows, write_study
 from ds_analysis.outcomes.study_results import maps_of_study

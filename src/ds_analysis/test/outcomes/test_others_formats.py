@@ -19,9 +19,8 @@ from report_campaigns import campaign_data
 from ds_analysis.common.outcome_table import OutcomeTableError, RoadTable
 from ds_analysis.comparison.analysis import answer_of
 from ds_analysis.comparison.tables import document_of, drive_table, markdown_of
-from ds_analysis.outcomes.columns import Columns
+from ds_analysis.outcomes.columns import Columns, ImportNotes
 from ds_analysis.outcomes.frames import COLUMNS, write_frames
-from ds_analysis.outcomes.known_before import ImportNotes
 from ds_analysis.outcomes.sbft import read_competition
 from ds_analysis.outcomes.study import import_outcomes, read_study, study_of, write_rows, write_study
 from ds_analysis.outcomes.study_results import compare_studies

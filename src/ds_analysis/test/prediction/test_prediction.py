@@ -17,7 +17,7 @@ from scipy.stats import beta, norm
 from sklearn.metrics import average_precision_score
 
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError, State
-from ds_analysis.prediction.betting import ALPHA, sibling_help
+from ds_analysis.prediction.car import ALPHA, sibling_help
 from ds_analysis.prediction.experts import RateExpert, SiblingOutcomes, experts_of, fit_logistic
 from ds_analysis.prediction.mixture import Drive, predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables, features_alone

@@ -14,8 +14,7 @@ from prediction_tables import ROAD, real_drive, table_of_margins
 
 from ds_analysis.common.outcome_table import OutcomeTable, State
 from ds_analysis.common.statistics import Array, Bools, Indices
-from ds_analysis.prediction.betting import Bet, certify, drives_until
-from ds_analysis.prediction.car import CarPrediction, drives_in_order
+from ds_analysis.prediction.car import Bet, CarPrediction, certify, drives_in_order, drives_until
 from ds_analysis.prediction.experts import RateExpert
 from ds_analysis.prediction.mixture import Prediction
 from ds_analysis.real.proposal import BudgetError, Proposed, ProposedDrive, propose, read_proposed

@@ -11,7 +11,7 @@ from made_executions import made_execution
 
 from ds_analysis.common.driven_road import DrivenRoad, lateral_profile
 from ds_analysis.common.outcome_table import table_of_runs
-from ds_analysis.paper.simulator_agreement import compare, gaps, most_different, summary
+from ds_analysis.siblings.analysis import compare, gaps, most_different, summary
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.store.model import Execution
 from ds_report.recording_pages import TrackAnswer

@@ -20,11 +20,11 @@ from ds_orchestrator.campaign.folder import CampaignData, config_of, open_store
 from ds_orchestrator.campaign.live_file import Live, LiveDrive, read_live
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.maps.campaign_maps import cell_of_test
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import NO_DRIVE, Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_report.camera_pictures import SPACINGS, PicturedDrive, render_drive, replay_frames, trusted_simulator
-from ds_report.page_data import kept, simulator_rows
+from ds_report.page_data import axes_of, kept, simulator_rows
 from ds_road.geometry import arc_lengths
 from ds_sim.registry import SimulatorName
 from ds_sim.simulator import Outcome, Simulator
@@ -214,7 +214,10 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
             {name: getattr(stage, name) for name in ("name", "done", "expected", "failures", "state")}
             for stage in stages
         ],
-        "axes": _axes(snapshot),
+        "axes": [
+            {"title": axis["title"], "low": axis["low"], "labels": axis["begins"][:-1]}
+            for axis in axes_of(config, data.cells.values())[:2]
+        ],
         "maps": _maps(snapshot),
         "now": [_under_way(drive, by_road, snapshot.at) for drive in (live.drives if live else [])],
     }
@@ -225,19 +228,6 @@ def _last_error(errors: tuple[tuple[str, str, int, str, str], ...]) -> str:
         return ""
     test_id, simulator, _, outcome, message = errors[-1]
     return f"{test_id} on {simulator}: {Outcome[outcome].words}, {message}"
-
-
-def _axes(snapshot: Snapshot) -> list[dict[str, Any]]:
-    """Describe the first two axes: title, smallest bin, and the label of every bin."""
-    axes = []
-    for k, name in enumerate(snapshot.data.config.features[:2]):
-        feature = feature_of(name)
-        bins = [cell[k] for cell in snapshot.data.cells.values()] or [0]
-        low, high = min(bins), max(bins)
-        axes.append(
-            {"title": feature.title, "low": low, "labels": [feature.label(bin_) for bin_ in range(low, high + 1)]}
-        )
-    return axes
 
 
 def _maps(snapshot: Snapshot) -> dict[str, list[list[int]]]:
@@ -279,13 +269,12 @@ def _under_way(drive: LiveDrive, by_road: dict[tuple[str, int], list[Test]], now
 
 def drive_lines(test: Test, execution: Execution, names: Sequence[str]) -> dict[str, Any]:
     """Describe one finished drive as the report's script unpacks it: the road, and a run per simulator or None."""
-    road, path = test.road, execution.trajectory
-    (cx, cy), (lx, ly), (rx, ry) = (
-        [[round(float(v), 2) for v in column] for column in line.T]
-        for line in (road.points, road.left_edge, road.right_edge)
-    )
+    path, lines = execution.trajectory, {"c": test.road.points, "l": test.road.left_edge, "r": test.road.right_edge}
+    road = {
+        name + axis: np.round(line[:, k], 2).tolist() for name, line in lines.items() for k, axis in enumerate("xy")
+    }
     steps = kept(len(path) - 1) if len(path) else np.empty(0, np.intp)
-    x, y, lateral = ([round(float(v), 2) for v in path[steps, k]] for k in (0, 1, 4))
+    x, y, lateral = (np.round(path[steps, k], 2).tolist() for k in (0, 1, 4))
     steering = execution.steering
     commands = steering[np.minimum(steps, len(steering) - 1)] if len(steering) else steering
     run = {
@@ -302,6 +291,6 @@ def drive_lines(test: Test, execution: Execution, names: Sequence[str]) -> dict[
     }
     return {
         "id": test.test_id,
-        "road": {"cx": cx, "cy": cy, "lx": lx, "ly": ly, "rx": rx, "ry": ry},
+        "road": road,
         "runs": [run if name == execution.simulator else None for name in names],
     }

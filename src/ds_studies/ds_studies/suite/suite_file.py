@@ -246,7 +246,21 @@ def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
         )
     config = data.config
     done = {(one.test_id, one.simulator): one for one in data.verdicts}
-    by_id = {test.test_id: test for test in data.tests}
+    by_id, tests = {test.test_id: test for test in data.tests}, []
+    for test_id, why in chosen.items():
+        test, cell = by_id[test_id], data.cells.get(test_id)
+        points = [[float(value) for value in point] for point in test.road.control_points]
+        suite_test = SuiteTest(
+            name=test_id,
+            why=why,
+            control_points=points,
+            road_sha256=road_sha256(points),
+            seed=test.seed,
+            conditions=test.conditions,
+            cell=None if cell is None else list(cell),
+            outcomes={name: _expected(done[test_id, name]) for name in config.simulators},
+        )
+        tests.append(suite_test)
     return Suite(
         campaign=folder.resolve().name,
         driver=data.driver,
@@ -257,28 +271,7 @@ def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
         maxitwo_compatible=config.maxitwo_compatible,
         features=list(config.features),
         code_sha256=code_sha256(),
-        tests=[
-            _test(
-                by_id[test_id], why, data.cells.get(test_id), {name: done[test_id, name] for name in config.simulators}
-            )
-            for test_id, why in chosen.items()
-        ],
-    )
-
-
-def _test(
-    test: Test, why: list[Reason], cell: tuple[int, ...] | None, executions: Mapping[SimulatorName, Execution]
-) -> SuiteTest:
-    points = [[float(value) for value in point] for point in test.road.control_points]
-    return SuiteTest(
-        name=test.test_id,
-        why=why,
-        control_points=points,
-        road_sha256=road_sha256(points),
-        seed=test.seed,
-        conditions=test.conditions,
-        cell=None if cell is None else list(cell),
-        outcomes={name: _expected(one) for name, one in executions.items()},
+        tests=tests,
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Draws steering errors: density per group, steering over time, and the images with the largest errors."""
+"""Draws errors: of a driver on recorded images, over density, time and the worst images, and of the fit of a twin."""
 
 from __future__ import annotations
 
@@ -17,9 +17,13 @@ from ds_base.figures import WIDTH, draw_figure
 from ds_base.folder_files import write_whole
 from ds_base.palette import SERIES
 from ds_sim.camera.encodings import png
+from ds_sim.simulator import FRAME_TIME
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
+
+    from ds_twin_donkey.fit import TwinFit
 
 SHOWN = 4
 """Largest number of recordings drawn over time; chosen: fits on a screen."""
@@ -83,3 +87,47 @@ def _worst(answers: OpenLoopAnswers, figure: SubFigure) -> None:
             axes.plot((columns / 2, tip[0]), (rows, tip[1]), color=colour, linewidth=width)
         axes.set(xlim=(0, columns), ylim=(rows, 0))
         axes.set_title(f"{frame.index}: {frame.steering:+.2f}, {value:+.2f}", fontsize=8)
+
+
+MAX_WINDOWS = len(SERIES)
+"""Number of windows drawn; chosen: as many as can be distinguished."""
+
+
+def draw_fit(fit: TwinFit, path: Path) -> None:
+    """Write PNG, PDF and SVG of paths, speed and yaw rate of some windows, and histograms of residuals over rms."""
+    chosen = np.unique(np.linspace(0, fit.windows - 1, MAX_WINDOWS).round().astype(int))
+    frames = fit.measured.shape[1]
+    measured, origins = fit.measured[chosen], fit.fitted[chosen, :1, :2]
+    # The last window may be shorter than the others: nothing is measured in the remainder.
+    fitted = np.where(np.isfinite(measured).any(axis=2, keepdims=True), fit.fitted[chosen], np.nan)
+
+    def draw(figure: Figure) -> None:
+        figure.suptitle(f"Dots measured, lines fitted: {len(chosen)} of {fit.windows} windows")
+        ways, speeds, yaw_rates, residuals = figure.subplots(2, 2).ravel()
+        for k in range(len(chosen)):
+            times = (k * frames + np.arange(frames)) * FRAME_TIME
+            for values, style in ((measured[k], "."), (fitted[k], "-")):
+                drawn = {"color": SERIES[k], "markersize": 3, "linewidth": 1}
+                ways.plot(*(values[:, :2] - origins[k]).T, style, **drawn)
+                speeds.plot(times, values[:, 3], style, **drawn)
+                yaw_rates.plot(times, values[:, 4], style, **drawn)
+        ways.set(title="Paths from the start of each window", xlabel="x, m", ylabel="y, m")
+        ways.set_aspect("equal", "datalim")
+        speeds.set(title="Speed, windows side by side", xlabel="s", ylabel="m/s")
+        yaw_rates.set(title="Yaw rate, windows side by side", xlabel="s", ylabel="rad/s")
+        _histograms(fit, residuals)
+
+    write_whole(path, png(draw_figure(WIDTH, 836, draw, path)))
+
+
+def _histograms(fit: TwinFit, axes: Axes) -> None:
+    edges = np.linspace(-4.0, 4.0, 33)
+    axes.plot(edges, np.exp(-0.5 * edges**2) / np.sqrt(2.0 * np.pi), color="#aaaaaa", linewidth=3, label="normal")
+    for index, (name, rms) in enumerate(fit.rms.items()):
+        left = (fit.measured - fit.fitted)[..., index].ravel()
+        left = left[np.isfinite(left)]
+        if left.size and rms > 0.0:
+            height, _ = np.histogram(left / rms, edges, density=True)
+            axes.plot(0.5 * (edges[1:] + edges[:-1]), height, color=SERIES[index], label=f"{name}: {rms:.2g}")
+    axes.set(title="Measured minus fitted, over its rms", xlabel="rms", ylabel="density")
+    axes.legend(loc="upper left")
