@@ -9,7 +9,7 @@ Runs in an environment of its own, as TensorFlow is for making files only:
 The zip holds, for each kind, `KIND.onnx` and `KIND.npy`: (frames, 2) angle and
 throttle of the pilot's `run` over the frames of `frames.npy`, (n, 5, 10, 3) RGB blocks of 32 x 32 pixels, each brought
 to the pilot's size by `cv2.resize`. Weights are random, rounded so that the zip is small. `latent` is missing: its
-`run` fails in that version. src/ds_studies/test/test_donkeycar_pilots.py compares.
+`run` fails in that version. src/ds_studies/test/test_network_check.py compares.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds check` against planted faults: what it says, and whether the line that it names repairs the description."""
+"""`ds check` against planted faults, whose lines repair them, and Donkey Car's own pilots by their descriptions."""
 
 from __future__ import annotations
 
+import io
+import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
 from ds_base.progress import SILENT
+from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction
 from ds_sim import DONKEY, SOFTBODY
@@ -353,3 +356,34 @@ def test_drives_decide_by_their_number(more_drives: list[AutopilotDrives]) -> No
     assert not agreement(bad, more_drives).surely_above(agreement(good, more_drives))
     one_drive = np.where(np.arange(len(wanted)) < len(more_drives[0].steering) // 6, good, bad)
     assert not agreement(one_drive, more_drives).surely_above(agreement(bad, more_drives))
+
+
+FILES = Path(__file__).parent / "data/donkeycar_pilots.zip"
+KINDS = ["linear", "categorical", "inferred", "memory", "behavior", "imu", "localizer", "rnn", "3d"]
+WITHOUT_THROTTLE = {
+    "inferred": "Donkey Car computes it from the angle, and here the paper's equation 2 does",
+    "rnn": "second number of its only output, which has no name",
+    "3d": "second number of its only output, which has no name",
+}
+
+
+def unpacked(kind: str, folder: Path) -> tuple[Path, NDArray[np.uint8], NDArray[np.float64]]:
+    with zipfile.ZipFile(FILES) as packed:
+        packed.extract(f"{kind}.onnx", folder)
+        blocks, answers = (np.load(io.BytesIO(packed.read(name))) for name in ("frames.npy", f"{kind}.npy"))
+    return folder / f"{kind}.onnx", np.kron(blocks, np.ones((32, 32, 1), np.uint8)), answers
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_it_answers_as_in_donkey_car(kind: str, tmp_path: Path) -> None:
+    file, images, answers = unpacked(kind, tmp_path)
+    (described,) = forms_of(file)
+    assert described.has_memory == (kind in ("memory", "rnn", "3d"))
+    pilot = DescribedNetworkPilot(file, described=described)
+    for _ in range(2):  # a second run begins afresh
+        pilot.start()
+        found = [pilot.predict(Frame(image=image, speed=0.0, step=k)) for k, image in enumerate(images)]
+        assert [one.steering for one in found] == pytest.approx(answers[:, 0], abs=2e-6)
+        if kind not in WITHOUT_THROTTLE:
+            assert [one.throttle for one in found] == pytest.approx(answers[:, 1], abs=2e-6)
+    assert len(set(answers[:, 0])) > 1 or kind == "behavior"
