@@ -16,8 +16,10 @@ from ds_base.installation import ds_command
 from ds_base.words import duration
 from ds_cli import options
 from ds_cli.output import Interrupted, Result, say, say_next, verb, warning
+from ds_cli.roads import one_road, roads_of
 from ds_sim.conditions.model import ConditionsError
-from ds_sim.registry import SimulatorName
+from ds_sim.conditions.text import parse_conditions
+from ds_sim.registry import SimulatorName, own_road_of, spec_of
 from ds_sim.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -167,7 +169,6 @@ def drive_command(
     import numpy as np
 
     from ds_bags.layout import BagError
-    from ds_cli.roads import one_road
     from ds_driver.control.command_habits import command_habits
     from ds_driver.networks.driver_name import AUTOPILOT
     from ds_driver.networks.network_driver import translation_of
@@ -177,8 +178,6 @@ def drive_command(
     from ds_orchestrator.engines.start import check_driver
     from ds_orchestrator.graph.supervisor import check_ros
     from ds_road import RoadError
-    from ds_sim.conditions.text import parse_conditions
-    from ds_sim.registry import own_road_of, spec_of
     from ds_sim.session import resimulate
     from ds_sim.video import check_path, write_video
 
@@ -294,10 +293,7 @@ def serve_donkey_command(
 
     Example: ds serve donkey --sim panda --port 9091
     """
-    from ds_cli.roads import one_road, roads_of
-    from ds_sim.conditions.text import parse_conditions
     from ds_sim.donkey_protocol.server import DonkeyServer
-    from ds_sim.scenario import Scenario
 
     roads = [one_road(None, seed, max_angle, lane)] if road is None else roads_of(road, lane)
     chosen_conditions = parse_conditions(conditions)

@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ds_base.bounded_file import read_json
-from ds_base.installation import ds_command
+from ds_base.installation import ds_command, versions
 from ds_base.words import count
 from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, say, say_next, stopped, verb
@@ -44,7 +44,6 @@ def collect_command(
 
     Example: ds collect --out data --roads 25
     """
-    from ds_base.installation import versions
     from ds_driver.data.collection import CollectionPlan, collect, given_roads
     from ds_driver.data.dataset import DatasetError, write_manifest
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 import typer
 
 from ds_base.extension import confirm
-from ds_sim.registry import SimulatorName, simulators
+from ds_sim.registry import STANDARD, SimulatorName, UnknownSimulatorError, make_simulator, simulators, with_libraries
 
 if TYPE_CHECKING:
     from ds_analysis.comparison.ci_results import Criteria
@@ -87,39 +87,8 @@ Workers = Annotated[
         "process for each processor. Results do not depend on it.",
     ),
 ]
-EngineName = Annotated[
-    str | None,
-    typer.Option(
-        "--engine",
-        help="What drives: graph (nodes of ROS), local (processes without ROS), auto (graph where ROS is set up, else "
-        "local) or dask (processes on a cluster). If left out, as the configuration says, or local. Results do not "
-        "depend on it.",
-    ),
-]
-Cluster = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="FILE.yaml",
-        help="With --engine dask: file with the scheduler and TLS files (docs/scale.md). If left out, a cluster on "
-        "this machine.",
-    ),
-]
 
-FailOn = Annotated[
-    Literal["failure", "regression", "worse"] | None,
-    typer.Option(
-        help="Exit with 3 if any test fails (failure), if any newly fails (regression), or if the network is "
-        "significantly worse on some simulator (worse)."
-    ),
-]
 FailOnFailure = Annotated[Literal["failure"] | None, typer.Option(help="Exit with 3 if the driver fails on any test.")]
-MaxFailures = Annotated[
-    str | None, typer.Option(metavar="N|P%", help="Exit with 3 if more tests fail on some simulator, such as 5% or 3.")
-]
-Junit = Annotated[Path | None, typer.Option(metavar="FILE.xml", help="JUnit XML to write.")]
-Markdown = Annotated[
-    Path | None, typer.Option(metavar="FILE.md", help="Markdown summary to write, for a pull request.")
-]
 Videos = Annotated[
     Path | None, typer.Option(metavar="DIR", help="Folder for a video of each failed drive, ten at most.")
 ]
@@ -175,7 +144,6 @@ def simulators_of(text: str, *, default: bool = False) -> list[SimulatorName]:
     Where nobody asked for these (`default`), those whose libraries are not installed are left out, with a line.
     """
     from ds_cli.output import say
-    from ds_sim.registry import UnknownSimulatorError, make_simulator, with_libraries
 
     names = [SimulatorName(name) for name in text.split(",")]
     if default:
@@ -192,8 +160,6 @@ def simulators_of(text: str, *, default: bool = False) -> list[SimulatorName]:
 
 def every_or_named(text: str) -> list[SimulatorName]:
     """Parse simulator names as `simulators_of` does; `all` stands for every shipped one that can be made here."""
-    from ds_sim.registry import STANDARD
-
     return simulators_of(",".join(STANDARD), default=True) if text == ALL else simulators_of(text)
 
 
@@ -222,9 +188,18 @@ def check_writable(*paths: Path | None) -> None:
 class PassCriteria:
     """Options of pass criteria, and of what a CI job shows."""
 
-    fail_on: FailOn = None
-    max_failures: MaxFailures = None
-    junit: Junit = None
+    fail_on: Annotated[
+        Literal["failure", "regression", "worse"] | None,
+        typer.Option(
+            help="Exit with 3 if any test fails (failure), if any newly fails (regression), or if the network is "
+            "significantly worse on some simulator (worse)."
+        ),
+    ] = None
+    max_failures: Annotated[
+        str | None,
+        typer.Option(metavar="N|P%", help="Exit with 3 if more tests fail on some simulator, such as 5% or 3."),
+    ] = None
+    junit: Annotated[Path | None, typer.Option(metavar="FILE.xml", help="JUnit XML to write.")] = None
     has_reference: ClassVar[bool] = True
 
     @property
@@ -247,7 +222,9 @@ class PassCriteria:
 class ComparisonCriteria(PassCriteria):
     """Options of a comparison's pass criteria."""
 
-    markdown: Markdown = None
+    markdown: Annotated[
+        Path | None, typer.Option(metavar="FILE.md", help="Markdown summary to write, for a pull request.")
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -263,7 +240,15 @@ class Driving:
     """Options of what drives, and how many at a time."""
 
     workers: Workers = None
-    engine: EngineName = None
+    engine: Annotated[
+        str | None,
+        typer.Option(
+            "--engine",
+            help="What drives: graph (nodes of ROS), local (processes without ROS), auto (graph where ROS is set up, "
+            "else local) or dask (processes on a cluster). If left out, as the configuration says, or local. Results "
+            "do not depend on it.",
+        ),
+    ] = None
 
     def chosen(self) -> dict[str, Any]:
         """Keys of a configuration, as far as they are chosen."""
@@ -293,7 +278,14 @@ class Driving:
 class DrivingAnywhere(Driving):
     """The same with a cluster of machines."""
 
-    cluster: Cluster = None
+    cluster: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="With --engine dask: file with the scheduler and TLS files (docs/scale.md). If left out, a cluster on "
+            "this machine.",
+        ),
+    ] = None
 
     def without_ros(self) -> dict[str, Any]:
         """See `Driving.without_ros`."""

@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.folder_files import make_folder, write_whole
 from ds_base.installation import ds_command
 from ds_cli.output import Result, say, say_next, verb
 
@@ -45,7 +46,6 @@ def outcomes_import_command(
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_analysis.prediction.mixture import FEWEST_TESTS
     from ds_bags.layout import printable
-    from ds_base.folder_files import make_folder
     from ds_base.left_out import LeftOut
 
     notes = ImportNotes(rows=LeftOut("rows", strict))
@@ -96,7 +96,6 @@ def _guessed(tables: list[Path], out: Path) -> Columns:
     from ds_analysis.common.outcome_table import OutcomeTableError
     from ds_analysis.outcomes.column_names import FILE, guess_columns
     from ds_analysis.outcomes.columns import Columns
-    from ds_base.folder_files import make_folder, write_whole
 
     guess = None if any(path.is_dir() for path in tables) else guess_columns(tables[0])
     if guess is None:

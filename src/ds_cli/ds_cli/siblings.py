@@ -12,10 +12,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from ds_base.folder_files import make_folder, whole_file, write_json, write_whole
 from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.output import Result, number, say, stopped_in, verb
-from ds_sim.registry import SimulatorName
+from ds_sim.registry import SimulatorName, colours_of
 
 if TYPE_CHECKING:
     from ds_analysis.common.driven_road import DrivenRoad
@@ -69,7 +70,6 @@ def siblings_compare_command(
     """
     from ds_analysis.common.outcome_table import table_of_runs
     from ds_analysis.siblings.analysis import analyse, compare, outcome_rows, summary
-    from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_cli.roads import roads_of
     from ds_orchestrator.campaign.config import ConfigError
@@ -137,11 +137,9 @@ def _write(
     import ds_road
     from ds_analysis.common.outcome_table import SIBLINGS, SIBLINGS_VERSION
     from ds_analysis.siblings.analysis import APART, analysis_tables, most_different
-    from ds_base.folder_files import whole_file, write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.sections import draw_failures, draw_matrix
     from ds_sim.camera.encodings import png
-    from ds_sim.registry import colours_of
 
     write_json(out / SIBLINGS, {"version": SIBLINGS_VERSION, **document})
     ds_road.write_roads(list(roads), out / "roads.json")

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from ds_base.folder_files import make_folder, write_json, write_whole
 from ds_base.installation import as_typed, ds_command
 from ds_base.palette import FAIL, PASS
 from ds_cli import options
@@ -119,7 +120,6 @@ def write_comparison(comparison: Comparison, out: Path, passing: options.Compari
     from ds_analysis.comparison import tables
     from ds_analysis.comparison.analysis import answer_of, cautions_of, sentences_of
     from ds_analysis.comparison.ci_results import cases_of, junit_of
-    from ds_base.folder_files import write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.comparison_page import grids_of, write_comparison_page
 
@@ -179,7 +179,6 @@ def write_comparison(comparison: Comparison, out: Path, passing: options.Compari
 
 def write_roads(comparison: Comparison, folder: Path) -> dict[str, str]:
     """Write a road file for every test that newly fails, as `ds drive --road` takes it; test -> file."""
-    from ds_base.folder_files import write_whole
     from ds_road.files import road_object
     from ds_sim.conditions.text import format_conditions
 
@@ -252,7 +251,6 @@ def campaign_compare_command(
     from ds_analysis.common.outcome_table import is_study
     from ds_analysis.comparison.paired_drives import ComparisonError
     from ds_analysis.outcomes.study_results import compare_studies
-    from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_studies.comparison.compare import compare, compare_until_sure

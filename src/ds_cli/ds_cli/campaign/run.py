@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ds_base.folder_files import make_folder, write_whole
 from ds_base.installation import ds_command
 from ds_base.words import count, duration
 from ds_cli import options
@@ -86,7 +87,6 @@ def judged(result: Result, folder: Path, passing: options.CampaignCriteria, vide
     if passing == options.CampaignCriteria() and videos is None:
         return result
     from ds_analysis.comparison.ci_results import cases_of_campaign, junit_of
-    from ds_base.folder_files import write_whole
     from ds_orchestrator.campaign.folder import read_folder
 
     data = read_folder(folder)
@@ -170,7 +170,6 @@ def search_command(
     """
     from ds_analysis.sensitivity import read_ranges
     from ds_base.bounded_file import read_words
-    from ds_base.folder_files import make_folder, write_whole
     from ds_orchestrator.campaign.config import ConfigError, read_config, rebase_paths
     from ds_orchestrator.campaign.template import template
     from ds_orchestrator.engines.start import check_driver
@@ -307,7 +306,6 @@ def demo_command(out: options.OutFolder = Path("demo"), *, driving: options.Driv
 
     Example: ds demo --out demo
     """
-    from ds_base.folder_files import make_folder
     from ds_report.sensitivity_page import SensitivityPage
     from ds_studies import demo
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.console import Console
 
+from ds_base.folder_files import locked, make_folder, write_json, write_whole
 from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, say, verb
@@ -83,7 +84,6 @@ def predict_command(
     from ds_analysis.prediction.mixture import predict, too_few
     from ds_analysis.prediction.predictors import compare_predictors, comparison_tables
     from ds_analysis.prediction.verdicts import cell_table, judge
-    from ds_base.folder_files import make_folder, write_json, write_whole
     from ds_base.table import write_tables
     from ds_report.heatmap import draw_verdicts
     from ds_sim.camera.encodings import png
@@ -241,7 +241,6 @@ def evaluate_command(
     from ds_analysis.paper.campaign_contents import maps_of
     from ds_analysis.paper.open_loop import OpenLoopError
     from ds_analysis.paper.paper_tables import evaluate_campaign
-    from ds_base.folder_files import locked, make_folder
     from ds_base.table import keep_tables
     from ds_driver.networks.driver_name import received_driver
     from ds_orchestrator.campaign.folder import read_folder

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.console import Console
 
+from ds_base.folder_files import locked, make_folder, write_json, write_whole
 from ds_base.installation import ds_command
 from ds_cli.output import Result, say, verb
 from ds_cli.prediction.predict import TestsFolder, Tolerated
@@ -27,7 +28,6 @@ def _updated(folder: Path, *, tolerated: float, out: Path | None) -> Result:
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import predict_car
     from ds_analysis.real.records import FOLDER, RecordError
-    from ds_base.folder_files import write_json, write_whole
     from ds_report.heatmap import draw_verdicts
     from ds_sim.camera.encodings import png
 
@@ -94,7 +94,6 @@ def propose_command(
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.prediction.car import drives_until, predict_car
     from ds_analysis.real.proposal import candidates_of, propose
-    from ds_base.folder_files import locked
     from ds_base.table import Column, Table
     from ds_report.drives_on_the_car import TO_FILL, write_drives_to_do
 
@@ -186,7 +185,6 @@ def record_command(
     from ds_analysis.outcomes.reading import read_table
     from ds_analysis.real import records
     from ds_analysis.real.proposal import SCALE, read_proposed
-    from ds_base.folder_files import locked
     from ds_recording.real_drive import is_recording, read_recording
 
     with locked(folder):
@@ -240,8 +238,6 @@ def update_command(
 
     Example: ds real update out
     """
-    from ds_base.folder_files import locked, make_folder
-
     if out is not None:
         make_folder(out)
     with locked(folder) if out is None else nullcontext():

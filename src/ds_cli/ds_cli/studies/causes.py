@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from ds_base.folder_files import make_folder, write_json, write_whole
 from ds_base.installation import ds_command
 from ds_cli import options
 from ds_cli.output import Result, ScreenProgress, say, stopped_in, verb
@@ -58,10 +59,7 @@ def sensitivity_command(
 
     Example: ds sensitivity --driver my_net.yaml --out sensitivity
     """
-    from rich.console import Console
-
     from ds_analysis.sensitivity import RESOLUTIONS, all_factors, factors_named
-    from ds_base.folder_files import make_folder, write_json, write_whole
     from ds_base.table import write_tables
     from ds_orchestrator.campaign.engine import DriveSettings
     from ds_report.sensitivity_page import SensitivityPage, draw_sensitivity
@@ -137,7 +135,6 @@ def explain_command(
     Example: ds explain out
     """
     from ds_analysis.failures import groups_of, groups_table, reason_of, reasons_of, where
-    from ds_base.folder_files import make_folder, write_json
     from ds_base.table import write_tables
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.campaign.config import ConfigError

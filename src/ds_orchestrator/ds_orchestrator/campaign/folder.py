@@ -25,7 +25,7 @@ from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
 from ds_sim.gates.gate import Gate
-from ds_sim.registry import SimulatorName
+from ds_sim.registry import SimulatorName, make_simulator
 
 STAGES = ("maps", "evaluation", "report")
 """Stages that compute results from the executions, in order."""
@@ -129,7 +129,6 @@ def record_provenance(store: Store, settings: DriveSettings, folder: Path) -> Dr
     ConfigError if the driver or a simulator has changed since then.
     """
     from ds_driver.networks.network_driver import BACKEND_BEFORE, driver_sha256, on_backend
-    from ds_sim.registry import make_simulator
 
     if settings.driver.has_files:
         weights = driver_sha256(settings.driver)

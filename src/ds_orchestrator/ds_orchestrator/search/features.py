@@ -11,7 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
+from operator import attrgetter
 from typing import Protocol
 
 import numpy as np
@@ -129,44 +130,28 @@ def _mean_lateral_position(run: TestedRun) -> float | None:
     return math.fsum(np.abs(lateral)) / len(lateral) if len(lateral) else 0.0
 
 
-_HUNDREDTHS = Bins(per_unit=100)
+_right, _left = attrgetter("lane_curvature_max_right"), attrgetter("lane_curvature_max_left")
+_in_hundredths = partial(Feature, bins=Bins(per_unit=100))
+"""Makes a feature with bins of 0.01; those of all curvatures are equal, so that the axes compare."""
 _ALL = (
     Feature("turns_count", "turns count", _turns_count),
-    Feature("curvature", "curvature, 1/m", lambda run: run.road.curvature, _HUNDREDTHS),
-    Feature("steering_deviation", "steering deviation", _steering_deviation, _HUNDREDTHS),
-    Feature("mean_lateral_position", "mean lateral position, m", _mean_lateral_position, _HUNDREDTHS),
+    _in_hundredths("curvature", "curvature, 1/m", lambda run: run.road.curvature),
+    _in_hundredths("steering_deviation", "steering deviation", _steering_deviation),
+    _in_hundredths("mean_lateral_position", "mean lateral position, m", _mean_lateral_position),
     Feature("direction_coverage", "direction coverage, %", lambda run: 100 * direction_coverage(run.road.points)),
     Feature("minimum_radius", "minimum radius, feet", lambda run: FEET * minimum_radius(run.road.points)),
-    # Bins as wide as those of the curvature, so that the axes compare.
-    Feature(
-        "lane_curvature",
-        "lane curvature, 1/m",
-        lambda run: max(run.road.lane_curvature_max_right, run.road.lane_curvature_max_left),
-        _HUNDREDTHS,
-    ),
-    Feature(
-        "lane_curvature_max_right",
-        "lane curvature to the right, 1/m",
-        lambda run: run.road.lane_curvature_max_right,
-        _HUNDREDTHS,
-    ),
-    Feature(
-        "lane_curvature_max_left",
-        "lane curvature to the left, 1/m",
-        lambda run: run.road.lane_curvature_max_left,
-        _HUNDREDTHS,
-    ),
-    Feature(
+    _in_hundredths("lane_curvature", "lane curvature, 1/m", lambda run: max(_right(run.road), _left(run.road))),
+    _in_hundredths("lane_curvature_max_right", "lane curvature to the right, 1/m", lambda run: _right(run.road)),
+    _in_hundredths("lane_curvature_max_left", "lane curvature to the left, 1/m", lambda run: _left(run.road)),
+    _in_hundredths(
         "other_lane_curvature_max_right",
         "other lane's curvature to the right, 1/m",
         lambda run: largest_lane_curvature(run.road.other_lane_centre, "right"),
-        _HUNDREDTHS,
     ),
-    Feature(
+    _in_hundredths(
         "other_lane_curvature_max_left",
         "other lane's curvature to the left, 1/m",
         lambda run: largest_lane_curvature(run.road.other_lane_centre, "left"),
-        _HUNDREDTHS,
     ),
     # DeepHyperion's segment count is the number of turns: its code returns the runs that are not straight.
     Feature("segment_count", "segment count", _turns_count),
