@@ -95,7 +95,6 @@ def drive_road(
     Examples:
         >>> from ds_driver import drive_road, make_driver
         >>> from ds_road import Road
-    from ds_road.files import road_from_json, road_to_json
         >>> from ds_sim import make_simulator
         >>> simulator = make_simulator("softbody")
         >>> driver = make_driver("autopilot", simulator.spec)
