@@ -6,11 +6,8 @@ Light is linear, decoded from pixel values by the sRGB curve (IEC 61966-2-1): co
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
 
 import cv2
 import numpy as np
@@ -107,7 +104,7 @@ def noise_of(spec: CameraSpec, conditions: Conditions) -> float:
 
 
 class Optics:
-    """Applies the conditions of one run to some rows of rendered images, from the first to their end.
+    """Applies the conditions of one run to rendered images.
 
     The sun, azimuth and elevation, rad, is where it stands unless conditions say; `rng` decides the smudges. Distant
     things fade into the haze, the horizon's colour; None for a scene with a haze of its own.
@@ -120,14 +117,11 @@ class Optics:
         rng: np.random.Generator,
         *,
         sun: tuple[float, float],
-        rows: tuple[int, int],
-        haze: Colour | None = None,
+        haze: Colour | None,
     ) -> None:
         c = conditions
-        self._rows = slice(*rows)
-        self._shape = (rows[1] - rows[0], spec.width)
         lens = replace(spec, height=1.0, forward=0.0, pitch=0.0, yaw=0.0)
-        rays = sample_rays(lens, 1)[0].reshape(3, spec.height_px, spec.width)[:, self._rows].reshape(3, -1)
+        rays = sample_rays(lens, 1)[0].reshape(3, spec.height_px, spec.width)
         self._rays = rays / np.linalg.norm(rays, axis=0)
         self._extinction = 0.0 if haze is None else KOSCHMIEDER / c.visibility
         self._airlight = light_of(haze or (0, 0, 0))
@@ -141,44 +135,38 @@ class Optics:
         self._sun = np.array(
             [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
         )
-        self._dirt = _smudges(rng, spec, c.lens_dirt)[self._rows, :, None] if c.lens_dirt else None
+        self._dirt = _smudges(rng, spec, c.lens_dirt)[:, :, None] if c.lens_dirt else None
 
-    def apply(self, image: NDArray[np.uint8], axes: _Axes, height: float) -> NDArray[np.uint8]:
-        """Return a rendered image, (rows, columns, 3) uint8 RGB, as it reaches the sensor.
+    def apply(self, image: NDArray[np.uint8], axes: _Axes, height: float, rows: tuple[int, int]) -> NDArray[np.uint8]:
+        """Return some rows of a rendered image, (rows, columns, 3) uint8 RGB, as they reach the sensor; else zeros.
 
         The axes are right, down, forward in the road frame, (3, 3), and the height that of the camera above ground, m.
         """
-        light = decode(image[self._rows])
+        part = slice(*rows)
+        light, rays = decode(image[part]), self._rays[:, part]
         if self._extinction:
-            clear = np.exp(np.float32(-self._extinction) * self._distances(axes, height))[:, :, None]
+            clear = np.exp(np.float32(-self._extinction) * _distances(rays, axes, height))[:, :, None]
             light -= self._airlight
             light *= clear
             light += self._airlight
         light *= self._scale
         if self._dirt is not None:
-            light += self._dirt * (np.array(DIRT, np.float32) * self._scale - light)
+            light += self._dirt[part] * (np.array(DIRT, np.float32) * self._scale - light)
         light += self._veil
         if self._sun_veil:
-            light += self._veil_of_sun(axes)[:, :, None]
+            cosine = components(rays, (axes * self._sun).sum(axis=1).tolist())
+            angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+            light += np.asarray(self._sun_veil / np.maximum(angle, SMALLEST_ANGLE) ** 2, np.float32)[:, :, None]
         changed = np.zeros_like(image)
-        changed[self._rows] = encode(light)
+        changed[part] = encode(light)
         return changed
 
-    def _distances(self, axes: _Axes, height: float) -> NDArray[np.float32]:
-        """Distance along each ray to the ground, or through the layer of haze, m, (rows, columns)."""
-        descent = components(self._rays, (-axes[:, 2]).tolist())
-        depth = np.where(descent > 0.0, np.float32(height), np.float32(HAZE_TOP))
-        return np.asarray(depth / np.maximum(np.abs(descent), 1e-4), np.float32).reshape(self._shape)
 
-    def _veil_of_sun(self, axes: _Axes) -> NDArray[np.float32]:
-        """Light that the sun scatters over the image, (rows, columns)."""
-        cosine = components(self._rays, (axes * self._sun).sum(axis=1).tolist())
-        angle = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
-        return np.asarray(self._sun_veil / np.maximum(angle, SMALLEST_ANGLE) ** 2, np.float32).reshape(self._shape)
-
-
-OpticsOfRows = Callable[[tuple[int, int]], Optics]
-"""Gives the optics of a run for some rows of the image, first row and end, with the same smudges for any rows."""
+def _distances(rays: NDArray[np.float32], axes: _Axes, height: float) -> NDArray[np.float32]:
+    """Distance along each ray to the ground, or through the layer of haze, m, (rows, columns)."""
+    descent = components(rays, (-axes[:, 2]).tolist())
+    depth = np.where(descent > 0.0, np.float32(height), np.float32(HAZE_TOP))
+    return np.asarray(depth / np.maximum(np.abs(descent), 1e-4), np.float32)
 
 
 def camera_under(
@@ -187,22 +175,16 @@ def camera_under(
     rng: np.random.Generator,
     *,
     sun: tuple[float, float],
-    haze: Colour | None = None,
-) -> tuple[CameraSpec, OpticsOfRows | None]:
+    haze: Colour | None,
+) -> tuple[CameraSpec, Optics | None]:
     """Return a camera as conditions mount it, with their noise, and its optics; None where they leave the light alone.
 
     The arguments are those of `Optics`.
     """
     spec = replace(mounted(camera, conditions), noise=noise_of(camera, conditions))
     changing = LENS_CONDITIONS if haze is None else LENS_CONDITIONS | {"visibility"}
-    if not changing & conditions.changed.keys():
-        return spec, None
-
-    @cache
-    def of_rows(rows: tuple[int, int]) -> Optics:
-        return Optics(spec, conditions, copy.deepcopy(rng), sun=sun, rows=rows, haze=haze)
-
-    return spec, of_rows
+    unchanged = not changing & conditions.changed.keys()
+    return spec, None if unchanged else Optics(spec, conditions, rng, sun=sun, haze=haze)
 
 
 def _smudges(rng: np.random.Generator, spec: CameraSpec, share: float) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from ds_road import Road
 from ds_sim.camera.atlas import AtlasMemory, Ground
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.lens import optical_axes
-from ds_sim.camera.optics import CAMERA_CONDITIONS, OpticsOfRows, camera_under
+from ds_sim.camera.optics import CAMERA_CONDITIONS, Optics, camera_under
 from ds_sim.camera.renderer import Camera
 from ds_sim.camera.spec import CameraSpec, Colour, Look
 from ds_sim.camera.surface import SURFACE_CONDITIONS
@@ -135,7 +135,7 @@ class RenderedScene(Scene):
                 raise ValueError(f"camera.{name} is {value}, expected {expected}: {type(self).__name__} draws no other")
         super().__init__(camera)
         self._run_spec, self._run_rows = camera, self._rows
-        self._optics: OpticsOfRows | None = None
+        self._optics: Optics | None = None
         self._sensor: Sensor | None = None
         self._whole: Sensor | None = None
         """Without noise, for all rows."""
@@ -188,7 +188,7 @@ class RenderedScene(Scene):
         if self._optics is None:
             return image
         axes, position = optical_axes(self._run_spec, state)
-        return self._optics(rows).apply(image, np.array(axes), position[2])
+        return self._optics.apply(image, np.array(axes), position[2], rows)
 
 
 class PaintedScene(RenderedScene):
