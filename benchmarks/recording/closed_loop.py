@@ -42,9 +42,9 @@ from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Command, Outcome
 from ds_studies.same_roads import driven_road
+from ds_twin_donkey.car_files import document_of, write_parameters
 from ds_twin_donkey.fit import FitSettings, fit
 from ds_twin_donkey.logs import read_log
-from ds_twin_donkey.parameter_file import document_of, write_parameters
 from ds_twin_donkey.parameters import SCALE
 
 ROADS, SEED = 12, 3900

@@ -45,7 +45,7 @@ from ds_sim import BULLET
 from ds_sim.camera.encodings import jpeg
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
-from ds_twin_donkey.parameter_file import ParameterFileError, read_parameters
+from ds_twin_donkey.car_files import ParameterFileError, read_parameters
 
 _CONFIG = """\
 siblings: [bullet, softbody]

@@ -31,9 +31,8 @@ from ds_road.files import write_roads
 from ds_road.importing import import_roads
 from ds_road.opendrive import write_all
 from ds_sim.conditions.model import ConditionsError
-from ds_twin_donkey.car_files import read_start
+from ds_twin_donkey.car_files import ParameterFileError, read_start
 from ds_twin_donkey.logs import LogError, read_log
-from ds_twin_donkey.parameter_file import ParameterFileError
 
 _COLUMNS = """\
 test: [road, seed]

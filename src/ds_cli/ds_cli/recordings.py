@@ -244,10 +244,9 @@ def twin_fit_command(
     Example: ds twin fit located --out car.yaml
     """
     from ds_report.error_pictures import draw_fit
-    from ds_twin_donkey.car_files import read_start
+    from ds_twin_donkey.car_files import document_of, read_start, write_parameters
     from ds_twin_donkey.fit import fit, fit_located
     from ds_twin_donkey.logs import read_log
-    from ds_twin_donkey.parameter_file import document_of, write_parameters
 
     recorded = [read_log(path) for path in logs]
     initial = read_start(start) if start else None

@@ -36,9 +36,9 @@ from ds_report.recording_pages import TrackAnswer, write_recording_page, write_t
 from ds_road import Road, write_roads
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
+from ds_twin_donkey.car_files import document_of, write_parameters
 from ds_twin_donkey.fit import fit_located
 from ds_twin_donkey.logs import LogError, read_log
-from ds_twin_donkey.parameter_file import document_of, write_parameters
 from ds_twin_donkey.parameters import SCALE
 from ds_twin_donkey.windows import FitError
 

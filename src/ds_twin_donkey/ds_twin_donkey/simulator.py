@@ -13,8 +13,8 @@ from ds_sim.camera.spec import CameraSpec, Look
 from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, AutopilotGains, Command, SimulatorSpec, VehicleState
+from ds_twin_donkey.car_files import read_parameters
 from ds_twin_donkey.dynamics import SUBSTEPS, CarModel, CarState
-from ds_twin_donkey.parameter_file import read_parameters
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 
 PREVIEW_DISTANCE = 4.0

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ds_twin_donkey.car_files import read_start
-from ds_twin_donkey.parameter_file import ParameterFileError
+from ds_twin_donkey.car_files import ParameterFileError, read_start
 from ds_twin_donkey.parameters import DonkeyParameters
 
 MYCONFIG = """

@@ -16,10 +16,10 @@ from tubs import write_tub
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
 from ds_report.error_pictures import draw_fit
 from ds_sim.simulator import FRAME_TIME
+from ds_twin_donkey.car_files import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.dynamics import SUBSTEPS, CarState, rollout
 from ds_twin_donkey.fit import FitSettings, Mounting, _Phases, find_mounting, fit, fit_located, rough_start
 from ds_twin_donkey.logs import Log, LogError, LogSegment, drives_of, read_log
-from ds_twin_donkey.parameter_file import ParameterFileError, document_of, read_parameters, write_parameters
 from ds_twin_donkey.parameters import DonkeyParameters
 from ds_twin_donkey.residuals import Problem
 from ds_twin_donkey.simulator import DonkeySimulator

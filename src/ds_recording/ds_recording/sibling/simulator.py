@@ -34,7 +34,7 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH, CameraSpec, Look
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Observation, OutOfSightError, SimulatorSpec, VehicleState
-from ds_twin_donkey.parameter_file import read_parameters
+from ds_twin_donkey.car_files import read_parameters
 from ds_twin_donkey.parameters import SCALE, DonkeyParameters
 from ds_twin_donkey.simulator import DonkeySimulator, DonkeyVehicle
 
