@@ -13,8 +13,8 @@ from foreign_bags import foreign_bag
 from tubs import write_tub
 
 from ds_bags.layout import BagError
-from ds_base.left_out import LeftOut
 from ds_base.progress import SILENT
+from ds_base.words import LeftOut
 from ds_driver.data.dataset import DatasetError, crops_of, decode, read_samples
 from ds_driver.data.recordings import Imported, Reading, import_recordings, open_recording
 from ds_driver.networks.images import Crop, fit_to_network

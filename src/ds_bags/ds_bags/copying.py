@@ -162,11 +162,7 @@ def unfinished_file(path: Path) -> Path:
     """Find the MCAP file of a killed writer, given a bag's intended path, its hidden folder, or the file."""
     if path.is_file():
         return path
-    for folder in (
-        path,
-        path / path.name.removeprefix(".").removesuffix(".partial"),
-        partial_path(path) / path.name,
-    ):
+    for folder in (path, path / path.name.removeprefix(".").removesuffix(".partial"), partial_path(path) / path.name):
         files = sorted(folder.glob("*.mcap"))
         if files and (folder / "metadata.yaml").exists():
             raise BagError(f"{folder} is whole: `{ds_command('bag', 'info', folder)}` describes it")

@@ -31,8 +31,12 @@ def missing_of_ros() -> list[str]:
 
 def wheel_version() -> str | None:
     """Version of the installed wheel; None in a checkout or a workspace."""
+    return _version(WHEEL)
+
+
+def _version(distribution: str) -> str | None:
     try:
-        return version(WHEEL)
+        return version(distribution)
     except PackageNotFoundError:
         return None
 
@@ -108,10 +112,5 @@ _DISTRIBUTIONS = (
 @lru_cache(maxsize=1)  # each look-up parses a distribution's metadata
 def versions() -> Mapping[str, str]:
     """Versions of Python and of the libraries that results depend on, by name, and the machine type."""
-    versions_by_name = {"python": platform.python_version(), "machine": platform.machine()}
-    for name in _DISTRIBUTIONS:
-        try:
-            versions_by_name[name] = version(name)
-        except PackageNotFoundError:
-            versions_by_name[name] = "not installed"
-    return versions_by_name
+    libraries = {name: _version(name) or "not installed" for name in _DISTRIBUTIONS}
+    return {"python": platform.python_version(), "machine": platform.machine(), **libraries}

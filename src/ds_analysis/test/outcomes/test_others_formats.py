@@ -24,7 +24,7 @@ from ds_analysis.outcomes.frames import COLUMNS, write_frames
 from ds_analysis.outcomes.sbft import read_competition
 from ds_analysis.outcomes.study import import_outcomes, read_study, study_of, write_rows, write_study
 from ds_analysis.outcomes.study_results import compare_studies
-from ds_base.left_out import LeftOut
+from ds_base.words import LeftOut
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_road import generate

@@ -30,12 +30,7 @@ from ds_driver.networks.network_file import KINDS, refuse_foreign
 from ds_driver.networks.onnx_export import to_onnx
 from ds_driver.networks.pilot import DriverError, Frame, Pilot, Prediction, attempt
 from ds_driver.networks.weights import Weights, generators_in, load_weights, shipped_networks, weights_sha256
-from ds_driver.sim2real.image_translation import (
-    GeneratorSet,
-    TranslatingPilot,
-    open_set,
-    set_of_network,
-)
+from ds_driver.sim2real.image_translation import GeneratorSet, TranslatingPilot, open_set, set_of_network
 from ds_sim.registry import spec_of
 from ds_sim.simulator import Command
 

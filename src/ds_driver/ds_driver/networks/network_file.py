@@ -13,14 +13,7 @@ from pathlib import Path
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.installation import ds_command
 from ds_base.words import listed
-from ds_driver.networks.backends import (
-    BackendError,
-    Runner,
-    check_onnx,
-    default_backend,
-    onnx_runner,
-    openvino_runner,
-)
+from ds_driver.networks.backends import BackendError, Runner, check_onnx, default_backend, onnx_runner, openvino_runner
 from ds_driver.networks.pilot import DriverError
 
 NETWORK_MEMORY = 4 * 2**30
