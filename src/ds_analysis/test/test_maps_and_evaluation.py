@@ -343,7 +343,6 @@ def test_the_authors_rules_on_the_same_counts() -> None:
     checks = check_robustness({**maps, MapId.twin(TWIN): unions["twin"]}, [ON_A, ON_B], TWIN)
 
     def of_merged(what: str) -> RobustnessCheck:
-        """The check of the merged map's probability that says so."""
         return next(v for v in checks if what in v.what and v.map == MapId.merged() and v.value == "probability")
 
     low, high = np.min(sorted(a), axis=0), np.max(sorted(a), axis=0)

@@ -156,7 +156,6 @@ CROPS = (Crop(54, 1), Crop(0, 0), Crop(60, 24))
 
 
 def frames(count: int, seed: int = 5) -> list[Frame]:
-    """Make frames with different images, crops, speeds and steps."""
     images = np.random.default_rng(seed).integers(0, 256, (count, 160, 320, 3), dtype=np.uint8)
     return [Frame(image=image, speed=0.7 * i, crop=CROPS[i % 3], step=i % 3) for i, image in enumerate(images)]
 

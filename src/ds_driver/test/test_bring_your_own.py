@@ -81,7 +81,6 @@ def linear() -> Linear:
 
 
 def examples(heading: str) -> list[str]:
-    """Extract the guide's code blocks of a language, without their fences."""
     return re.findall(rf"```{heading}\n(.*?)```", GUIDE, re.DOTALL)
 
 
@@ -140,7 +139,6 @@ class Pixel(nn.Module):
 
 
 def written(folder: Path, network: nn.Module, shape: tuple[int, ...], **described: Any) -> Path:
-    """Write a TorchScript file with its description."""
     torch.jit.trace(network, torch.zeros(shape)).save(str(folder / "n.pt"))
     (folder / "n.yaml").write_text(yaml.safe_dump({"file": "n.pt"} | described))
     return folder / "n.yaml"
@@ -284,9 +282,11 @@ def test_the_guides_descriptions_are_valid() -> None:
     assert len(rows) == 10
 
 
+WriteModule = Callable[[str], str]
+
+
 @pytest.fixture
-def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
-    """Provide a function that writes an importable module and returns its name."""
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> WriteModule:
     monkeypatch.syspath_prepend(tmp_path)
     numbers = iter(range(100))
 
@@ -298,7 +298,7 @@ def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], s
     return write
 
 
-def test_the_guides_class_drives_a_gentle_road_to_its_end(module: Callable[[str], str]) -> None:
+def test_the_guides_class_drives_a_gentle_road_to_its_end(module: WriteModule) -> None:
     name = module(next(text for text in examples("python") if "class MyDriver" in text))
     simulator = make_simulator("bullet")
     run = drive_road(simulator, make_driver(f"{name}:MyDriver", simulator.spec), GENTLE, seed=1)
@@ -317,7 +317,7 @@ class Counter:
 """
 
 
-def test_start_is_called_at_the_beginning_of_each_run(module: Callable[[str], str]) -> None:
+def test_start_is_called_at_the_beginning_of_each_run(module: WriteModule) -> None:
     simulator = make_simulator("donkey")
     driver = make_driver(f"{module(COUNTER)}:Counter", simulator.spec)
     runs = [drive_road(simulator, driver, GENTLE, seed=1) for _ in range(2)]
@@ -325,7 +325,7 @@ def test_start_is_called_at_the_beginning_of_each_run(module: Callable[[str], st
     assert [c.steering for c in runs[0].commands[:3]] == [0.001, 0.002, 0.003]
 
 
-def test_the_driver_of_an_installed_package_goes_by_its_name(module: Callable[[str], str], tmp_path: Path) -> None:
+def test_the_driver_of_an_installed_package_goes_by_its_name(module: WriteModule, tmp_path: Path) -> None:
     name = module("class Left:\n    def drive(self, frame): return -0.5\n")
     with installed_package(tmp_path, "drivers", {"left": f"{name}:Left"}):
         assert NetworkDriver("left").command(Frame.black()).steering == -0.5
@@ -355,7 +355,7 @@ class Sudden:
         ("Missing", "cannot be imported .AttributeError"),
     ],
 )
-def test_classes_that_cannot_drive_are_refused(module: Callable[[str], str], target: str, said: str) -> None:
+def test_classes_that_cannot_drive_are_refused(module: WriteModule, target: str, said: str) -> None:
     with pytest.raises(DriverError, match=said):
         NetworkDriver(f"{module(FAULTY)}:{target}")
     with pytest.raises(DriverError, match="cannot be imported .ModuleNotFoundError"):
@@ -365,18 +365,14 @@ def test_classes_that_cannot_drive_are_refused(module: Callable[[str], str], tar
 @pytest.mark.parametrize(
     ("target", "said"), [("Late", "the network's steering is nan"), ("Sudden", "drive failed (IndexError")]
 )
-def test_a_driver_without_a_valid_answer_is_an_error_not_a_failure(
-    module: Callable[[str], str], target: str, said: str
-) -> None:
+def test_a_driver_without_a_valid_answer_is_an_error_not_a_failure(module: WriteModule, target: str, said: str) -> None:
     simulator = make_simulator("donkey")
     run = drive_road(simulator, make_driver(f"{module(FAULTY)}:{target}", simulator.spec), GENTLE, seed=1)
     assert run.outcome is Outcome.DRIVER_SILENT and run.outcome.is_error and said in run.message
     assert run.steps == 5
 
 
-def test_a_drivers_hash_covers_description_file_and_class(
-    tmp_path: Path, linear: Linear, module: Callable[[str], str]
-) -> None:
+def test_a_drivers_hash_covers_description_file_and_class(tmp_path: Path, linear: Linear, module: WriteModule) -> None:
     linear.to_onnx(tmp_path / "mypilot.onnx")
     text = yaml.safe_dump(donkey("mypilot.onnx", "n_outputs0", "n_outputs1"))
     path = tmp_path / "p.yaml"

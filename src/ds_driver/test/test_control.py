@@ -134,7 +134,6 @@ def blank(kind: str) -> Any:
 
 
 def values(kind: str, message: Any) -> tuple[float, float]:
-    """Return the lateral and the longitudinal value of a message."""
     lateral, longitudinal = PATHS[kind]
     return part(message, lateral), part(message, longitudinal)
 

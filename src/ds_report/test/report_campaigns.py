@@ -89,7 +89,6 @@ def make_campaign(
 
 
 def campaign_data(folder: Path, config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> CampaignData:
-    """What such a store holds."""
     with closing(make_campaign(folder, config, per_sibling, roads=roads)) as store:
         return read_campaign(store)
 

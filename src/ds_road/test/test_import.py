@@ -52,9 +52,9 @@ def test_what_was_exported_comes_back(name: str, tmp_path: Path) -> None:
 
 XODR = """<?xml version="1.0"?><OpenDRIVE><header revMajor="1" revMinor="4"/>
 <road name="r" length="{length}" id="1" junction="-1"><planView>{pieces}</planView>
-<lanes>{offset}<laneSection s="0"><center><lane id="0" type="none"/></center>
-<right><lane id="-1" type="driving"><width sOffset="0" a="{width}" b="{slope}" c="0" d="0"/></lane></right>
-</laneSection></lanes></road></OpenDRIVE>"""
+<lanes>{offset}<laneSection s="0"><left>{left}</left><center><lane id="0" type="none"/></center>
+<right>{right}</right></laneSection></lanes></road></OpenDRIVE>"""
+LANE = '<lane id="{}" type="{}"><{} sOffset="0" a="{}" b="{}" c="0" d="0"/></lane>'
 
 
 def xodr(*pieces: tuple[Any, ...], **changed: Any) -> str:
@@ -62,7 +62,8 @@ def xodr(*pieces: tuple[Any, ...], **changed: Any) -> str:
         f'<geometry s="{s}" x="{x}" y="{y}" hdg="{h}" length="{n}">{shape}</geometry>'
         for s, x, y, h, n, shape in pieces
     ]
-    values = {"offset": "", "width": 3.5, "slope": 0.0, **changed}
+    lane = LANE.format(-1, "driving", "width", changed.pop("width", 3.5), changed.pop("slope", 0.0))
+    values = {"offset": "", "left": "", "right": lane, **changed}
     return XODR.format(length=sum(piece[4] for piece in pieces), pieces="".join(texts), **values)
 
 
@@ -189,10 +190,6 @@ def test_what_cannot_be_a_road_gets_one_line(text: str, words: str, tmp_path: Pa
     assert str(problem.value).startswith(f"{path}: ") and "\n" not in str(problem.value)
 
 
-LANES = """<laneSection s="0"><left>{left}</left><center><lane id="0" type="none"/></center><right>{right}</right>
-</laneSection>"""
-
-
 def lanes(left: str, right: str) -> str:
     """A straight road of 100 m along y = 50 m with these lanes: `TYPE:WIDTH`, from the inside, or `TYPE|BORDER`."""
 
@@ -200,14 +197,10 @@ def lanes(left: str, right: str) -> str:
         tags = []
         for number, (kind, border, size) in enumerate((re.split(r"([:|])", one) for one in text.split()), 1):
             tag, value = ("border", sign * float(size)) if border == "|" else ("width", float(size))
-            tags.append(
-                f'<lane id="{sign * number}" type="{kind}"><{tag} sOffset="0" a="{value}" b="0" c="0" d="0"/></lane>'
-            )
+            tags.append(LANE.format(sign * number, kind, tag, value, 0))
         return "".join(tags)
 
-    text = xodr(LINE)
-    begin, end = text.index("<laneSection"), text.index("</laneSection>") + len("</laneSection>")
-    return text[:begin] + LANES.format(left=of(left, 1), right=of(right, -1)) + text[end:]
+    return xodr(LINE, left=of(left, 1), right=of(right, -1))
 
 
 @pytest.mark.parametrize(

@@ -50,14 +50,12 @@ def directions(
     return mount.apply(np.stack((np.ones_like(right), -right, -down), axis=1)), centre
 
 
-def brute_force(
-    spec: CameraSpec, ground: Ground, vehicle: VehicleState, rows: range, samples: int = 16
-) -> NDArray[np.float64]:
-    """Rows of the image as the mean of `samples` x `samples` rays per pixel into the finest raster, (rows, columns, 3).
+def brute_force(spec: CameraSpec, ground: Ground, vehicle: VehicleState, rows: range) -> NDArray[np.float64]:
+    """Rows of the image as the mean of 16 x 16 rays per pixel into the finest raster, (rows, columns, 3).
 
     The raster is read bilinearly. The result is meaningless above the horizon.
     """
-    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    offsets = (np.arange(16) + 0.5) / 16 - 0.5
     level = ground.levels[0]
     frame = np.zeros((len(rows), spec.width, 3))
     v, u = (a.ravel().astype(float) for a in np.meshgrid(rows, np.arange(spec.width), indexing="ij"))
@@ -72,7 +70,7 @@ def brute_force(
                 frame[..., channel] += map_coordinates(
                     level[..., channel], (row, column), float, order=1, cval=ground.outside[channel]
                 ).reshape(frame.shape[:2])
-    return frame / samples**2
+    return frame / 16**2
 
 
 def below_horizon(spec: CameraSpec, vehicle: VehicleState, rows: range) -> NDArray[np.bool_]:

@@ -60,7 +60,6 @@ def spotted_ground(point: tuple[float, float]) -> Ground:
 
 
 def horizon_row(spec: CameraSpec) -> int:
-    """Row of the horizon in the image's middle column."""
     k = spec.intrinsics
     return int(k[1, 2] - k[1, 1] * (math.tan(spec.pitch) if spec.lens == "pinhole" else spec.pitch))
 

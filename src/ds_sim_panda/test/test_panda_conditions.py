@@ -67,7 +67,6 @@ def survey(conditions: Conditions = DEFAULT, *, seed: int = 1) -> NDArray[np.flo
 
 
 def row_of(x: float) -> int:
-    """Row of a survey that shows a position across the road."""
     return round((ROWS - 1) / 2 - (x - 125.0) / PIXEL)
 
 
@@ -84,7 +83,6 @@ def line_light(surveyed: NDArray[np.float32], x: float) -> NDArray[np.float32]:
 
 
 def still(vehicle: VehicleState, conditions: Conditions) -> NDArray[np.uint8]:
-    """What the car's camera sees of the straight road."""
     scene = PandaScene(CAMERA)
     scene.load(STRAIGHT, np.random.default_rng(1), conditions)
     return scene.still(vehicle, np.random.default_rng(1))

@@ -34,11 +34,14 @@ INPUT = {"size": [ROWS, COLUMNS], "crop": {"top": 60, "bottom": 25}, "divide": 2
 """What the networks of these tests really expect."""
 
 
+Drives = list[AutopilotDrives]
+
+
 def one_by_one(work: Callable[[Any], Any], jobs: Sequence[Any], *, abandon: bool) -> Iterator[Any]:
     return map(work, jobs)
 
 
-def recorded(roads: int, **asked: Any) -> list[AutopilotDrives]:
+def recorded(roads: int, **asked: Any) -> Drives:
     with pytest.MonkeyPatch.context() as patch:
         patches = {"ROADS": roads, "LONGEST": 160, "EVERY": 4, "map_in_processes": one_by_one}
         for name, value in patches.items():
@@ -47,18 +50,22 @@ def recorded(roads: int, **asked: Any) -> list[AutopilotDrives]:
 
 
 @pytest.fixture(scope="module")
-def drives() -> list[AutopilotDrives]:
+def drives() -> Drives:
     """Two drives on two simulators, which these networks are fitted to."""
     return recorded(1)
 
 
 @pytest.fixture(scope="module")
-def more_drives() -> list[AutopilotDrives]:
+def more_drives() -> Drives:
     """Six drives on each of two simulators."""
     return recorded(3)
 
 
-def fitted(drives: list[AutopilotDrives], steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def steering_of(drives: Drives) -> NDArray[np.float64]:
+    return np.concatenate([one.steering for one in drives])
+
+
+def fitted(drives: Drives, steering: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
     """Weights (channels, rows, columns) and bias of the linear network of least norm that steers so, without its code.
 
     The pixels are prepared with OpenCV alone, so that a mistake in the project's preparation is a fault, too.
@@ -80,7 +87,7 @@ Made = Callable[..., Path]
 
 
 @pytest.fixture
-def made(tmp_path: Path, drives: list[AutopilotDrives]) -> Made:
+def made(tmp_path: Path, drives: Drives) -> Made:
     """Write a network that is right but for what is asked for; return its description."""
 
     def make(
@@ -91,10 +98,10 @@ def made(tmp_path: Path, drives: list[AutopilotDrives]) -> Made:
         bins: int = 0,
         throttle: float | None = None,
         steering: NDArray[np.float64] | None = None,
-        of: list[AutopilotDrives] = drives,
+        of: Drives = drives,
         **described: Any,
     ) -> Path:
-        wanted = np.concatenate([one.steering for one in drives])
+        wanted = steering_of(drives)
         weights, bias = fitted(of, wanted if steering is None else steering)
         weights = weights[::-1] if bgr else weights
         constants = {"w": times * weights.reshape(-1, 1), "b": np.array([[times * bias + plus]])}
@@ -123,16 +130,15 @@ def made(tmp_path: Path, drives: list[AutopilotDrives]) -> Made:
     return make
 
 
-def check(description: Path, drives: list[AutopilotDrives]) -> NetworkCheck:
-    """Check the network of a description."""
+def check(description: Path, drives: Drives) -> NetworkCheck:
     return check_network(DriverName(str(description)), drives, 1)
 
 
-def kinds(path: Path, drives: list[AutopilotDrives]) -> list[str]:
+def kinds(path: Path, drives: Drives) -> list[str]:
     return [finding.kind for finding in check(path, drives).findings]
 
 
-def test_a_rightly_described_network_passes(made: Made, drives: list[AutopilotDrives]) -> None:
+def test_a_rightly_described_network_passes(made: Made, drives: Drives) -> None:
     found = check(made(), drives)
     assert found.findings == [] and "is connected correctly" in found.verdict and found.correlation > 0.9
     assert [one.simulator for one in found.answers] == ["softbody", "donkey"]
@@ -156,16 +162,12 @@ def test_a_rightly_described_network_passes(made: Made, drives: list[AutopilotDr
     ],
 )
 def test_names_a_planted_fault_and_the_line_that_repairs_it(
-    made: Made,
-    drives: list[AutopilotDrives],
-    more_drives: list[AutopilotDrives],
-    fault: dict[str, Any],
-    expected: list[str],
+    made: Made, drives: Drives, more_drives: Drives, fault: dict[str, Any], expected: list[str]
 ) -> None:
     if "bgr" in fault:
         assert "colour" not in kinds(made(**fault), drives)  # four drives cannot decide it
         drives = more_drives
-        fault = {**fault, "of": drives, "steering": np.concatenate([one.steering for one in drives])}
+        fault = {**fault, "of": drives, "steering": steering_of(drives)}
     path = made(**fault)
     found = check(path, drives)
     assert [finding.kind for finding in found.findings] == expected
@@ -178,7 +180,7 @@ def test_names_a_planted_fault_and_the_line_that_repairs_it(
     assert kinds(path, drives) == []
 
 
-def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[AutopilotDrives]) -> None:
+def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: Drives) -> None:
     assert kinds(made(times=0.0, plus=0.1), drives) == ["constant"]
     count = sum(len(one.frames) for one in drives)
     found = check(made(steering=np.random.default_rng(3).normal(0.0, 0.3, count)), drives)
@@ -188,10 +190,10 @@ def test_a_constant_and_a_bad_network_are_called_that(made: Made, drives: list[A
 
 @pytest.mark.parametrize(("share", "expected"), [(0.55, ["unrelated"]), (0.95, [])])
 def test_a_network_that_answers_weakly_has_not_passed(
-    made: Made, drives: list[AutopilotDrives], share: float, expected: list[str]
+    made: Made, drives: Drives, share: float, expected: list[str]
 ) -> None:
     """It follows the autopilot by a share of its own steering, and noise by the rest: that is its correlation."""
-    wanted = np.concatenate([one.steering for one in drives])
+    wanted = steering_of(drives)
     noise = np.random.default_rng(5).normal(0.0, 1.0, len(wanted))
     noise -= np.polyval(np.polyfit(wanted, noise, 1), wanted)
     mixed = wanted + noise * wanted.std() / noise.std() * np.sqrt(1.0 / share**2 - 1.0)
@@ -202,7 +204,7 @@ def test_a_network_that_answers_weakly_has_not_passed(
     assert found.document()["connected_rightly"] is (not expected)
 
 
-def test_writes_a_description_that_passes(made: Made, drives: list[AutopilotDrives]) -> None:
+def test_writes_a_description_that_passes(made: Made, drives: Drives) -> None:
     path = made(bgr=True, times=-25.0)
     with pytest.raises(DriverError, match=r"n\.yaml describes n\.onnx already"):
         forms_of(path.with_suffix(".onnx"))
@@ -221,7 +223,7 @@ def test_writes_a_description_that_passes(made: Made, drives: list[AutopilotDriv
     assert kinds(path, drives) == []
 
 
-def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[AutopilotDrives]) -> None:
+def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: Drives) -> None:
     """The scale of a linear network's pixels is that of its answer, so both of these descriptions are right."""
     path = made()
     path.unlink()
@@ -241,7 +243,7 @@ def test_asks_about_what_the_drives_do_not_decide(made: Made, drives: list[Autop
 
 
 def test_describes_a_network_with_a_state_and_a_constant_by_whole_drives(
-    made: Made, drives: list[AutopilotDrives], tmp_path: Path
+    made: Made, drives: Drives, tmp_path: Path
 ) -> None:
     model = onnx.load(made(bgr=True, times=-25.0).with_suffix(".onnx"))
     vector = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, 4]) for name in ("h", "h_out", "route")]
@@ -293,7 +295,7 @@ def donkey_pilot(folder: Path, weights: NDArray[np.float64], bias: float = 0.0) 
     return write_graph(folder / "p.onnx", nodes, inputs, {"n_outputs0": [1, 1]}, tensors(constants))
 
 
-def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, drives: list[AutopilotDrives]) -> None:
+def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, drives: Drives) -> None:
     """A pilot that has never seen these roads, whose best description is due to chance."""
     random = np.random.default_rng(1).normal(0.0, 0.01, (3, ROWS, COLUMNS))
     file = donkey_pilot(tmp_path, random)
@@ -306,8 +308,8 @@ def test_what_evidence_does_not_decide_is_as_the_maker_has_it(tmp_path: Path, dr
     assert "is not connected, or was trained on another world" in found.verdict
 
 
-def test_clear_evidence_goes_before_the_maker(tmp_path: Path, more_drives: list[AutopilotDrives]) -> None:
-    weights, bias = fitted(more_drives, np.concatenate([one.steering for one in more_drives]))
+def test_clear_evidence_goes_before_the_maker(tmp_path: Path, more_drives: Drives) -> None:
+    weights, bias = fitted(more_drives, steering_of(more_drives))
     file = donkey_pilot(tmp_path, weights[::-1], bias)
     written = yaml.safe_load(describe_network(file, forms_of(file), more_drives, None))["input"]
     assert (written["colour"], written["crop"]) == ("bgr", INPUT["crop"])
@@ -324,18 +326,17 @@ def test_an_image_without_its_top_rows_is_cropped_as_in_donkey_car(tmp_path: Pat
     [(0.0, "it wants the left lane", "left"), (0.25, "it wants the middle of the road", "middle")],
 )
 def test_an_offset_that_another_lane_takes_away_is_a_lane(
-    made: Made, drives: list[AutopilotDrives], there: float, said: str, lane: str
+    made: Made, drives: Drives, there: float, said: str, lane: str
 ) -> None:
     """A network that steers to the left by 0.25 in the right lane; in the left one not at all, or to the right."""
     left = recorded(1, lane="left")
     assert [one.steering.tolist() for one in left] != [one.steering.tolist() for one in drives]
-    wanted = [np.concatenate([one.steering for one in part]) for part in (drives, left)]
-    path = made(of=[*drives, *left], steering=np.concatenate([wanted[0] - 0.25, wanted[1] + there]))
+    path = made(of=[*drives, *left], steering=np.append(steering_of(drives) - 0.25, steering_of(left) + there))
     (finding,) = check(path, drives).findings
     assert finding.kind == "lane" and said in finding.text and f"--lane {lane}" in finding.text and not finding.line
 
 
-def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[AutopilotDrives]) -> None:
+def test_a_slow_network_gets_fewer_images_or_a_line(drives: Drives) -> None:
     every = sum(len(one.frames) for one in drives)
     assert affordable(drives, 1e-6, 60.0, asked=10) == (drives, True)
     kept, search = affordable(drives, 0.5, 30.0, asked=10)
@@ -347,9 +348,9 @@ def test_a_slow_network_gets_fewer_images_or_a_line(drives: list[AutopilotDrives
         affordable(drives, 8.0, 100.0, asked=10)
 
 
-def test_drives_decide_by_their_number(more_drives: list[AutopilotDrives]) -> None:
+def test_drives_decide_by_their_number(more_drives: Drives) -> None:
     """Fisher's z of a difference that every drive shows, and of one that a single drive makes."""
-    wanted = np.concatenate([one.steering for one in more_drives])
+    wanted = steering_of(more_drives)
     rng = np.random.default_rng(2)
     good, bad = (wanted + size * wanted.std() * rng.normal(size=len(wanted)) for size in (0.2, 2.0))
     assert agreement(good, more_drives).surely_above(agreement(bad, more_drives))

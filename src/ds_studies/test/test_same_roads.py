@@ -54,8 +54,7 @@ class MadeUpEngine:
         run.commands.extend([Command(0.0, 0.0)] * 39)
         return run
 
-    def stop(self) -> None:
-        """Nothing runs."""
+    def stop(self) -> None: ...
 
 
 Use = Callable[[MadeUpEngine], MadeUpEngine]

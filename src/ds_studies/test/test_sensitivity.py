@@ -218,8 +218,7 @@ class MadeUpEngine:
             outcome = Outcome.OUT_OF_BOUNDS
         return replace(request.ended(outcome, ""), visible_contrasts=[1.0], observations=[made_observation()])
 
-    def stop(self) -> None:
-        """Nothing runs."""
+    def stop(self) -> None: ...
 
 
 @pytest.fixture

@@ -17,13 +17,7 @@ Array = NDArray[np.float64]
 ROAD: Road = generate(np.random.default_rng(3), max_angle=200)
 
 
-def made_up(
-    seed: int,
-    *,
-    tests: int,
-    siblings: int = 3,
-    car: Array | None = None,
-) -> RoadTable:
+def made_up(seed: int, *, tests: int, siblings: int = 3, car: Array | None = None) -> RoadTable:
     """Draw simulators, tests and outcomes; the last simulator plays the twin, with given coefficients if any."""
     rng = np.random.default_rng(seed)
     features = rng.normal(size=(tests, 4))

@@ -41,7 +41,6 @@ def write_comparison(folder: Path, roads: list[Road] = ROADS) -> Path:
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """The one line of a command that is refused."""
     assert run(list(map(str, arguments))) == 2
     captured = capsys.readouterr()
     lines = [line for line in captured.err.splitlines() if line.startswith("error")]

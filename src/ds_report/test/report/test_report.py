@@ -207,7 +207,6 @@ def driven(config: CampaignConfig) -> CampaignData:
 
 
 def said(siblings: list[SimulatorName], merged: tuple[float, ...], twin: tuple[float, ...], times: int = TIMES) -> str:
-    """Write the details of the findings for such maps."""
     config = CampaignConfig(siblings=siblings)
     values = {MapId.union(name): UNIONS[name] for name in siblings} | {MapId.merged(): merged, MapId.twin(DONKEY): twin}
     maps = {map_id: hand_made(map_id, of, times) for map_id, of in values.items()}

@@ -72,7 +72,6 @@ class Opened:
         return {(x, y): values[j][i] for j, y in enumerate(rows) for i, x in enumerate(columns)}
 
     def show(self, test: Test) -> None:
-        """Go to the cell of a test, and choose the test there."""
         place = f"#cell={test.road.turns_count}-{int(100 * test.road.curvature)}"
         self.page.evaluate("place => { location.hash = place; }", place)
         self.page.click(f'[data-test="{test.test_id}"]')
@@ -80,7 +79,6 @@ class Opened:
         self.page.wait_for_function(shown, arg=test.test_id)
 
     def tests(self) -> list[str]:
-        """Tests of the chosen cell, as listed."""
         found: list[str] = self.page.eval_on_selector_all("[data-test]", "all => all.map(b => b.dataset.test)")
         return found
 
@@ -91,8 +89,6 @@ class Opened:
 
 
 class Campaign:
-    """A campaign with its report."""
-
     def __init__(self, folder: Path, config: CampaignConfig, per_sibling: int) -> None:
         self.config = config
         self.store: Store = make_campaign(folder, config, per_sibling, bags=True)
