@@ -79,11 +79,7 @@ def all_factors() -> list[Factor]:
 
 
 def factors_named(names: Sequence[str]) -> list[Factor]:
-    """Factors of some conditions.
-
-    Raises:
-        ConditionsError: a name is no condition, has no harder end, or is given twice.
-    """
+    """Factors of some conditions; `ConditionsError` if a name is none, has no harder end, or is given twice."""
     factors = all_factors()
     all_names = list(dict.fromkeys(factor.name for factor in factors))
     for name in names:

@@ -66,9 +66,8 @@ def plan_pictures(
 ) -> PicturePlan:
     """Choose the frames to render, for at most so many tests with strips, and pictures in replays.
 
-    Failed drives come first, of the worst test before all others, at the finest of `SPACINGS` with which all of them
-    fit; if none does, at the coarsest, and the last ones have no replay. The other drives of the same tests follow as
-    long as there is room. Tests without a cell have no pictures.
+    Failed drives come first, of the worst test before all others, at the finest of `SPACINGS` with which all fit, or
+    the coarsest. Other drives of these tests follow as long as there is room. Tests without a cell have no pictures.
     """
     ranked = worst_first((test for test in tests if test.test_id in cells), executions)
     of_test: dict[str, list[Execution]] = {}

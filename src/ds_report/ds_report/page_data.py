@@ -129,10 +129,9 @@ def _excluded(data: CampaignData) -> dict[str, list[str]]:
 
 
 def axes_of(config: CampaignConfig, filled: Collection[Cell]) -> list[dict[str, Any]]:
-    """Describe every axis: title, bins from the smallest to the largest filled one, and their edges.
+    """Describe every axis: title, bins from the smallest to the largest filled one, and the edges of all.
 
-    `begins` and `radii` hold the lower edge of every bin and the upper edge of the last one, `radii` as the radius of a
-    bend, or None. `whole`: each bin is a single whole number.
+    `radii` has these as radii of a bend, or is None. `whole`: each bin is a single whole number.
     """
     axes = []
     for k, name in enumerate(config.features):

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 PICTURES, ACROSS = 12, 4
 """Pictures with fitted lines, and how many lie beside each other."""
 SHOWN = (0.3, 6.0)

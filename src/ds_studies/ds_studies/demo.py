@@ -54,11 +54,9 @@ MOST_SEARCHED = 1
 def drive_into_fog(folder: Path) -> dict[str, Any]:
     """Drive one road on the twin in clear air, then in denser and denser fog until the network leaves its lane.
 
-    The folder receives `fog.json` and the video `fog.mp4`; if they are there already, nothing is driven.
-
-    Returns:
-        Content of the file: `completes_clear`; `leaves_at`, the visibility in m, or None; `levels`, of strength, as
-        many as suit this processor; `siblings` that can drive here.
+    The folder receives the video `fog.mp4`, and `fog.json` with what is returned: `completes_clear`; `leaves_at`, a
+    visibility in m, or None; `levels` of strength that suit this processor; `siblings` that can drive here. If they are
+    there already, nothing is driven.
     """
     result = folder / "fog.json"
     if result.is_file() and (folder / "fog.mp4").is_file():

@@ -175,8 +175,7 @@ class OutcomeTable:
     def with_twin(self, name: SimulatorName | None) -> Self:
         """Let another simulator play the twin, and all others the siblings; None leaves the twin out.
 
-        Raises:
-            OutcomeTableError: there is no such simulator, or it leaves no sibling.
+        `OutcomeTableError` if there is no such simulator, or it leaves no sibling.
         """
         if name is not None and name not in self.simulators:
             raise OutcomeTableError(f"no simulator {name!r:.60}, expected one of {', '.join(self.simulators)}")

@@ -36,11 +36,7 @@ class MaxFailures:
 
     @classmethod
     def parse(cls, text: str) -> MaxFailures:
-        """Parse `5%` or `3`.
-
-        Raises:
-            ConfigError: it is neither a share from 0 to 100% nor a number of tests.
-        """
+        """Parse `5%` or `3`; `ConfigError` if it is neither a share from 0 to 100% nor a number of tests."""
         if re.fullmatch(r"\d{1,3}(\.\d{1,6})?%", text) and float(text[:-1]) <= 100.0:
             return cls(share=float(text[:-1]) / 100.0)
         if re.fullmatch(r"\d{1,9}", text):
@@ -75,8 +71,7 @@ class Criteria:
     ) -> list[str]:
         """Say which criteria are not met, one sentence each; `newly_failing` is None without a reference.
 
-        Raises:
-            ConfigError: the criterion needs a comparison, and there is none.
+        `ConfigError` if a criterion needs one.
         """
         self.check(has_reference=newly_failing is not None)
         unmet = []

@@ -273,11 +273,9 @@ def features_of(
     """Return the features of each test, a row for each.
 
     A missing number is the median of the other tests, and 1 in a further feature, `NAME missing`. Each word of a column
-    is a feature of 0 and 1, `NAME=WORD`.
-
-    The frame has rows of the (rows,) `tests`, and columns with these `names`; None takes all that may be features, and
-    are not `used` otherwise: not those that end in one of the `owners`, simulators of a wide table (None: all are known
-    to be features), or tell which tests `failed`, where one simulator drove each once. `notes` take what is left out.
+    is a feature of 0 and 1, `NAME=WORD`. The frame has rows of the (rows,) `tests`. Without `names` of columns, all are
+    taken that may be features and are not `used` otherwise: not those that end in one of the `owners`, simulators of a
+    wide table (None: all are features), or tell which tests `failed`, where one simulator drove each once.
     """
     columns: dict[str, pd.Series[Any]] = {}
     for name in names if names is not None else [one for one in frame.columns if one not in used]:

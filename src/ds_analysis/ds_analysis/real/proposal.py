@@ -138,16 +138,12 @@ def propose(
 ) -> list[ProposedDrive]:
     """Draw the next tests for the car, and remember them; what was proposed before stays proposed.
 
-    The order of all tests is drawn once, by a seed and their names; each call continues it, past what was driven
-    meanwhile. So every proposed test is a uniform draw from all that were left, as the certificate needs it.
+    The order of all tests is drawn once, by a seed and their names; each call continues it, past what was `driven`
+    meanwhile. So every proposed test is a uniform draw from all that were left, as the certificate needs it. With
+    `spread`, they come from as many groups of equal predicted probability, which tells more, and certifies nothing.
 
-    `driven` are the tests that the car drove already, in their order; `drives` is the number of tests to draw; `scale`
-    is metres of the road per metre of the car's, that of earlier proposals, or `SCALE`, if None. With `spread`, they
-    come from as many groups of equal predicted probability, which tells more, and certifies nothing.
-
-    Raises:
-        BudgetError: fewer tests are left.
-        RecordError: another scale was proposed before, or the file of proposals is damaged.
+    `scale` is metres of the road per metre of the car's, that of earlier proposals, or `SCALE`, if None. `BudgetError`
+    if fewer tests are left, `RecordError` if another scale was proposed before, or the file of proposals is damaged.
     """
     proposed = read_proposed(folder)
     if proposed.scale is not None and scale not in (None, proposed.scale):

@@ -65,10 +65,8 @@ def read_csv(
     """Read outcomes from a CSV with the columns `COLUMNS`, and `OPTIONAL` if wanted.
 
     `limits` has the lateral position at which each test fails, half the width of its lane, m of the road frame; `scale`
-    is metres of that frame per metre of the car's; `who` and `when` are for drives of which the file does not say.
-
-    Raises:
-        RecordError: a row is wrong; one line says which, and what was expected.
+    is metres of that frame per metre of the car's; `who` and `when` are for drives of which the file does not say. One
+    line of a `RecordError` says which row is wrong, and what was expected.
     """
     try:
         reader = csv.DictReader(io.StringIO(read_regular(path, LARGEST_FILE).decode("utf-8-sig"), newline=""))

@@ -12,7 +12,6 @@ from pathlib import Path
 from queue import SimpleQueue
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from ds_interfaces.msg import CampaignState, MapLegend, TestOutcome
 from ds_interfaces.srv import GetMap, GetState, GetTest
 from nav_msgs.msg import OccupancyGrid
@@ -119,19 +118,12 @@ def _grid(one: FeatureMap, columns: range, rows: range) -> tuple[OccupancyGrid, 
     return grid, tests.ravel().tolist()
 
 
-def stamped(grid: OccupancyGrid, stamp: Time) -> OccupancyGrid:
-    """Set the time of a grid."""
-    grid.header.stamp = grid.info.map_load_time = stamp
-    return grid
-
-
 class StateListener(TimedListener):
     """Counts a goal's drives, and keeps their outcomes until they are published."""
 
     def __init__(self, folder: str) -> None:
         super().__init__()
-        self._searching = True
-        self._state = CampaignState(state=CampaignState.RUNNING, folder=folder, seconds_left=-1.0)
+        self._state = CampaignState(state=CampaignState.RUNNING, folder=folder)
         self.outcomes: SimpleQueue[TestOutcome] = SimpleQueue()
 
     def stage(self, name: str) -> None:
@@ -140,17 +132,10 @@ class StateListener(TimedListener):
         with self._lock:
             self._state.stage = name
 
-    def expect(self, stages: Sequence[Mapping[SimulatorName, int]]) -> None:
-        """See `Listener.expect`."""
-        super().expect(stages)
-        with self._lock:
-            self._state.expected = self.total
-
     def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
         super().finished(test, simulator, execution, fresh)
         with self._lock:
-            self._state.done = self.done
             self._state.failures += isinstance(execution, Execution) and execution.outcome.is_failure
             self._state.errors += execution is None
         self.outcomes.put(outcome_message(self._state.folder, test.test_id, simulator, execution))
@@ -171,9 +156,9 @@ class StateListener(TimedListener):
         """Present state."""
         with self._lock:
             left = self.seconds_left()
-            self._state.seconds_left = -1.0 if left is None else left
+            counted = {"done": self.done, "expected": self.total, "seconds_left": -1.0 if left is None else left}
             fields = self._state.get_fields_and_field_types()
-            return CampaignState(**{name: getattr(self._state, name) for name in fields})
+            return CampaignState(**{name: getattr(self._state, name) for name in fields} | counted)
 
 
 MAPS_EVERY, MAPS_SHARE = 2.0, 20.0
@@ -247,7 +232,8 @@ class CampaignView:
             for name, grid in grids.grids.items():
                 if name not in self._maps:
                     self._maps[name] = self._node.create_publisher(OccupancyGrid, f"maps/{name}", self._latched)
-                self._maps[name].publish(stamped(grid, self._node.get_clock().now().to_msg()))
+                grid.header.stamp = grid.info.map_load_time = self._node.get_clock().now().to_msg()
+                self._maps[name].publish(grid)
 
     def _report(self) -> Report:
         state, warning = self.state, self._warning()

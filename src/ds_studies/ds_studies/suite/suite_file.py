@@ -37,7 +37,6 @@ LARGEST_FILE = 16 * 2**20
 """Bytes of a suite; chosen: thousands of roads fit."""
 MOST_TESTS = 2000
 """Tests of a suite; chosen: beyond, it is a campaign."""
-VERDICTS = tuple(outcome.name for outcome in Outcome if outcome.is_verdict)
 Reason = Literal["failing", "boundary", "cell"]
 
 
@@ -145,11 +144,7 @@ def write_suite(suite: Suite, path: Path) -> None:
 
 
 def read_suite(path: Path) -> Suite:
-    """Read and check a suite.
-
-    Raises:
-        SuiteError: the file is no suite, of another version, or was changed; one line says which.
-    """
+    """Read and check a suite; a `SuiteError` says whether the file is none, of another version, or was changed."""
     try:
         raw: Any = read_json(path, LARGEST_FILE)
     except OSError as error:
@@ -233,11 +228,7 @@ def _in_turns(lists: Mapping[Reason, Sequence[str]], most: int) -> dict[str, lis
 
 
 def suite_of(folder: Path, data: CampaignData, *, most: int = TESTS) -> Suite:
-    """Make a suite of a campaign's tests that tell most.
-
-    Raises:
-        SuiteError: no test has a verdict on every simulator.
-    """
+    """Make a suite of a campaign's tests that tell most; `SuiteError` if none has a verdict on every simulator."""
     chosen = select(data, most=min(most, MOST_TESTS))
     if not chosen:
         raise SuiteError(
