@@ -282,7 +282,7 @@ def find_mounting(drives: Sequence[LogSegment], car: DonkeyParameters) -> Mounti
     In a bend the centre moves sideways by turn * (distance from the rear axle - speed^2 / (g * rear stiffness)), as in
     the single-track model with little slip; a point ahead moves by turn * distance more, and a heading that is turned
     to the left shows way * angle less. Robust least squares over half a second, as errors of single rows would hide the
-    turn: rows that do not fit are left out. The mounting is that of the centre itself if no drive has five rows.
+    turn: rows that do not fit are left out. The mounting is that of the centre itself if hardly any rows are left.
     """
     sums = [np.zeros((0, 3))]
     for drive in drives:
