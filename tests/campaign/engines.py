@@ -18,7 +18,7 @@ from ds_orchestrator.engines.start import ENGINES
 from ds_sim.registry import make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
-from ds_sim.simulator import HALF_LANE, Command, Outcome
+from ds_sim.simulator import Command, Outcome
 
 
 class EngineHere:
@@ -80,7 +80,7 @@ class MadeUpEngine(EngineHere):
         self.roads.append((simulator, road.road_id))
         rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
         lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
-        failed = bool(np.abs(lateral).max() > HALF_LANE)
+        failed = bool(np.abs(lateral).max() > road.lane_width / 2)
         x, y = road.lane_centre[0].tolist()
         outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
         run = RunRecord(scenario=request.scenario, outcome=outcome)

@@ -33,8 +33,6 @@ FRAME_RATE = 20.0
 FRAME_TIME = 1.0 / FRAME_RATE
 MAX_SPEED = 30.0 / 3.6
 """Speed limit, m/s (paper 4.2.4: 30 km/h in all simulators)."""
-HALF_LANE = 2.0
-"""Half the width of a lane, m (maxitwo: road of 8 m with two lanes)."""
 
 
 class CommandError(InputError):

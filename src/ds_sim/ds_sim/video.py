@@ -23,7 +23,7 @@ from ds_sim.camera.spec import IMAGE_HEIGHT, IMAGE_WIDTH
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_3sf
 from ds_sim.session import RunRecord
-from ds_sim.simulator import FRAME_RATE, HALF_LANE, Command, Observation, Outcome
+from ds_sim.simulator import FRAME_RATE, Command, Observation, Outcome
 
 MAGNIFICATION = 3
 """Video pixels per camera pixel; chosen: a camera image fills half of a common screen."""
@@ -158,7 +158,7 @@ class _Panel:
     """Panel beside the camera image: a map with the trajectory so far, and gauges."""
 
     def __init__(self, title: str, road: Road, conditions: Conditions) -> None:
-        self._title = title
+        self._title, self._half_lane = title, road.lane_width / 2
         words = ", ".join(f"{name}={format_3sf(value)}" for name, value in conditions.changed.items())
         self._conditions = textwrap.wrap(words, _LINE, max_lines=2, placeholder=" ...", break_long_words=False)
         surface = np.vstack((road.left_edge, road.right_edge))
@@ -195,7 +195,7 @@ class _Panel:
         state = "" if observation.outcome is Outcome.RUNNING else observation.outcome.words
         _write(panel, state, (left + 180, row), _BAD if failed else _GOOD)
         lateral, out_of_bounds = lane.lateral_position, lane.lateral_distance < 0.0
-        _gauge(panel, row + 34, "lateral", lateral / HALF_LANE, f"{lateral:+.2f} m", bad=out_of_bounds)
+        _gauge(panel, row + 34, "lateral", lateral / self._half_lane, f"{lateral:+.2f} m", bad=out_of_bounds)
         steering, throttle = (command.steering, command.throttle) if command else (0.0, 0.0)
         _gauge(panel, row + 66, "steering", steering, f"{steering:+.2f}")
         _gauge(panel, row + 98, "throttle", throttle, f"{throttle:.2f}")

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from ds_base.palette import SERIES, rgb
+from ds_base.palette import PASS, SERIES, rgb
 from ds_road import Road
 from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.scenario import Scenario
@@ -48,6 +49,17 @@ def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRec
     # The trail on the map, grows.
     trail = [int(((f[28:308, 970:1250] - rgb(SERIES[2])) ** 2).sum(axis=2).__lt__(60**2).sum()) for f in frames]
     assert trail[40] > trail[5] + 10
+
+
+@pytest.mark.parametrize(("lane_width", "full"), [(3.0, True), (4.0, False)])
+def test_the_gauge_of_the_lateral_position_ends_at_the_edge_of_the_lane(
+    tmp_path: Path, run: RunRecord, lane_width: float, full: bool
+) -> None:
+    seen = next(resimulate(DONKEY, run))
+    seen = replace(seen, lane=replace(seen.lane, lateral_position=1.5))
+    write_video(tmp_path / "run.mp4", "donkey", replace(ROAD, lane_width=lane_width), [seen], [])
+    frame = cv2.VideoCapture(str(tmp_path / "run.mp4")).read()[1][..., ::-1].astype(float)
+    assert (np.abs(frame[366, 960 + 208] - rgb(PASS)).max() < 60.0) == full
 
 
 def test_a_bad_place_for_a_video_is_named(tmp_path: Path) -> None:
