@@ -40,6 +40,7 @@ from ds_sim.simulator import Command, CommandError, LaneState, Observation, Outc
 
 STATE, DRIVE = "ds_interfaces/msg/VehicleState", "ds_interfaces/msg/DriveCommand"
 ROAD = "ds_interfaces/msg/Road"
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 ROS1_MAGIC = b"#ROSBAG V2.0\n"
 _STORAGE = (".mcap", ".db3")
 

@@ -11,12 +11,10 @@ from typing import Any
 import numpy as np
 
 from ds_bags.layout import BagError, printable
-from ds_bags.reader import BagReader, RecordedRun, read_run, stamp_of
+from ds_bags.reader import COMPRESSED, IMAGE, BagReader, RecordedRun, read_run, stamp_of
 from ds_sim.registry import SimulatorName
 from ds_sim.session import ResimulationError, resimulate
 from ds_sim.simulator import Observation
-
-IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from ds_driver.control.autopilot import Autopilot, throttle
 from ds_driver.control.bicycle import Geometry, MotionError
 from ds_driver.control.command_habits import command_habits
-from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher, part, set_part
+from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher, set_part
 from ds_road import Road
 from ds_sim.registry import make_simulator
 from ds_sim.simulator import AutopilotGains, Command
@@ -135,7 +136,7 @@ def blank(kind: str) -> Any:
 
 def values(kind: str, message: Any) -> tuple[float, float]:
     lateral, longitudinal = PATHS[kind]
-    return part(message, lateral), part(message, longitudinal)
+    return attrgetter(lateral, longitudinal)(message)
 
 
 def motion_of(kind: str, steering: float, forward: float) -> MotionRequest:

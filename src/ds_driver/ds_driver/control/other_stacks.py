@@ -15,6 +15,7 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from operator import attrgetter
 from typing import Any, Generic, TypeVar
 
 from ds_driver.control.bicycle import Geometry, MotionError
@@ -52,17 +53,10 @@ class MotionRequest:
             raise MotionError("a request needs either a speed or a throttle")
 
 
-def part(message: Any, path: str) -> Any:
-    """Attribute of a message by its path, such as `header.stamp`; the message itself for ""."""
-    for name in filter(None, path.split(".")):
-        message = getattr(message, name)
-    return message
-
-
 def set_part(message: Any, path: str, value: Any) -> None:
-    """Set an attribute of a message by its path."""
+    """Set an attribute of a message by its path, such as `header.stamp`."""
     owner, _, name = path.rpartition(".")
-    setattr(part(message, owner), name, value)
+    setattr(attrgetter(owner)(message) if owner else message, name, value)
 
 
 def _from_twist(speed: float, yaw_rate: float, geometry: Geometry) -> MotionRequest:
@@ -124,7 +118,7 @@ class MessageKind:
 
     def read(self, message: Any, geometry: Geometry) -> MotionRequest:
         """Convert a message; a MotionError if it requests what no vehicle here can follow."""
-        first, second = (float(part(message, path)) for path in self.fields)
+        first, second = map(float, attrgetter(*self.fields)(message))
         for path, value in zip(self.fields, (first, second), strict=True):
             if not math.isfinite(value):
                 raise MotionError(f"{path} is {value}: expected a finite number")

@@ -7,7 +7,8 @@ import math
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property, partial, reduce
+from functools import cached_property, partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,8 +18,7 @@ from numpy.typing import NDArray
 from ds_bags.clock import headers_are_shared, time_of
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED, BagError
-from ds_bags.reader import STATE, BagReader, read_run
-from ds_bags.verification import COMPRESSED, IMAGE
+from ds_bags.reader import COMPRESSED, IMAGE, STATE, BagReader, read_run
 from ds_base.folder_files import place_folder
 from ds_base.progress import Progress, counted, logger_of
 from ds_base.words import LeftOut
@@ -278,7 +278,7 @@ def _field(bag: BagReader, recording: Recording) -> dict[int, float]:
     values = {}
     for connection, logged, message in bag.decoded(connections):
         try:
-            value = reading.factor * float(reduce(getattr, path.split("."), message))
+            value = reading.factor * float(attrgetter(path)(message))
         except (AttributeError, TypeError, ValueError):
             raise BagError(f"{bag.path}: {connection.msgtype} has no number {path!r}: see `ds bag info`") from None
         if math.isfinite(value):

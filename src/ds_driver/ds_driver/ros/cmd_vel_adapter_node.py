@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
+from operator import attrgetter
 from typing import Any
 
 from ds_interfaces.msg import DriveCommand, VehicleState
@@ -13,7 +14,7 @@ from rclpy.node import Node
 from std_msgs.msg import Header
 
 from ds_driver.control.bicycle import Geometry, MotionError
-from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher, part
+from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher
 from ds_driver.ros.simulator_client import SimulatorInfo, refusal
 from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.runtime import declare, run_node, subscribe_to_commands
@@ -64,7 +65,7 @@ class CmdVelAdapter(Node):
             motion: MotionRequest | MotionError = self._kind.read(message, self._geometry)
         except MotionError as error:
             motion = error
-        stamp = 0 if self._ignore or not self._kind.stamp else _nanoseconds(part(message, self._kind.stamp))
+        stamp = 0 if self._ignore or not self._kind.stamp else _nanoseconds(attrgetter(self._kind.stamp)(message))
         try:
             self._answer(self._matching.command(stamp, motion))
         except KeyError:

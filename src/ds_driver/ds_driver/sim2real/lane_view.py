@@ -7,6 +7,7 @@ Nothing here is trained, so it cannot learn the mistakes of a generator; `docs/s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import NamedTuple
 
 import cv2
@@ -241,8 +242,7 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
     largest is used, or else the one that differs least; a Sim2RealError if there is none.
     """
     wanted = simulated.medians_in(window)
-    best: Match | None = None
-    best_rank = (-np.inf, -np.inf, -np.inf)
+    matches: list[tuple[tuple[float, float, float], Match]] = []
     for top in range(round(HIGHEST_TOP * real.rows)):
         for bottom in range(top + round(LEAST_HEIGHT * real.rows), real.rows + 1):
             medians = real.medians[(top + HEIGHTS * (bottom - top)).astype(int).clip(0, real.rows - 1)]
@@ -263,12 +263,10 @@ def match_windows(simulated: LaneView, window: Window, real: LaneView) -> Match:
             kept, area = max(0.0, u1 - u0), (bottom - top) * (columns[1] - columns[0])
             alike = difference <= BOUND / 2
             rank = (0.0, round(kept, 2), float(area)) if alike else (-difference, 0.0, 0.0)
-            if rank > best_rank:
-                best_rank = rank
-                best = Match(simulated=windows[0], real=windows[1], kept=kept, difference=difference)
-    if best is None:
+            matches.append((rank, Match(simulated=windows[0], real=windows[1], kept=kept, difference=difference)))
+    if not matches:
         raise Sim2RealError("no crop of the photographs shows the lane as the simulator does: mount the camera alike")
-    return best
+    return max(matches, key=itemgetter(0))[1]
 
 
 def _borders(wanted: NDArray[np.float64], measured: NDArray[np.float64]) -> tuple[float, float] | None:

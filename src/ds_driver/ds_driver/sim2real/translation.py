@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from ds_bags.copying import rewrite_bag
 from ds_bags.donkey_tub import MAX_FILE, is_tub, read_tub
 from ds_bags.layout import TRANSLATED
-from ds_bags.reader import BagReader
-from ds_bags.verification import COMPRESSED, IMAGE
+from ds_bags.reader import COMPRESSED, IMAGE, BagReader
 from ds_base.bounded_file import read_json, read_regular
 from ds_base.bounded_tables import read_parquet
 from ds_base.folder_files import write_json, write_whole
