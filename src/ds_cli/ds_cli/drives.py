@@ -116,7 +116,7 @@ def drive_command(
     sim: options.Simulator,
     driver: options.DriverText = "dave2",
     backend: options.Backend = "auto",
-    device: options.Device = "cpu",
+    device: Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")] = "cpu",
     road: Annotated[
         Path | None,
         typer.Option(
@@ -143,7 +143,9 @@ def drive_command(
     level: Annotated[Level, typer.Option(help="What the bag holds.")] = "telemetry",
     video: Annotated[Path | None, typer.Option(help="Video of the drive to write, .mp4.")] = None,
     attach: options.AttachFlag = False,
-    wait: options.Wait = START_WAIT,
+    wait: Annotated[
+        float, typer.Option(min=1.0, max=3600.0, help="With --attach: wait at most this many seconds for the nodes.")
+    ] = START_WAIT,
     namespace: Annotated[str, typer.Option(help="Namespace of the simulator.")] = "/ds1",
     engine: Annotated[
         Literal["auto", "graph", "local"],

@@ -50,9 +50,6 @@ def complete_value(incomplete: str) -> list[str]:
 
 OutFolder = Annotated[Path, typer.Option(help="Campaign folder; a campaign that was stopped there is resumed.")]
 AttachFlag = Annotated[bool, typer.Option(help="Start no nodes: use those that run in this ROS domain.")]
-Wait = Annotated[
-    float, typer.Option(min=1.0, max=3600.0, help="With --attach: wait at most this many seconds for the nodes.")
-]
 Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Campaign folder.")]
 Seed = Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of the random roads.")]
 MaxAngle = Annotated[int, typer.Option(min=1, max=360, help="Maximum angle of random roads, degrees.")]
@@ -100,7 +97,6 @@ DriverText = Annotated[
     ),
 ]
 Backend = Annotated[str, typer.Option(help="Inference backend: auto, torch, onnx, openvino or openvino-bf16.")]
-Device = Annotated[str, typer.Option(help="cpu, or cuda for PyTorch on a GPU.")]
 
 ImageTopic = Annotated[str | None, typer.Option(help="Topic of the images, if a bag has several.")]
 RecordedSteering = Annotated[

@@ -37,10 +37,10 @@ class Verb(NamedTuple):
 
 GROUPS: dict[str, tuple[Verb, ...]] = {
     "Your network": (
-        Verb("check", "studies.check", "Show what a network sees, and say what is wrong with how it is connected."),
+        Verb("check", "diagnosis", "Show what a network sees, and say what is wrong with how it is connected."),
         Verb("drive", "drives", "Drive one road with one driver on one simulator."),
         Verb("test", "campaign.run", "Search roads on which a network fails, and report where and why."),
-        Verb("sensitivity", "studies.causes", "Find how strong each operating condition must be for a driver to fail."),
+        Verb("sensitivity", "diagnosis", "Find how strong each operating condition must be for a driver to fail."),
         Verb("compare", "campaign.compare", "Compare two networks on the same tests: what got worse, what got better?"),
         Verb("report", "campaign.inspection", "Rebuild the report of a campaign, or write one of imported outcomes."),
     ),
@@ -49,7 +49,7 @@ GROUPS: dict[str, tuple[Verb, ...]] = {
         Verb("campaign", "campaign.inspection", "Run, resume and inspect campaigns.", "run resume status roads export"),
         Verb("watch", "campaign.inspection", "Show a campaign in the browser while it runs."),
         Verb("suite", "campaign.suites", "Freeze tests into a regression suite, and run it.", "make run"),
-        Verb("explain", "studies.causes", "Find out why tests of a campaign fail."),
+        Verb("explain", "diagnosis", "Find out why tests of a campaign fail."),
         Verb("maps", "maps", "Show a campaign's feature maps, or those of imported outcomes, as coloured grids."),
     ),
     "The real car": (

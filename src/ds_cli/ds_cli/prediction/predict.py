@@ -28,12 +28,6 @@ TestsFolder = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder of a campaign, `ds siblings compare` or `ds outcomes import`.")
 ]
 Tolerated = Annotated[float, typer.Option(min=0.001, max=0.999, help="Failure rate up to which a cell counts as safe.")]
-TwinName = Annotated[
-    SimulatorName | None,
-    options.simulator_option(
-        "Simulator that plays the twin; others play the siblings. If left out, the twin of the campaign."
-    ),
-]
 MOST_SHOWN = 10
 """Rows of the table that is always shown."""
 
@@ -63,7 +57,12 @@ def without_prediction(folder: Path, table: OutcomeTable, reason: str) -> Result
 @verb(app, "predict")
 def predict_command(
     folder: TestsFolder,
-    twin: TwinName = None,
+    twin: Annotated[
+        SimulatorName | None,
+        options.simulator_option(
+            "Simulator that plays the twin; others play the siblings. If left out, the twin of the campaign."
+        ),
+    ] = None,
     tolerated: Tolerated = 0.1,
     every_table: Annotated[bool, typer.Option("--tables", help="Show every cell, and how predictors did.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for prediction.json, verdicts.png and tables.")] = None,
