@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import base64
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -70,11 +71,8 @@ def plan_pictures(
     the coarsest. Other drives of these tests follow as long as there is room. Tests without a cell have no pictures.
     """
     ranked = worst_first((test for test in tests if test.test_id in cells), executions)
-    of_test: dict[str, list[Execution]] = {}
-    for execution in executions:
-        if len(execution.trajectory):
-            of_test.setdefault(execution.test_id, []).append(execution)
-    in_order = [e for test_id in ranked for e in of_test.get(test_id, [])]
+    rank = {test_id: k for k, test_id in enumerate(ranked)}
+    in_order = sorted((e for e in executions if e.test_id in rank and len(e.trajectory)), key=lambda e: rank[e.test_id])
     failed = [e for e in in_order if e.outcome.is_failure]
     tests_that_fail = {e.test_id for e in failed}
     others = [e for e in in_order if e.test_id in tests_that_fail and not e.outcome.is_failure]
@@ -91,14 +89,11 @@ def plan_pictures(
         frames[execution.test_id, execution.simulator] = chosen
     replayed = sum((e.test_id, e.simulator) in frames for e in failed)
 
-    told = telling_tests(tests, executions, cells, most=strips)
-    for test in told:
-        for execution in of_test.get(test.test_id, []):
-            frames.setdefault((execution.test_id, execution.simulator), [])
+    told = {test.test_id for test in telling_tests(tests, executions, cells, most=strips)}
     for execution in in_order:
         drive = execution.test_id, execution.simulator
-        if drive in frames:
-            frames[drive] = sorted({*frames[drive], *moments(execution)})
+        if drive in frames or execution.test_id in told:
+            frames[drive] = sorted({*frames.get(drive, ()), *moments(execution)})
     return PicturePlan(
         frames=frames, strips=len(told), spacing=spacing / FRAME_RATE, replayed=replayed, failed=len(failed)
     )
@@ -106,12 +101,11 @@ def plan_pictures(
 
 def worst_first(tests: Iterable[Test], executions: Sequence[Execution]) -> list[str]:
     """Sort driven tests: first those that fail on more simulators, then those that come closer to the lane's edge."""
-    failures: dict[str, int] = {}
+    failures = Counter(execution.test_id for execution in executions if execution.outcome.is_failure)
     nearest: dict[str, float] = {}
     for execution in executions:
-        failures[execution.test_id] = failures.get(execution.test_id, 0) + execution.outcome.is_failure
         nearest[execution.test_id] = min(nearest.get(execution.test_id, np.inf), execution.fitness)
-    ids = (test.test_id for test in tests if test.test_id in failures)
+    ids = (test.test_id for test in tests if test.test_id in nearest)
     return sorted(ids, key=lambda test_id: (-failures[test_id], nearest[test_id], test_id))
 
 

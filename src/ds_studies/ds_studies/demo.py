@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import closing
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -26,7 +28,7 @@ from ds_road.generation import generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import conditions_in_words
 from ds_sim.registry import SimulatorName, make_simulator, with_libraries
-from ds_sim.session import RunRecord, resimulate
+from ds_sim.session import resimulate
 from ds_sim.simulator import Outcome
 from ds_sim.video import write_together
 from ds_studies.sensitivity import Watch, analyse_sensitivity
@@ -60,17 +62,11 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
     """
     result = folder / "fog.json"
     if result.is_file() and (folder / "fog.mp4").is_file():
-        result_before: dict[str, Any] = read_json(result)
-        return result_before
-    simulator = make_simulator(TWIN)
-    driver = make_driver(DRIVER, simulator.spec)
+        return dict(read_json(result))
     road = generate(np.random.default_rng(ROAD_SEED), max_angle=MAX_ANGLE)
-
-    def drive(conditions: Conditions) -> RunRecord:
-        return drive_road(simulator, driver, road, ROAD_SEED, conditions)
-
     seconds, frames = 0.0, 0
-    try:
+    with closing(make_simulator(TWIN)) as simulator:
+        drive = partial(drive_road, simulator, make_driver(DRIVER, simulator.spec), road, ROAD_SEED)
         clear = run = drive(DEFAULT)  # not timed: the first drive compiles the car
         for visibility in FOG if clear.outcome is Outcome.COMPLETED else ():
             begin = time.process_time()
@@ -78,8 +74,6 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
             seconds, frames = seconds + time.process_time() - begin, frames + run.steps
             if run.outcome.is_failure:
                 break
-    finally:
-        simulator.close()
     left = run is not clear and run.outcome.is_failure
     document = {
         "driver": str(DRIVER),

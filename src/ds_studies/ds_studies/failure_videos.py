@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,11 +57,8 @@ def write_failure_videos(driver: DriverName, failed: Sequence[FailedDrive], fold
 
 
 def _write_video(driver: DriverName, drive: FailedDrive, video: Path) -> None:
-    simulator = make_simulator(drive.simulator)
-    try:
+    with closing(make_simulator(drive.simulator)) as simulator:
         run = drive_road(simulator, make_driver(driver, simulator.spec), drive.road, drive.seed, drive.conditions)
-    finally:
-        simulator.close()
     write_video(
         video,
         f"{drive.simulator}, {Path(str(driver)).name}",

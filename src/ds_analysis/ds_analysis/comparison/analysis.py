@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -181,14 +182,11 @@ def _simulators(
 
 
 def _cells(of: Mapping[SimulatorName, Sequence[PairedDrive]]) -> list[CellComparison]:
-    groups: dict[tuple[SimulatorName, Cell], list[PairedDrive]] = {}
-    for name, drives in of.items():
-        for drive in drives:
-            if drive.test.cell is not None:
-                groups.setdefault((name, drive.test.cell), []).append(drive)
-    order = {name: place for place, name in enumerate(of)}
-    keys = sorted(groups, key=lambda key: (order[key[0]], key[1]))
-    counts = {key: PairedCounts.of(groups[key]) for key in keys}
+    counts = {
+        (name, cell): PairedCounts.of(drive for drive in drives if drive.test.cell == cell)
+        for name, drives in of.items()
+        for cell in sorted({drive.test.cell for drive in drives if drive.test.cell is not None})
+    }
     p = adjusted([one.p for one in counts.values()], "fdr_bh")
     return [
         CellComparison(simulator=name, cell=cell, counts=one, p_adjusted=value)
@@ -199,9 +197,7 @@ def _cells(of: Mapping[SimulatorName, Sequence[PairedDrive]]) -> list[CellCompar
 def _worst_first(drives: Sequence[PairedDrive]) -> list[PairedDrive]:
     """Sort by change, by the number of simulators on which the test newly fails, then by the lost distance."""
     order = {"newly fails": 0, "fails in both": 1, "passes in both": 2, "fixed": 3}
-    spread: dict[str, int] = {}
-    for drive in drives:
-        spread[drive.test.name] = spread.get(drive.test.name, 0) + (drive.change == "newly fails")
+    spread = Counter(drive.test.name for drive in drives if drive.change == "newly fails")
     return sorted(
         drives, key=lambda d: (order[d.change], -spread[d.test.name], d.margin_change, d.test.name, d.simulator)
     )

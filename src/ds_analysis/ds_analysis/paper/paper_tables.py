@@ -266,18 +266,12 @@ _RENAMED_VALUES = {"quality": "quality_loss"}
 """Value in files of earlier versions -> present name."""
 
 
-class CampaignEvaluation(NamedTuple):
-    """Comparison of a campaign's maps with the twin's, and its tables; empty without a twin."""
-
-    correlations: Sequence[Correlation] = ()
-    differences: Sequence[PairedDifference] = ()
-    tables: Sequence[Table] = ()
-
-
-def evaluate_campaign(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) -> CampaignEvaluation:
-    """Compute and tabulate RQ2, RQ3, paired differences if siblings are merged, and robustness checks."""
+def evaluate_campaign(
+    config: CampaignConfig, maps: Mapping[MapId, FeatureMap]
+) -> tuple[list[Correlation], list[PairedDifference], list[Table]]:
+    """Compute RQ2, RQ3 and paired differences, and tabulate them with robustness checks; empty without a twin."""
     if config.twin is None:
-        return CampaignEvaluation()
+        return [], [], []
     compared = maps, config.siblings, config.twin
     correlations, differences = evaluate(*compared, resamples=RESAMPLES), paired_differences(*compared)
     tables = [
@@ -285,7 +279,7 @@ def evaluate_campaign(config: CampaignConfig, maps: Mapping[MapId, FeatureMap]) 
         *([paired_difference_table(differences, config.siblings)] if differences else []),
         robustness_table(check_robustness(*compared), cautions(correlations)),
     ]
-    return CampaignEvaluation(correlations, differences, tables)
+    return correlations, differences, tables
 
 
 def read_correlations(folder: Path, config: CampaignConfig) -> list[Correlation]:

@@ -258,7 +258,7 @@ def evaluate_command(
             received_driver(config.driver, confirmed=trusted)
             tables += _offline_tables(data, config.driver, config.siblings, config.twin, images, trusted)
             keep_tables(tables, folder / RQ1)
-        tables += evaluate_campaign(config, maps).tables
+        tables += evaluate_campaign(config, maps)[-1]
         tables += section.tables if (section := sibling_section(campaign)) else []
         following = ds_command("report", folder)
         return tables_result(tables, out or folder / "evaluation", following, everything=everything)
