@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ds_road import LANE_WIDTH
 from ds_sim.session import NO_IMAGE
-from ds_sim.simulator import FRAME_TIME, HALF_LANE, LaneState, Observation, Outcome, VehicleState
+from ds_sim.simulator import FRAME_TIME, LaneState, Observation, Outcome, VehicleState
 
 
 def made_observation(
@@ -22,7 +23,7 @@ def made_observation(
         vehicle=VehicleState(x=x, y=y, yaw=0.0, speed=8.0, yaw_rate=0.0, steering_angle=0.0),
         lane=LaneState(
             lateral_position=lateral,
-            lateral_distance=HALF_LANE - abs(lateral),
+            lateral_distance=LANE_WIDTH / 2 - abs(lateral),
             preview_lateral_position=lateral,
             arc_length=float(step),
         ),

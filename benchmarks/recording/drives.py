@@ -21,14 +21,14 @@ from scipy.interpolate import CubicSpline
 
 from ds_driver.control.autopilot import throttle
 from ds_recording.floor_camera import FloorCamera, Lens, write_camera
-from ds_road import Road
+from ds_road import LANE_WIDTH, Road
 from ds_road.generation import generate
 from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.camera.spec import CameraSpec
 from ds_sim.conditions.model import Conditions
 from ds_sim.parts import Scene, Vehicle
 from ds_sim.registry import spec_of
-from ds_sim.simulator import FRAME_TIME, HALF_LANE, Command, SimulatorSpec, VehicleState
+from ds_sim.simulator import FRAME_TIME, Command, SimulatorSpec, VehicleState
 from ds_twin_donkey.parameters import DonkeyParameters
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ class Plan:
 
 def line_distance(spec: SimulatorSpec) -> float:
     """Distance from the middle of the centre line to the middle of an edge line, m: what a person would measure."""
-    return 2 * HALF_LANE - spec.look.line_width / 2
+    return LANE_WIDTH - spec.look.line_width / 2
 
 
 def camera_of(spec: SimulatorSpec) -> CameraSpec:
@@ -207,7 +207,7 @@ def record(plan: Plan, folder: Path) -> None:
     rng, spoiled, world, physics, sensed = (np.random.default_rng(seed) for seed in seeds)
     conditions = Conditions(line_cover=1.0 if plan.fault == "no lines" else COVER, line_cover_length=COVER_LENGTH)
     scene.load(road, world, conditions)
-    heading, right = float(course.headings[0]), HALF_LANE
+    heading, right = float(course.headings[0]), LANE_WIDTH / 2
     x, y = course.points[0] + right * np.array([math.sin(heading), -math.cos(heading)])
     vehicle.reset(float(x), float(y), heading, physics)
     aim, hold, steering = 0.0, 0, 0.0

@@ -15,10 +15,10 @@ import numpy as np
 from tests.observations import made_observation
 
 from ds_driver.networks.pilot import Frame
-from ds_road import Road
+from ds_road import LANE_WIDTH, Road
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import spec_of
-from ds_sim.simulator import HALF_LANE, Command, Observation, Outcome, Simulator, SimulatorSpec
+from ds_sim.simulator import Command, Observation, Outcome, Simulator, SimulatorSpec
 
 FRAMES = 8
 
@@ -41,7 +41,7 @@ class QuickSimulator(Simulator):
 
     def _observe(self) -> Observation:
         outcome = Outcome.COMPLETED if self._step == FRAMES else Outcome.RUNNING
-        if abs(self._lateral) > HALF_LANE:
+        if abs(self._lateral) > LANE_WIDTH / 2:
             outcome = Outcome.OUT_OF_BOUNDS
         image = np.zeros((160, 320, 3), np.uint8)
         x, y = self._road.lane_centre[self._step].tolist()
