@@ -32,8 +32,6 @@ _SET_UP = "make setup"
 _INSTALL = f"rm -rf .venv/.setup && {_SET_UP}"
 """Without its stamps set-up runs every step again, and pip installs what is missing or has another version."""
 _RENDERER = "apt-get install -y libegl1 libegl-mesa0 libgl1-mesa-dri"
-EXTRAS = {"distributed": ("dask", "--engine dask")}
-"""Optional library -> its file in requirements/, and what it is for."""
 _MODULES = {
     "commonroad-vehicle-models": "vehiclemodels",
     "digital-siblings-networks": "ds_driver",
@@ -101,24 +99,17 @@ def diagnose(root: Path | None = None, *, imports: bool = False) -> list[Check]:
     if sourced.is_file() and sourced.read_text():
         del pins["numpy"]  # an installed ROS 2 brings the NumPy that its modules were built for
     modules = {name: module_of(name) for name in pins}
-    extras = {name: read_pins(root / f"requirements/{file}.txt")[name] for name, (file, _) in EXTRAS.items()}
-    wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", **{name: name for name in extras}}
+    dask = "distributed"
+    wanted = {**modules, "rclpy": "rclpy", "ds-interfaces": "ds_interfaces.msg", dask: dask}
     places = look_up(python, wanted, imports=imports)
+    file = "requirements/dask.txt"
+    install, pinned = f".venv/bin/python -m pip install --no-deps -r {file}", read_pins(root / file)[dask]
     return [
         *checks,
         Check("environment", True, str(python.parent.parent), ""),
         *check_ros(root, places),
-        *(check_library(name, places[name], _INSTALL, pinned=pinned) for name, pinned in pins.items()),
-        *(
-            check_library(
-                name,
-                places[name],
-                f".venv/bin/python -m pip install --no-deps -r requirements/{file}.txt",
-                pinned=extras[name],
-                absent=f", for {purpose}",
-            )
-            for name, (file, purpose) in EXTRAS.items()
-        ),
+        *(check_library(name, places[name], _INSTALL, pinned=version) for name, version in pins.items()),
+        check_library(dask, places[dask], install, pinned=pinned, absent=", for --engine dask"),
         check_renderer(),
         *check_parts(python),
         check_weights(root / "src/ds_driver/ds_driver/models/dave2.safetensors"),

@@ -36,7 +36,7 @@ GYROSCOPES = (("imu/gyr_z", math.radians(1.0)), ("imu/gyr_y", -1.0))
 """Yaw rates of a tub, and the factor to rad/s to the left. Donkey Car's parts/imu.py (MPU-6050 and MPU-9250) writes
 degrees/s, about z upwards on a board that lies flat; parts/realsense435i.py rad/s, about y downwards."""
 ODOMETRY, IMU, POSE = MOTION
-LARGEST = {AHEAD: 50.0, TURN: 50.0}
+LARGEST = 50.0
 """Largest speed (m/s) and yaw rate (rad/s); chosen: beyond, it is no measurement of a car."""
 FARTHEST = 1e6
 """Farthest place, m."""
@@ -146,7 +146,7 @@ def read_sources(recording: Recording, start: float, wanted: str | None = None) 
 
 def _rate(name: str, device: str, part: int, times: Array, rates: Array) -> Source:
     """Source of a rate, per second, by the trapezoid rule; what cannot be is a gap."""
-    times, rates = _sound(times, rates, LARGEST[part])
+    times, rates = _sound(times, rates, LARGEST)
     run = np.cumsum(np.diff(rates, prepend=np.nan) != 0.0)  # the same value to the last bit
     held = times[np.searchsorted(run, run, side="right") - 1] - times[np.searchsorted(run, run)]
     times, rates = times[held < HANGS], rates[held < HANGS]

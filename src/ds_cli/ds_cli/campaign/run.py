@@ -8,7 +8,7 @@ import time
 from contextlib import closing
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -64,14 +64,14 @@ def campaign(
     with closing(open_store(out)) as store:
         for habit in driver_habits(store):
             say(warning(str(config.driver), habit))
-    document: dict[str, Any] = {
+    document = {
         "folder": str(out),
         "report": str(outcome.report),
         "executions": outcome.executions,
         "executions_in_error": outcome.executions_in_error,
         "correlations": [c.document() for c in outcome.correlations],
+        "answer": asdict(outcome.answer),
     }
-    document["answer"] = asdict(outcome.answer)
 
     def show() -> None:
         for sentence in filter(None, (outcome.answer.where, outcome.answer.believe, outcome.answer.next)):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -54,7 +55,7 @@ class ProcessSpec:
     module: str  # Python module to run
     arguments: tuple[str, ...] = ()  # of the command line, before those of ROS
     namespace: str = "/"
-    parameters: dict[str, object]  # ROS parameters; lists are written as YAML lists
+    parameters: dict[str, object]  # ROS parameters
     remappings: dict[str, str] = field(default_factory=dict)  # topic or service -> name in the graph
 
     def command(self) -> list[str]:
@@ -64,7 +65,7 @@ class ProcessSpec:
         for name, other in self.remappings.items():
             arguments += ["-r", f"{name}:={other}"]
         for key, value in self.parameters.items():
-            arguments += ["-p", f"{key}:={_yaml(value)}"]
+            arguments += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
         return arguments
 
 
@@ -136,12 +137,6 @@ class Supervisor:
     def _start(self, name: str) -> None:
         command, log = self._specs[name].command(), self._log(name)
         self._processes[name] = self._children.start(command, environment=self._environment, log=log)
-
-
-def _yaml(value: object) -> str:
-    if isinstance(value, list):
-        return "[" + ", ".join(_yaml(v) for v in value) + "]"
-    return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def closed_loop_processes(
