@@ -21,11 +21,7 @@ def run_above(name: str) -> None:
     start(ABOVE, name)
 
 
-campaign = partial(run_above, "campaign")
-"""Runs or resumes a campaign on running nodes."""
-drive = partial(run_above, "drive")
-"""Drives one road on running nodes."""
-orchestrator = partial(run_above, "orchestrator")
-"""Runs the node that takes campaigns and tests as goals."""
-watch = partial(run_above, "watch")
-"""Shows a running campaign in the browser."""
+campaign, drive, orchestrator, watch = (
+    partial(run_above, name) for name in ("campaign", "drive", "orchestrator", "watch")
+)
+"""Run or resume a campaign, or drive a road, on running nodes; take goals as a node; show a campaign in the browser."""
