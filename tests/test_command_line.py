@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import shlex
@@ -317,3 +318,35 @@ def test_a_drive_answers_with_one_document_repeats_itself_and_is_that_of_the_lib
     assert document("drive", "--sim", "donkey", "--road", straight, "--engine", "local")["warnings"] == []
     run = driven("donkey", read_roads(road)[0], 5, parse_conditions(text))
     assert first["trajectory_sha256"] == executor.trajectory_sha256(run)
+
+
+def named_commands() -> Iterator[tuple[str, list[str]]]:
+    """Literal words of each `ds_command(...)`, both sides of a choice; what is no literal is skipped."""
+    for path in (REPOSITORY / "src/ds_cli/ds_cli").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "ds_command":
+                ways: list[list[str]] = [[]]
+                for word in node.args:
+                    sides = [word.body, word.orelse] if isinstance(word, ast.IfExp) else [word]
+                    texts = [
+                        side.value for side in sides if isinstance(side, ast.Constant) and isinstance(side.value, str)
+                    ]
+                    ways = [[*way, text] for way in ways for text in texts] if texts else ways
+                yield from ((f"{path.stem}:{node.lineno}", way) for way in ways if is_whole(way))
+
+
+def is_whole(words: list[str]) -> bool:
+    """Whether literal words name a verb, and where it has verbs, one of them."""
+    return bool(words) and words[0] in VERBS and len(words) > bool(VERBS[words[0]].verbs)
+
+
+def test_commands_that_verbs_name_exist_with_their_options() -> None:
+    named = list(named_commands())
+    app: Any = application.make_app()
+    assert len(named) > 30
+    for where, (verb, *rest) in named:
+        command = app.get_command(None, verb)
+        if VERBS[verb].verbs:
+            command = command.commands[rest.pop(0)]
+        options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+        assert {word for word in rest if word.startswith("-")} <= options, (where, verb, rest)

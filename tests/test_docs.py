@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The documentation matches the code: every block of the Python API runs, every key and error line exists."""
+"""The documentation matches the code: every block of the Python API and the notebook runs, every key exists."""
 
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -51,3 +52,23 @@ def test_every_benchmark_that_a_page_names_can_be_started() -> None:
     modules = set(re.findall(r"python -m (benchmarks[\w.]+)", pages))
     assert len(modules) > 10 and all((ROOT / f"{name.replace('.', '/')}.py").is_file() for name in modules)
     assert "python benchmarks/" not in pages
+
+
+def test_every_cell_of_the_notebook_runs_and_the_last_one_names_every_drive(tmp_path: Path) -> None:
+    """In an empty folder, with a driver that is quicker than a network."""
+    notebook = json.loads((ROOT / "examples/first_look.ipynb").read_text())
+    assert notebook["nbformat"] == 4 and not any(cell.get("outputs") for cell in notebook["cells"])
+    script = "\n".join("".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code")
+    network = 'DRIVER = "dave2_short"'
+    assert script.count(network) == 1
+    script = "import sys\nsys.modules['rclpy'] = None\n" + script.replace(network, 'DRIVER = "autopilot"')
+    env, command = os.environ | {"MPLBACKEND": "agg"}, [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    first, *_ = done.stdout.splitlines()
+    assert re.match(r"[A-Z_]+ after [\d.]+ s, closest to the edge of the lane: -?[\d.]+ m", first)
+    drives = re.findall(r"^(softbody-0-000\d) +(\w+) +(\w+) +[+-]", done.stdout, re.MULTILINE)
+    assert {(test, simulator) for test, simulator, _ in drives} == {
+        (f"softbody-0-000{number}", name) for number in (0, 1) for name in ("softbody", "donkey")
+    }
+    assert (tmp_path / "first_look" / "report.html").is_file()

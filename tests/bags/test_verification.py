@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Re-simulation of recorded runs: the same bits, or the step and size of the first difference."""
+"""Re-simulation of recorded runs, under their conditions: the same bits, or the first difference."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tests.bags.conftest import drive
 from tests.command_line import ds
 
 from ds_bags.layout import LEVELS, BagError, Level
-from ds_bags.run_writer import write_bag
+from ds_bags.reader import BagReader, read_run
+from ds_bags.run_writer import facts_of, write_bag
 from ds_bags.verification import verify_bag
 from ds_sim import DONKEY, SOFTBODY
-from ds_sim.session import RunRecord, difference_between
+from ds_sim.conditions.model import Conditions
+from ds_sim.session import ResimulationError, RunRecord, difference_between, resimulate
 from ds_sim.simulator import Command
 
 pytestmark = pytest.mark.graph
@@ -55,3 +58,28 @@ def test_another_simulator_and_another_bag_are_reported(bags: Path, tmp_path: Pa
     assert found.step == 1 and found.simulator == "softbody"
     with pytest.raises(BagError, match="no such bag"):
         verify_bag(tmp_path / "none")
+
+
+CONDITIONS = Conditions(steering_lag=0.2, friction=1 / 3, visibility=80.0)
+
+
+def test_a_bag_keeps_the_conditions_of_its_run(tmp_path: Path) -> None:
+    run = drive(10, conditions=CONDITIONS)
+    write_bag(tmp_path / "bag", "/ds1", DONKEY, run, {"driver": "constant"}, "compressed")
+    with BagReader(tmp_path / "bag") as bag:
+        found = read_run(bag)
+    assert found.run.conditions == CONDITIONS
+    assert len(list(resimulate(DONKEY, found.run))) == len(run.observations)
+    found.run.scenario = replace(found.run.scenario, conditions=Conditions())
+    with pytest.raises(ResimulationError):
+        list(resimulate(DONKEY, found.run))
+
+
+def test_default_conditions_leave_no_trace_in_a_bag() -> None:
+    assert "conditions" not in facts_of(DONKEY, drive(10), "telemetry")
+
+
+def test_damaged_conditions_get_one_line(tmp_path: Path) -> None:
+    write_bag(tmp_path / "bag", "/ds1", DONKEY, drive(10, conditions=CONDITIONS), {"conditions": "fog=1"}, "telemetry")
+    with BagReader(tmp_path / "bag") as bag, pytest.raises(BagError, match="unknown condition 'fog'"):
+        read_run(bag)

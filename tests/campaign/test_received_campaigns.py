@@ -22,12 +22,13 @@ from tests.campaign.test_unusable_folders import content
 from tests.command_line import ds, refusal
 
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName, received_driver
-from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig
 from ds_orchestrator.campaign.folder import open_store, read_campaign
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
-from ds_road import Side
+from ds_road import Road, Side
 from ds_sim import DONKEY
+from ds_sim.scenario import MAX_SEED, Scenario, ScenarioError
 
 SEARCH = SearchConfig(population=1, iterations=1, runs=1)
 CONFIG = CampaignConfig(siblings=[DONKEY], twin=None, driver=AUTOPILOT, record="none", search=SEARCH)
@@ -189,3 +190,24 @@ def test_a_journal_that_names_another_file_is_not_replayed(tmp_path: Path) -> No
     victim.write_bytes(b"nothing\0")
     (folder / "campaign.sqlite-journal").write_bytes(super_journal(victim))
     assert "refers to other files" in refusal("campaign", "status", folder) and victim.exists()
+
+
+@pytest.mark.parametrize(
+    "content", ["secret:x:0:0", "secret: {a: 1}\n", "- secret\n", "'secret", "siblings: [secret]\n"]
+)
+def test_a_goal_that_names_a_file_does_not_get_to_read_it(content: str, tmp_path: Path) -> None:
+    from ds_studies.ros.orchestrator_node import _config_of
+
+    path = tmp_path / "passwd"
+    path.write_text(content)
+    with pytest.raises(ConfigError, match="no configuration that can be read") as refused:
+        _config_of(str(path), tmp_path / "campaign", ())
+    assert "secret" not in str(refused.value)
+
+
+@pytest.mark.parametrize("seed", [-1, MAX_SEED + 1, 2**64, 10**400])
+def test_a_seed_is_one_that_a_store_can_hold(seed: int) -> None:
+    road = Road([(125.0, 25.0 * k) for k in range(5)])
+    assert Scenario(road, seed=MAX_SEED).seed == MAX_SEED
+    with pytest.raises(ScenarioError, match="expected a whole number from 0"):
+        Scenario(road, seed=seed)

@@ -11,19 +11,16 @@ import cv2
 import numpy as np
 import pytest
 from ds_interfaces.msg import VehicleState
-from ds_interfaces.srv import GetSimulatorInfo
 from nav_msgs.msg import Odometry
-from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tests.drives import driven
-from tests.waiting import wait_until
+from tests.graph.processes import watched_run
 
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road
-from ds_sim.registry import spec_of
-from ds_sim.ros.node_thread import NodeThread
+from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import FRAME_TIME, Outcome
 
@@ -69,25 +66,14 @@ def test_topics_keep_rep_103_and_105(graph: Any, simulator_name: str) -> None:
     executor, spaces = graph
     space = spaces[simulator_name]
     topics = {
-        "odom": Odometry,
-        "camera/camera_info": CameraInfo,
-        "camera/image_raw": Image,
-        "camera/image_raw/compressed": CompressedImage,
-        "state": VehicleState,
+        f"{space}/odom": Odometry,
+        f"{space}/camera/camera_info": CameraInfo,
+        f"{space}/camera/image_raw": Image,
+        f"{space}/camera/image_raw/compressed": CompressedImage,
+        f"{space}/state": VehicleState,
     }
-    heard: dict[str, list[Any]] = {topic: [] for topic in topics}
-    node = Node("listener", context=executor.context)
-    for topic, kind in topics.items():
-        node.create_subscription(kind, f"{space}/{topic}", heard[topic].append, 1000)
-    # Whoever answers a client that was created after the subscriptions has heard of them.
-    client = node.create_client(GetSimulatorInfo, f"{space}/get_info")
-
-    listener = NodeThread(node)
-    assert listener.ask(client, GetSimulatorInfo.Request(), 30.0)
-    run = executor.execute(simulator_name, Scenario(ROAD, seed=5))
-    wait_until(lambda: min(map(len, heard.values())) > run.steps)
-    assert listener.end()
-    node.destroy_node()
+    scenario = Scenario(ROAD, seed=5)
+    run, heard = watched_run(executor, SimulatorName(simulator_name), scenario, f"{space}/simulator", topics)
     assert run.outcome is Outcome.COMPLETED
     assert [len(messages) for messages in heard.values()] == [run.steps + 1] * 5
     odoms, infos, images, jpegs, states = heard.values()

@@ -69,6 +69,7 @@ class HangingSimulator(QuickSimulator):
 
     def step(self, command: Command) -> Observation:
         if self._step == 2:
+            print("hangs", flush=True)
             time.sleep(3600)
         return super().step(command)
 

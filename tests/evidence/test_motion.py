@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from benchmarks import physics
 from numpy.typing import NDArray
 from tests.evidence.subjects import Subject, drive
 
 from ds_sim.parts import Vehicle
-from ds_sim.simulator import FRAME_TIME, Command, VehicleState
+from ds_sim.simulator import FRAME_TIME, Command, Outcome, VehicleState
 
 RNG = np.random.default_rng(0)
 PLACES = {"bullet": 1e-3, "softbody": 1e-9, "donkey": 1e-9, "panda": 1e-9}
@@ -83,3 +84,21 @@ def test_full_lock_stays_finite_and_moves(car: Vehicle, throttle: float) -> None
         assert all(math.isfinite(getattr(last, name)) for name in VehicleState.__slots__)
         assert math.hypot(last.speed, last.lateral_speed) > 0.05
         assert abs(last.roll) < math.radians(10.0)
+
+
+@pytest.mark.parametrize("name", sorted(physics.cars()))
+def test_halving_the_substep_changes_the_fitness_by_less_than_two_centimetres(name: str) -> None:
+    """`python -m benchmarks.physics convergence` drives more roads; its numbers are in docs/simulators.md."""
+    shifts, _ = physics.fitness_shift(physics.cars()[name], physics.random_roads(3), 2)
+    assert 0.0 < max(shifts) < 0.02
+
+
+@pytest.mark.parametrize("name", sorted(physics.cars()))
+def test_the_autopilot_completes_roads_within_the_speed_limit(name: str) -> None:
+    car = physics.cars()[name]
+    vehicle = car.make(1)
+    for road in physics.random_roads(2)[1:]:
+        driven = physics.drive(car, vehicle, road)
+        assert driven.outcome is Outcome.COMPLETED
+        assert driven.path[:, 3].max() * 3.6 < 30.0
+    vehicle.close()

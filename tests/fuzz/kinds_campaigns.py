@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kinds of received files: configurations, stores, roads, networks, data sets and parameter files."""
+"""Kinds of received files: configurations, stores, suites, roads, networks, data sets and parameter files."""
 
 from __future__ import annotations
 
@@ -33,18 +33,20 @@ from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines,
 from ds_base.folder_files import StoreError
 from ds_driver.data.dataset import DatasetError, read_samples, write_drive
 from ds_driver.networks.described_network import DescribedNetworkPilot
+from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.networks.pilot import DriverError
 from ds_driver.networks.weights import WeightsError, load_weights
 from ds_orchestrator.campaign.config import ConfigError, parse_config, read_config
 from ds_orchestrator.campaign.folder import read_campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.store.store import Store
-from ds_road import RoadError
+from ds_road import RoadError, generate
 from ds_road.files import read_roads
 from ds_sim import BULLET
 from ds_sim.camera.encodings import jpeg
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
+from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
 from ds_twin_donkey.car_files import ParameterFileError, read_parameters
 
 _CONFIG = """\
@@ -253,6 +255,39 @@ def _car(n: int) -> str:
     return _CAR.replace("10.0}", "10.0}" + ", {name: drive, kind: tub, sha256: '00', seconds: 10.0}" * (n - 1))
 
 
+def suite_of(count: int, *, driver: str = "dave2", twin: str = "donkey") -> dict[str, Any]:
+    """A suite of so many tests, as its file has it."""
+    outcome = {"outcome": "COMPLETED", "fitness": 0.5, "trajectory_sha256": "0" * 64}
+    tests = []
+    for number in range(count):
+        points = [list(map(float, point)) for point in generate(np.random.default_rng(number)).control_points]
+        tests.append(
+            {
+                "name": f"bullet-0-{number:04d}",
+                "why": ["failing", "cell"],
+                "control_points": points,
+                "road_sha256": road_sha256(points),
+                "seed": number,
+                "conditions": "visibility=80" if number else "",
+                "cell": [3, 17],
+                "outcomes": {"bullet": outcome, twin: outcome},
+            }
+        )
+    format_ = {"format": "digital-siblings-suite", "version": 1}
+    return {**format_, "campaign": "mine", "driver": driver, "siblings": ["bullet"], "twin": twin, "tests": tests}
+
+
+def _write_suite(folder: Path, n: int) -> Path:
+    write_suite(Suite.model_validate(suite_of(n)), folder / "suite.json")
+    return folder / "suite.json"
+
+
+def _read_suite(path: Path) -> object:
+    """Read a suite as `ds suite run` does before it drives."""
+    suite = read_suite(path)
+    return settings_of_suite(suite, AUTOPILOT), [suite.scenario_of(test).road.points for test in suite.tests]
+
+
 KINDS = [
     Kind("campaign-yaml", as_text(lambda n: _CONFIG, "campaign.yaml"), damaged_file, read_config, (ConfigError,)),
     Kind("campaign-sqlite", _write_store, _damage_store, _read_store, (StoreError, ConfigError), 10, small=3),
@@ -272,4 +307,5 @@ KINDS = [
     Kind(
         "twin-parameters", as_text(_car, "car.yaml"), damaged_file, read_parameters, (ParameterFileError,), 100, small=1
     ),
+    Kind("suite", _write_suite, damaged_file, _read_suite, (ConfigError,), 20, small=2),
 ]

@@ -6,11 +6,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+from rcl_interfaces.srv import GetParameters
+from rclpy.node import Node
+from tests.waiting import wait_until
 
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import RosDomain
 from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 from ds_sim.registry import DONKEY, SimulatorName
+from ds_sim.ros.node_thread import NodeThread
+from ds_sim.scenario import Scenario
+from ds_sim.session import RunRecord
 
 SPACE = {DONKEY: "/ds1"}
 
@@ -51,3 +59,28 @@ def driven_graph(specs: Sequence[ProcessSpec], logs: Path) -> Iterator[tuple[Gra
             yield client, domain
         finally:
             client.close()
+
+
+def watched_run(
+    graph: GraphClient,
+    simulator: SimulatorName,
+    scenario: Scenario,
+    node: str,
+    topics: dict[str, Any],
+    *,
+    last: int = 1,
+) -> tuple[RunRecord, dict[str, list[Any]]]:
+    """Drive, and hear a node's topics, given with their types, of every frame, or all but the `last` one if it is 0."""
+    listener = Node("listener", context=graph.context)
+    heard: dict[str, list[Any]] = {topic: [] for topic in topics}
+    for topic, kind in topics.items():
+        listener.create_subscription(kind, topic, heard[topic].append, 1000)
+    # Whoever answers a client that was created after the subscriptions has heard of them.
+    client = listener.create_client(GetParameters, f"{node}/get_parameters")
+    thread = NodeThread(listener)
+    assert thread.ask(client, GetParameters.Request(names=["use_sim_time"]), 30.0)
+    run = graph.execute(simulator, scenario)
+    wait_until(lambda: min(map(len, heard.values())) >= run.steps + last)
+    assert thread.end()
+    listener.destroy_node()
+    return run, heard

@@ -6,26 +6,28 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ds_interfaces.srv import GetSimulatorInfo
-from rclpy.node import Node
+import torch
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 from tests.drives import driven
-from tests.graph.processes import SPACE
+from tests.graph.processes import SPACE, watched_run
 from tests.waiting import wait_until
 
 from ds_driver.networks.driver_name import DriverName
+from ds_driver.sim2real.generator import GeneratorShape, Window, load_generator, save_generator
+from ds_driver.sim2real.image_translation import Translator
+from ds_driver.sim2real.networks import Generator
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.graph.session import running_graph
 from ds_road import Road
-from ds_sim.registry import DONKEY, spec_of
+from ds_sim.registry import DONKEY, make_simulator, spec_of
 from ds_sim.ros.conversions import pixels_of
-from ds_sim.ros.node_thread import NodeThread
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome, Reason
 
@@ -71,17 +73,9 @@ def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Pa
     with running_graph(SPACE, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
         unseen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
-        node = Node("viewer", context=executor.context)
-        images: list[Any] = []
-        node.create_subscription(Image, "/ds1/camera/image_raw", images.append, 1000)
-        # Whoever answers a client that was created after the subscription has heard of it.
-        client = node.create_client(GetSimulatorInfo, "/ds1/get_info")
-        viewer = NodeThread(node)
-        assert viewer.ask(client, GetSimulatorInfo.Request(), 30.0)
-        seen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
-        wait_until(lambda: len(images) >= len(seen.observations))
-        assert viewer.end()
-        node.destroy_node()
+        topics = {"/ds1/camera/image_raw": Image}
+        seen, heard = watched_run(executor, DONKEY, Scenario(STRAIGHT, seed=1), "/ds1/simulator", topics)
+    (images,) = heard.values()
     assert trajectory_sha256(unseen) == trajectory_sha256(seen) == trajectory_sha256(here)
     assert top > 0 and all(np.any(pixels_of(image)[:top]) for image in images)
 
@@ -118,3 +112,22 @@ def test_a_crashing_driver_takes_its_simulator_along_and_both_come_back(ordered:
     # At which it crashes, or the one before.
     assert "after frame 20 " in run.message or "after frame 10 " in run.message
     assert executor.execute("donkey", Scenario(STRAIGHT, seed=1)).outcome is Outcome.COMPLETED
+
+
+def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(tmp_path: Path) -> None:
+    shape, window = GeneratorShape(filters=2, blocks=1, rows=32, columns=64), Window(60, 160, 0, 320)
+    torch.manual_seed(1)
+    tensors = {name: value.numpy() for name, value in Generator(shape).state_dict().items()}
+    path = tmp_path / "set" / "donkey.safetensors"
+    path.parent.mkdir()
+    save_generator(path, tensors, simulator="donkey", shape=shape, window=window, real_window=window)
+    driver = DriverName("dave2_short", str(path.parent))
+    here = driven("donkey", STRAIGHT, driver=driver)
+    with closing(make_simulator("donkey")) as simulator:
+        first = simulator.load(STRAIGHT, seed=1).image
+    with running_graph(SPACE, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
+        topics = {"/ds1/sim2real/image_raw": Image}
+        there, heard = watched_run(executor, DONKEY, Scenario(STRAIGHT, seed=1), "/ds1/driver", topics, last=0)
+    (images,) = heard.values()
+    assert trajectory_sha256(there) == trajectory_sha256(here) and len(here.commands) > 20
+    assert np.array_equal(pixels_of(images[0]), Translator(load_generator(path)).translate(first))

@@ -11,13 +11,18 @@ from typing import Any
 import pytest
 from tests.graph.processes import SPACE, simulator_processes, supervised
 
+from ds_cli.campaign.inspection import campaign_status_command
+from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.campaign.executor import trajectory_sha256
+from ds_orchestrator.graph import session as running
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
 from ds_road import Road
 from ds_sim import DONKEY
+from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
 from ds_sim.simulator import Outcome
+from ds_studies.whole_campaign import run_campaign
 
 pytestmark = pytest.mark.graph
 
@@ -53,13 +58,16 @@ class Bench:
             assert outcome is Outcome.DRIVER_SILENT and time.monotonic() < deadline
 
 
+def faulty_driver(name: str, **parameters: object) -> ProcessSpec:
+    return ProcessSpec(name=name, module="tests.graph.faulty_driver", namespace="/ds1", parameters=parameters)
+
+
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     folder = tmp_path_factory.mktemp("faulty")
     orders = folder / "orders"
     orders.write_text("none 20 0.0")
-    module = "tests.graph.faulty_driver"
-    driver = ProcessSpec(name="faulty", module=module, namespace="/ds1", parameters={"orders": str(orders)})
+    driver = faulty_driver("faulty", orders=str(orders))
     with supervised([*simulator_processes(SPACE, LIMIT), driver], folder / "logs") as (supervisor, domain):
         executor = GraphClient(SPACE, domain=domain, command_timeout=LIMIT)
         executor.wait_until_ready(120.0)
@@ -127,3 +135,34 @@ def test_a_driver_that_is_gone_ends_the_run_and_a_new_one_takes_over(bench: Benc
     assert seconds < LIMIT + BUSY
     bench.supervisor.restart("faulty")
     bench.drive_until_completed()
+
+
+CONFIG = {
+    "siblings": ["donkey"],
+    "twin": None,
+    "driver": "autopilot",  # in its place the faulty one
+    "command_timeout": LIMIT,
+    "retries": 1,
+    "search": {"population": 2, "iterations": 1, "runs": 1, "min_angle": 40, "max_angle": 90},
+}
+
+
+def test_a_campaign_outlives_its_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The driver crashes once, during a run; the test is repeated, and the error enters no map."""
+    faulty = faulty_driver("driver", fault="crash", once=str(tmp_path / "once"))
+
+    def separate(_driver: str, namespaces: dict[SimulatorName, str], limit: float, *, draw: str) -> list[ProcessSpec]:
+        assert draw == "seen"
+        return [*simulator_processes(namespaces, limit), faulty]
+
+    monkeypatch.setattr(running, "closed_loop_processes", separate)
+    began = time.monotonic()
+    result = run_campaign(parse_config(CONFIG, "test"), tmp_path / "out")
+    assert time.monotonic() - began < 100.0
+    assert (tmp_path / "once").exists()
+    assert result.executions == 3 and result.executions_in_error == 0
+    errors = campaign_status_command(tmp_path / "out").document["errors"]
+    assert [(error["outcome"], error["attempt"]) for error in errors] == [("SIM_ERROR", 0)]
+    assert "driver ended during the run" in errors[0]["message"]
+    report = result.report.read_text()
+    assert errors[0]["test_id"] in report and "driver ended during the run" in report

@@ -207,9 +207,10 @@ def test_a_node_that_waits_ends(start: Start, domain: int, number: signal.Signal
     assert process.returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("number", "simulator"), [(signal.SIGINT, "donkey"), (signal.SIGTERM, "tests.graph.stuck_simulator:Stuck")]
-)
+HANGING = "tests.engines.quick_simulator:HangingSimulator"
+
+
+@pytest.mark.parametrize(("number", "simulator"), [(signal.SIGINT, "donkey"), (signal.SIGTERM, HANGING)])
 def test_a_node_ends_in_the_midst_of_a_run(
     start: Start, domain: int, number: signal.Signals, simulator: str, logs: Path
 ) -> None:
@@ -222,8 +223,8 @@ def test_a_node_ends_in_the_midst_of_a_run(
     try:
         executor.wait_until_ready(30.0)
         threading.Thread(target=executor.execute, args=("donkey", Scenario(STRAIGHT, seed=1)), daemon=True).start()
-        if "Stuck" in simulator:
-            read_until(process, "stuck")
+        if simulator == HANGING:
+            read_until(process, "hangs")
         else:
             time.sleep(0.5)
         assert seconds_to_end(process, number) < SECOND

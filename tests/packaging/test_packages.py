@@ -1,21 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Manifests of the ROS packages: they declare every import, and nothing else, under keys that rosdep knows."""
+"""Packages: manifests declare every import, and nothing else, under keys that rosdep knows; versions agree.
+
+Every source file names its licence in its first line, where tools that collect licences look (spdx.dev).
+"""
 
 from __future__ import annotations
 
 import ast
 import configparser
 import re
+import subprocess
 import sys
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from distutils.core import run_setup  # setuptools provides it where Python no longer does
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
 from tests.test_layers import imports
 
-SOURCE = Path(__file__).resolve().parents[2] / "src"
+ROOT = Path(__file__).resolve().parents[2]
+SOURCE = ROOT / "src"
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
 PACKAGES = sorted(path.parent.name for path in SOURCE.glob("*/package.xml"))
 PYTHON_PACKAGES = [name for name in PACKAGES if (SOURCE / name / "setup.py").exists()]
 
@@ -58,23 +66,12 @@ NO_KEY = {
     **{name: name for name in WITHOUT_KEY},
 }
 """Imported module -> name on PyPI, if rosdep has no key."""
+SIMULATORS = ("ds_sim_bullet", "ds_sim_panda", "ds_sim_softbody", "ds_sim_ros")
+"""Made by their names in ds_sim/registry.py."""
 WITHOUT_IMPORT = {
     "ds_bags": ("ds_interfaces",),  # whose definitions it reads
-    "ds_orchestrator": (
-        "ds_sim_bullet",
-        "ds_sim_panda",
-        "ds_sim_softbody",
-        "ds_sim_ros",  # simulators by name
-    ),  # made by the names in ds_sim/registry.py
-    "ds_bringup": (
-        "ds_cli",  # what the executables of ds_orchestrator run
-        "ds_sim_bullet",
-        "ds_sim_panda",
-        "ds_sim_ros",
-        "ds_sim_softbody",
-        "ds_twin_donkey",  # simulators by name
-        "ros2launch",
-    ),
+    "ds_orchestrator": SIMULATORS,
+    "ds_bringup": (*SIMULATORS, "ds_twin_donkey", "ds_cli", "ros2launch"),  # what executables of ds_orchestrator run
     "ds_sim": ("builtin_interfaces", "geometry_msgs"),  # imported by the names of messages in ds_sim/messages.py
     "ds_sim_bullet": ("python3-pybullet-pip",),  # imported when the first vehicle is made
     "ds_driver": ("geometry_msgs",),  # imported by the name of the message that a user chooses
@@ -158,6 +155,75 @@ def test_a_manifest_has_a_licence_a_maintainer_a_url_and_the_version_of_the_proj
     root = manifest(name)
     assert root.findtext("maintainer") and root.findtext("url") and root.findtext("license") == "Apache-2.0"
     assert all((SOURCE / name / str(entry.get("file"))).is_file() for entry in root.iter("license"))
-    assert (SOURCE / name / "LICENSE").read_text() == (SOURCE.parent / "LICENSE").read_text()
-    version = tomllib.loads((SOURCE.parent / "pyproject.toml").read_text())["project"]["version"]
-    assert root.findtext("version") == version
+    assert (SOURCE / name / "LICENSE").read_text() == (ROOT / "LICENSE").read_text()
+    assert root.findtext("version") == VERSION
+
+
+@pytest.mark.parametrize("name", PYTHON_PACKAGES)
+def test_setup_installs_type_information_under_what_the_manifest_says(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The package's setup.py is read from its own folder, as colcon does, without building anything."""
+    monkeypatch.chdir(SOURCE / name)
+    distribution: Any = run_setup("setup.py", script_args=["--quiet", "build_py"], stop_after="commandline")
+    written, about = manifest(name), distribution.metadata
+    for key in ("name", "version", "description", "license", "maintainer"):
+        assert getattr(about, key) == written.findtext(key)
+    assert [entry.get("email") for entry in written.iter("maintainer")] == [about.maintainer_email]
+    assert distribution.extras_require == {"test": ["pytest"]}  # colcon runs pytest for these, else unittest
+    command = distribution.get_command_obj("build_py")
+    command.ensure_finalized()
+    installed = {(Path(folder) / name).as_posix() for _, folder, _, names in command.data_files for name in names}
+    stubs = {path.relative_to(SOURCE / name).as_posix() for path in (SOURCE / name).glob("ds_*/**/*.pyi")}
+    assert {f"{name}/py.typed", *stubs} <= installed
+
+
+def test_a_release_finds_every_place_of_the_version() -> None:
+    """As `bump-my-version` searches them: once in each file. It writes a file only where it found the text."""
+    release = tomllib.loads((ROOT / ".bumpversion.toml").read_text())["tool"]["bumpversion"]
+    assert release["current_version"] == VERSION
+    places, nothing_to_release = 0, f"\n## [Unreleased]\n\n## [{VERSION}]"
+    for place in release["files"]:
+        wanted = place["search"].format(current_version=VERSION)
+        pattern = wanted if place.get("regex") else re.escape(wanted)
+        files = sorted(ROOT.glob(place.get("glob") or place["filename"]))
+        texts = [file.read_text() for file in files]
+        assert texts and all(len(re.findall(pattern, text)) == 1 or nothing_to_release in text for text in texts), place
+        places += len(files)
+    assert places >= 2 * len(PYTHON_PACKAGES) + 7
+
+
+def test_actions_of_workflows_are_pinned_by_commit() -> None:
+    files = [ROOT / "action.yml", *ROOT.glob(".github/workflows/*.yml")]
+    used = [line for file in files for line in file.read_text().splitlines() if re.search(r"uses: [\w-]+/", line)]
+    assert len(used) >= 6 and all(re.search(r"@[0-9a-f]{40}  # v\d", line) for line in used)
+
+
+def test_the_changelog_begins_with_the_version_of_the_project() -> None:
+    headings = [line for line in (ROOT / "CHANGELOG.md").read_text().splitlines() if line.startswith("## ")]
+    released = [heading for heading in headings if heading != "## [Unreleased]"]
+    assert released[0].startswith(f"## [{VERSION}] - ")
+
+
+SUFFIXES = {".py", ".pyi", ".sh", ".in", ".cpp", ".js", ".css", ".j2"}
+OF_TORCS = "plugins/ds_sim_torcs/host/"
+"""Folder of the program that links against TORCS, which is under the GPL."""
+
+
+def first_line(text: str) -> str:
+    """Return a file's first line that is not for the system."""
+    lines = [*text.splitlines(), ""]
+    return lines[1] if lines[0].startswith("#!") else lines[0]
+
+
+def test_every_source_file_names_its_licence() -> None:
+    tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True, timeout=60)
+    names = [name for name in tracked.stdout.splitlines() if (ROOT / name).is_file()]
+    sources = [name for name in names if Path(name).suffix in SUFFIXES or (ROOT / name).read_bytes().startswith(b"#!")]
+    assert len(sources) > 500
+    missing = []
+    for name in sources:
+        licence = "GPL-2.0-or-later" if name.startswith(OF_TORCS) else "Apache-2.0"
+        if f"SPDX-License-Identifier: {licence}" not in first_line((ROOT / name).read_text()):
+            missing.append(name)
+    assert not missing, f"the first line must be `# SPDX-License-Identifier: Apache-2.0`: {missing}"
