@@ -16,7 +16,6 @@ from ds_orchestrator.campaign.engine import DriveSettings, Engine, Watch
 from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.engines.start import ENGINES
 from ds_sim.registry import make_simulator
-from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, Outcome
 
@@ -32,9 +31,7 @@ class EngineHere:
 
     def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
         self.roads: list[tuple[str, str]] = []
-        self._left = runs
-        self._errors = errors
-        self._errors_after = errors_after
+        self._left, self._errors, self._errors_after = runs, errors, errors_after
         self.error = Outcome.DRIVER_SILENT
 
     capacity: int | None = None
@@ -42,17 +39,19 @@ class EngineHere:
     def stop(self) -> None: ...
 
     def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        simulator, road, seed, conditions = request.simulator, request.road, request.seed, request.conditions
         if self._left == 0:
             raise Stopped
         if self._errors and len(self.roads) >= self._errors_after:
             self._errors -= 1
             return request.ended(self.error, "no command within 1 s")
         self._left -= 1
-        self.roads.append((simulator, road.road_id))
-        made = make_simulator(simulator)
+        self.roads.append((request.simulator, request.road.road_id))
+        return self._run(request)
+
+    def _run(self, request: DriveRequest) -> RunRecord:
+        made = make_simulator(request.simulator)
         session, pilot = Session(made), Autopilot(made.spec.autopilot)
-        observation = session.start(Scenario(road, conditions, seed=seed))
+        observation = session.start(request.scenario)
         while session.driving and observation is not None and observation.step < 60:
             command = pilot.command(observation.lane.preview_lateral_position, observation.vehicle.speed)
             observation = session.advance(command)
@@ -72,16 +71,11 @@ def use_engines(monkeypatch: pytest.MonkeyPatch, start: Callable[[DriveSettings]
 class MadeUpEngine(EngineHere):
     """Drives nothing: generates an outcome from simulator, road and seed at once."""
 
-    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
-        simulator, road, seed = request.simulator, request.road, request.seed
-        if self._left == 0:
-            raise Stopped
-        self._left -= 1
-        self.roads.append((simulator, road.road_id))
-        rng = np.random.default_rng([seed, len(simulator), int(road.road_id, 16)])
+    def _run(self, request: DriveRequest) -> RunRecord:
+        rng = np.random.default_rng([request.seed, len(request.simulator), int(request.road.road_id, 16)])
         lateral = np.append(0.0, rng.uniform(-2.6, 2.6, 5))
-        failed = bool(np.abs(lateral).max() > road.lane_width / 2)
-        x, y = road.lane_centre[0].tolist()
+        failed = bool(np.abs(lateral).max() > request.road.lane_width / 2)
+        x, y = request.road.lane_centre[0].tolist()
         outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
         run = RunRecord(scenario=request.scenario, outcome=outcome)
         run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]

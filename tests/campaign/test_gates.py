@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 from collections import Counter
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,23 +18,28 @@ from typing import Any
 import pytest
 from tests.campaign.damaged_stores import change_store
 from tests.campaign.engines import MadeUpEngine
-from tests.campaign.test_campaign import CONFIG, DONKEYS, maps_text, run
+from tests.campaign.test_campaign import CONFIG, DONKEYS, ONE, maps_text, run
+from tests.drives import driven
 
 from ds_analysis.paper.campaign_contents import excluded_table, maps_of
 from ds_base.folder_files import StoreError
 from ds_cli.campaign.inspection import campaign_status_command
+from ds_cli.campaign.run import stored_config
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
 from ds_orchestrator.campaign.engine import Watch
-from ds_orchestrator.campaign.folder import read_campaign
+from ds_orchestrator.campaign.executor import trajectory_sha256
+from ds_orchestrator.campaign.folder import ENGINE, CampaignData, open_store, read_campaign
 from ds_orchestrator.campaign.status import roads_of, stages_of
 from ds_orchestrator.store.store import Store
 from ds_sim.conditions.model import Conditions
-from ds_sim.conditions.text import parse_conditions
-from ds_sim.gates.gate import GateState
+from ds_sim.conditions.text import format_conditions, parse_conditions
+from ds_sim.gates.gate import GateState, gate_of
+from ds_sim.registry import DONKEY
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome, Reason
+from ds_studies import whole_campaign
 from ds_studies.whole_campaign import run_campaign
 
 FOGGY = CONFIG.model_copy(update={"conditions": parse_conditions("visibility=60")})
@@ -244,3 +251,56 @@ def test_a_search_by_measured_contrast_fills_its_cells(tmp_path: Path) -> None:
 def test_a_search_without_conditions_has_the_text_of_earlier_versions() -> None:
     keys = "method population iterations runs min_angle max_angle extent"
     assert set(json.loads(CONFIG.identity())["search"]) == set(keys.split())
+
+
+TEXT = "line_contrast=0.1,visibility=80,steering_lag=0.05"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A campaign with real worker processes: its drives, gates and bags are the library's."""
+    out = tmp_path_factory.mktemp("campaign") / "out"
+    search = ONE.search.model_copy(update={"population": 1, "iterations": 0})
+    changes = {"search": search, "conditions": parse_conditions(TEXT), "engine": "local", "record": "telemetry"}
+    with pytest.MonkeyPatch.context() as patch:
+        # `test_report_browser.py` has a report of conditions.
+        patch.setattr(whole_campaign, "write_all", lambda folder, *_arguments, **_options: folder / "report.html")
+        assert run_campaign(ONE.model_copy(update=changes), out).executions_in_error == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def data(folder: Path) -> CampaignData:
+    with closing(open_store(folder)) as store:
+        return read_campaign(store)
+
+
+def test_drives_and_gates_are_those_of_the_library(data: CampaignData) -> None:
+    executions = {e.test_id: e for e in data.executions}
+    assert data.tests
+    for test in data.tests:
+        assert test.conditions == parse_conditions(TEXT)
+        alone = driven("donkey", test.road, test.seed, test.conditions, probed=True)
+        assert data.gates[test.test_id, DONKEY] == gate_of(alone)
+        if gate_of(alone).state is GateState.VALID:
+            assert executions[test.test_id].trajectory_sha256 == trajectory_sha256(alone)
+        else:
+            assert test.test_id not in executions
+
+
+def test_it_resumes_with_what_drove_it_last(folder: Path, tmp_path: Path) -> None:
+    resumed = stored_config(folder, None)
+    assert (resumed.engine, resumed.workers) == ("local", 1)
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    too_many, evil = '{"engine": "graph", "workers": 65}', '{"engine": "evil", "workers": 1}'
+    for text in (too_many, evil, '{"engine": "graph"}', "[" * 900):
+        (copy / ENGINE).write_text(text)
+        found = stored_config(copy, None)
+        assert (found.engine, found.workers) == ("auto", 1)  # the defaults
+    (copy / ENGINE).write_text('{"engine": "dask", "workers": 3}')
+    assert stored_config(copy, None) == resumed.model_copy(update={"engine": "dask", "workers": 3})
+
+
+def test_roads_carry_their_conditions(folder: Path) -> None:
+    assert {road["conditions"] for road in roads_of(folder)} == {format_conditions(parse_conditions(TEXT))}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes end within a second of SIGINT or SIGTERM, whatever they are doing."""
+"""Nodes end within a second of SIGINT or SIGTERM, whatever they are doing, and survive what kills an executor."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ import rclpy
 from ament_index_python.packages import get_package_prefix
 from ds_interfaces.action import RunCampaign
 from rclpy.action import ActionClient
+from rclpy.context import Context
 from rclpy.node import Node
 
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import RosDomain
 from ds_road import Road
 from ds_sim.registry import DONKEY
+from ds_sim.ros.node_thread import NodeThread
+from ds_sim.ros.runtime import init_ros
 from ds_sim.scenario import Scenario
 
 pytestmark = pytest.mark.graph
@@ -231,3 +234,23 @@ def test_a_node_ends_in_the_midst_of_a_run(
         assert seconds_to_end(driver, number) < SECOND
     finally:
         executor.close()
+
+
+def test_an_exception_in_a_task_ends_in_the_log(domain: int, capfd: pytest.CaptureFixture[str]) -> None:
+    """ros2/rclpy issue 1641: without care the process ends with a segmentation fault."""
+    context = Context()
+    init_ros(context=context, domain_id=domain)
+    node = Node("spun", context=context)
+
+    def refuse() -> None:
+        raise RuntimeError("two servers accepted the goal")
+
+    thread = NodeThread(node)
+    assert thread.call(refuse, 5.0) is None
+    spun = threading.Event()
+    assert thread.call(lambda: spun.set(), 5.0) is None and spun.is_set()  # type: ignore[arg-type,func-returns-value]
+    assert thread.end()
+    node.destroy_node()
+    context.shutdown()
+    sys.stdout.flush()
+    assert "RuntimeError: two servers accepted the goal" in capfd.readouterr().err

@@ -66,7 +66,6 @@ class Graph:
     clients: dict[str, Any] = field(default_factory=dict)
 
     def until(self, done: Callable[[], Any], limit: float = LIMIT) -> Any:
-        """Spin until something is true."""
         deadline = time.monotonic() + limit
         while not (found := done()):
             assert time.monotonic() < deadline, "nothing happened in time"
@@ -74,12 +73,10 @@ class Graph:
         return found
 
     def wait(self, future: Any) -> Any:
-        """Wait for an answer."""
         self.until(future.done)
         return future.result()
 
     def ask(self, kind: Any, service: str, **fields: Any) -> Any:
-        """Call a service."""
         client = self.node.create_client(kind, service)
         self.until(client.service_is_ready)
         return self.wait(client.call_async(kind.Request(**fields)))
@@ -99,11 +96,9 @@ class Graph:
         return seen
 
     def send(self, kind: Any, name: str, feedback: Callable[[Any], None] | None = None, **fields: Any) -> Any:
-        """Send a goal and return its handle."""
         return self.wait(self.client(kind, name).send_goal_async(kind.Goal(**fields), feedback_callback=feedback))
 
     def run(self, kind: Any, name: str, **fields: Any) -> tuple[int, Any]:
-        """Send a goal; return its status and result."""
         found = self.wait(self.send(kind, name, **fields).get_result_async())
         return found.status, found.result
 
