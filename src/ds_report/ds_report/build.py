@@ -23,7 +23,6 @@ from ds_analysis.paper.paper_tables import CORRELATIONS, Network, cautions, eval
 from ds_base.folder_files import write_json
 from ds_base.progress import logger_of
 from ds_base.table import Table, read_tables, write_tables
-from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.campaign.status import stages_of
@@ -163,10 +162,16 @@ def write_report(
     config, tests, executions, notes = data.config, data.tests, data.executions, data.notes
     completed = Counter(e.test_id for e in executions if e.outcome is Outcome.COMPLETED)
     place = max(tests, key=lambda test: completed[test.test_id], default=None)
-    shown = _shown(data)
+    shown = data
+    if large := len(tests) > SHOWN_TESTS:
+        kept = set(worst_first(tests, executions)[:SHOWN_TESTS])
+        shown = replace(
+            data,
+            tests=tuple(test for test in tests if test.test_id in kept),
+            executions=tuple(execution for execution in executions if execution.test_id in kept),
+        )
     on_page = page_data(shown, maps)
     paired = translates(config.driver)
-    large = len(shown.tests) < len(tests)
     # A translated picture stands below the camera's, in an image of twice the size.
     most = (REPLAYS_OF_LARGE if large else REPLAY_PICTURES) // (2 if paired else 1)
     plan = plan_pictures(shown.tests, shown.executions, shown.cells, replays=most)
@@ -178,7 +183,11 @@ def write_report(
     }
     on_page["paired"] = paired
     on_page["layouts"] = layouts(rows=len(on_page["axes"][1]["begins"]) - 1)
-    on_page["figures"] = _figures(config, correlations, tables, network)
+    charts = {"correlations": correlation_chart(correlations, config.siblings, network)}
+    for table in tables:
+        if table.name == "rq1_densities" and table.rows:
+            charts["densities"] = density_chart(table)
+    on_page["figures"] = {name: chart for name, chart in charts.items() if chart is not None}
     findings = summarise(data, maps, correlations, paired_differences=paired_differences)
     return write_page(
         folder / "report.html",
@@ -222,29 +231,6 @@ def write_report(
         leftover=_leftover(data),
         shown_errors=_SHOWN_ERRORS,
     )
-
-
-def _shown(data: CampaignData) -> CampaignData:
-    """Keep the worst tests of a large campaign, in its order."""
-    if len(data.tests) <= SHOWN_TESTS:
-        return data
-    kept = set(worst_first(data.tests, data.executions)[:SHOWN_TESTS])
-    return replace(
-        data,
-        tests=tuple(test for test in data.tests if test.test_id in kept),
-        executions=tuple(execution for execution in data.executions if execution.test_id in kept),
-    )
-
-
-def _figures(
-    config: CampaignConfig, correlations: Sequence[Correlation], tables: Sequence[Table], network: Network | None
-) -> dict[str, Any]:
-    """Create charts by name; empty ones are left out."""
-    charts = {"correlations": correlation_chart(correlations, config.siblings, network)}
-    for table in tables:
-        if table.name == "rq1_densities" and table.rows:
-            charts["densities"] = density_chart(table)
-    return {name: chart for name, chart in charts.items() if chart is not None}
 
 
 def _tiles(data: CampaignData) -> list[tuple[str, str]]:

@@ -100,7 +100,10 @@ def correlation_chart(
     """Chart the campaign's correlations with intervals, and the paper's: r left, AUC-PRC right; None without any."""
     if not any(c.r is not None or c.auc is not None for c in correlations):
         return None
-    labels = [_label(c, siblings) for c in correlations]
+    labels = []
+    for c in correlations:
+        question, simulator = "RQ2" if c.value == "probability" else "RQ3", c.map.simulator
+        labels.append(f"{question} {role_of(simulator, siblings)} {simulator or 'merged'}")
     tentative = any(c.caution for c in correlations)
     figure = go.Figure(layout=_correlation_layout(labels, correlations))
     for axis, value, ends in (("x", "r", "r_interval"), ("x2", "auc", "auc_interval")):
@@ -141,12 +144,6 @@ def correlation_chart(
                 hovertemplate="%{y}: %{x:.3f}<extra>the paper</extra>",
             )
     return dict(figure.to_plotly_json())
-
-
-def _label(correlation: Correlation, siblings: Sequence[SimulatorName]) -> str:
-    simulator = correlation.map.simulator
-    question = "RQ2" if correlation.value == "probability" else "RQ3"
-    return f"{question} {role_of(simulator, siblings)} {simulator or 'merged'}"
 
 
 def _correlation_layout(labels: Sequence[str], correlations: Sequence[Correlation]) -> go.Layout:

@@ -23,7 +23,7 @@ from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.engines.drive_tests import Callbacks, DriveResults, drive_tests
-from ds_orchestrator.store.model import Execution, Test
+from ds_orchestrator.store.model import Test
 from ds_sim.conditions.model import DEFAULT
 from ds_sim.hybrid import PARTS, differing_parts, exchangeable, hybrid_name
 from ds_sim.registry import SimulatorName, label_of
@@ -61,12 +61,6 @@ def shapley(parts: Sequence[str], value: Mapping[Subset, float]) -> dict[str, fl
         weights = [math.factorial(len(s)) * math.factorial(n - 1 - len(s)) / math.factorial(n) for s in others]
         shares[part] = math.fsum(w * (value[s | {part}] - value[s]) for w, s in zip(weights, others, strict=True))
     return shares
-
-
-def loss_of(execution: Execution, half_lane: float) -> float:
-    """Share of the half lane that a drive uses at most; 1 for every failure, less for every other drive."""
-    below = math.nextafter(1.0, 0.0)
-    return 1.0 if execution.outcome.is_failure else min(execution.max_lateral_position / half_lane, below)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +178,8 @@ class Experiment:
             execution = results.executions.get((test.test_id, name))
             if execution is None:
                 raise ExplanationError(f"{test.test_id} on {name}: {results.errors[test.test_id, name]}")
-            losses[subset] = loss_of(execution, test.road.lane_width / 2)
+            share = execution.max_lateral_position / (test.road.lane_width / 2)
+            losses[subset] = 1.0 if execution.outcome.is_failure else min(share, math.nextafter(1.0, 0.0))
         return Explanation(test_id=self.test.test_id, fails=self.fails, against=self.against, losses=losses)
 
 

@@ -285,7 +285,17 @@ def cautions_of(comparison: Comparison) -> list[str]:
     """Say what the numbers cannot carry."""
     if comparison.is_identical:
         return []
-    cautions = _of_selection(comparison)
+    cautions = []
+    if comparison.origin == "suite":
+        cautions = ["The tests of a suite were selected and are no sample: what counts are tests that newly fail."]
+    elif comparison.origin == "reference":
+        random = max((row.unsearched.tests for row in comparison.simulators), default=0)
+        judged = f"is judged by the {count(random, 'random road')} among them"
+        cautions.append(
+            f"The tests were searched for failures of {comparison.reference.driver}; a network that is as good fails "
+            "on fewer of them. So tests that newly fail are real, but fixed ones are no evidence that the candidate is "
+            f'better: "better" {judged if random else "is not claimed, as none is random"}.'
+        )
     if comparison.origin != "random":
         cautions.append(
             "Tests of a search resemble each other: p counts mutants of one road together, intervals are too narrow."
@@ -300,23 +310,6 @@ def cautions_of(comparison: Comparison) -> list[str]:
             "mutant of another."
         )
     return cautions
-
-
-def _of_selection(comparison: Comparison) -> list[str]:
-    """Say what follows from how the tests were chosen."""
-    if comparison.origin == "suite":
-        return ["The tests of a suite were selected and are no sample: what counts are tests that newly fail."]
-    if comparison.origin != "reference":
-        return []
-    random = max((row.unsearched.tests for row in comparison.simulators), default=0)
-    by = (
-        f"is judged by the {count(random, 'random road')} among them" if random else "is not claimed, as none is random"
-    )
-    return [
-        f"The tests were searched for failures of {comparison.reference.driver}; a network that is as good fails on "
-        "fewer of them. So tests that newly fail are real, but fixed ones are no evidence that the candidate is better:"
-        f' "better" {by}.'
-    ]
 
 
 def _sentence(row: SimulatorComparison, comparison: Comparison) -> str:

@@ -202,7 +202,10 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "total": total,
         "seconds_left": live.seconds_left if live else None,
         "errors": len(data.errors),
-        "last_error": _last_error(data.errors),
+        "last_error": "".join(
+            f"{test_id} on {name}: {Outcome[outcome].words}, {message}"
+            for test_id, name, _, outcome, message in data.errors[-1:]
+        ),
         "excluded": len(data.excluded),
         "tests": len(counted.tests),
         "lane": round(data.tests[0].road.lane_width, 3) if data.tests else 4.0,
@@ -221,13 +224,6 @@ def page_state(snapshot: Snapshot) -> dict[str, Any]:
         "maps": _maps(snapshot),
         "now": [_under_way(drive, by_road, snapshot.at) for drive in (live.drives if live else [])],
     }
-
-
-def _last_error(errors: tuple[tuple[str, str, int, str, str], ...]) -> str:
-    if not errors:
-        return ""
-    test_id, simulator, _, outcome, message = errors[-1]
-    return f"{test_id} on {simulator}: {Outcome[outcome].words}, {message}"
 
 
 def _maps(snapshot: Snapshot) -> dict[str, list[list[int]]]:

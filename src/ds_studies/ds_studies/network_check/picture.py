@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ds_base.figures import WIDTH, draw_figure, short_name
 from ds_base.palette import SERIES
 from ds_driver.networks.network_driver import load_pilot
-from ds_driver.networks.pilot import Frame, Pilot
 from ds_sim.simulator import FRAME_TIME
 from ds_studies.network_check.diagnosis import NetworkCheck
 from ds_studies.network_check.recording import AutopilotDrives
@@ -26,13 +25,6 @@ _ROW = 190
 """Pixels of a simulator's row."""
 
 
-def seen_by(pilot: Pilot, frame: Frame) -> tuple[NDArray[np.uint8], str]:
-    """Return what a network sees of a frame, its channels drawn as red, green and blue, and what they are."""
-    image, colour = pilot.seen(frame)
-    rows, columns, channels = image.shape
-    return np.repeat(image, 3, axis=2) if channels == 1 else image, f"{rows} x {columns}, {colour}"
-
-
 def draw_check(check: NetworkCheck, recordings: Sequence[AutopilotDrives]) -> NDArray[np.uint8]:
     """Draw for each simulator its camera, what the network sees, and both steerings, as (rows, columns, 3) RGB."""
     pilot = load_pilot(check.driver)
@@ -41,12 +33,13 @@ def draw_check(check: NetworkCheck, recordings: Sequence[AutopilotDrives]) -> ND
         rows = figure.subplots(len(recordings), 3, squeeze=False, width_ratios=(1, 1, 1.6))
         for (camera, network, chart), one in zip(rows, recordings, strict=True):
             frame = one.frames[min(FRAME, len(one.frames) - 1)]
-            network_image, what = seen_by(pilot, frame)
+            seen, colour = pilot.seen(frame)
+            size = " x ".join(map(str, seen.shape[:2]))
             for axes, image, title in (
                 (camera, frame.image, f"{short_name(one.simulator)}: its camera"),
-                (network, network_image, f"the network sees: {what}"),
+                (network, seen, f"the network sees: {size}, {colour}"),
             ):
-                axes.imshow(image)
+                axes.imshow(np.repeat(image, 3, axis=2) if image.shape[2] == 1 else image)
                 axes.set_axis_off()
                 axes.set_title(title)
             moments = np.arange(len(one.steering))
