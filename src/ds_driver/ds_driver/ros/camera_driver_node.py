@@ -34,42 +34,6 @@ CAMERA_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches reliable and best-effort cameras, and keeps only the newest image (REP-2003)."""
 
 
-class CommandOutput:
-    """Publishes commands as `DriveCommand`, or as another stack's message, of `OUTPUTS`; a ValueError if it cannot.
-
-    Messages with a speed carry, in place of a throttle, the speed at which the paper's equation 2 gives throttle 0:
-    `max_speed` times the square root of 1 - steering^2.
-    """
-
-    def __init__(self, node: Node, output: str, geometry: Geometry | None, max_speed: float) -> None:
-        self._kind = KINDS.get(output)
-        self._geometry = geometry or Geometry(1.0, 1.0)
-        self._max_speed = max_speed
-        if self._kind is None:
-            self._publisher = node.create_publisher(DriveCommand, "drive", 1)
-            return
-        if geometry is None and not self._kind.needs_throttle:
-            raise ValueError(f"output {output}: set the parameters wheelbase and max_steering_angle of the vehicle")
-        self._type = self._kind.message_class
-        self._publisher = node.create_publisher(self._type, self._kind.topic, 1)
-
-    def send(self, command: Command, header: Header) -> None:
-        """Publish a command in answer to the image with this header."""
-        if self._kind is None:
-            self._publisher.publish(MESSAGES.command(command, header))
-            return
-        if self._kind.needs_throttle:
-            motion = MotionRequest(command.steering, throttle=command.throttle)
-        else:
-            speed = self._max_speed * math.sqrt(max(0.0, 1.0 - command.steering**2))
-            motion = MotionRequest(command.steering, speed=speed)
-        message = self._type()
-        self._kind.fill(message, motion, self._geometry)
-        if self._kind.stamp:
-            set_part(message, self._kind.stamp, header.stamp)
-        self._publisher.publish(message)
-
-
 class CameraDriver(Node):
     """Answers each image of one camera, of any encoding and size; needs neither a simulator nor its `state`."""
 
@@ -90,7 +54,11 @@ class CameraDriver(Node):
         top = declare(self, "crop_top", 0, about.format("Top"), low=0, high=MAX_CROP)
         bottom = declare(self, "crop_bottom", 0, about.format("Bottom"), low=0, high=MAX_CROP)
         vehicle = Geometry(wheelbase, angle) if wheelbase and angle else None
-        self._output = CommandOutput(self, output, vehicle, max_speed)
+        self._kind, self._geometry, self._max_speed = KINDS.get(output), vehicle or Geometry(1.0, 1.0), max_speed
+        if vehicle is None and self._kind is not None and not self._kind.needs_throttle:
+            raise ValueError(f"output {output}: set the parameters wheelbase and max_steering_angle of the vehicle")
+        self._type = DriveCommand if self._kind is None else self._kind.message_class
+        self._commands = self.create_publisher(self._type, "drive" if self._kind is None else self._kind.topic, 1)
         self._driver = NetworkDriver(network)
         self._seen = replace(Frame.black(), crop=Crop(top, bottom), step=1, vehicle=vehicle)
         self._speed = 0.0
@@ -110,12 +78,32 @@ class CameraDriver(Node):
         try:
             image = fit_to_network(rgb_of_message(message))
             command = self._driver.command(replace(self._seen, image=image, speed=self._speed))
-            self._output.send(command, message.header)
+            self._send(command, message.header)
         except (ValueError, cv2.error) as error:
             self._latency.refused += 1
             self.get_logger().error(f"frame not answered: {' '.join(str(error).split())}", throttle_duration_sec=1.0)
             return
         self._latency.add(time.monotonic() - began)
+
+    def _send(self, command: Command, header: Header) -> None:
+        """Publish a command in answer to the image with this header.
+
+        Messages with a speed carry, in place of a throttle, the speed at which the paper's equation 2 gives throttle 0:
+        `max_speed` times the square root of 1 - steering^2.
+        """
+        if self._kind is None:
+            self._commands.publish(MESSAGES.command(command, header))
+            return
+        if self._kind.needs_throttle:
+            motion = MotionRequest(command.steering, throttle=command.throttle)
+        else:
+            speed = self._max_speed * math.sqrt(max(0.0, 1.0 - command.steering**2))
+            motion = MotionRequest(command.steering, speed=speed)
+        message = self._type()
+        self._kind.fill(message, motion, self._geometry)
+        if self._kind.stamp:
+            set_part(message, self._kind.stamp, header.stamp)
+        self._commands.publish(message)
 
 
 def main() -> None:
