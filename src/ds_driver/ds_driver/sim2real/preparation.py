@@ -161,7 +161,7 @@ def check_roads_are_new(settings: Sim2RealSettings, data_sets: Iterable[Path]) -
     for folder in data_sets:
         if used := ids & road_ids(folder):
             raise Sim2RealError(
-                f"{len(used)} of the roads are in {folder}, too, expected new ones: choose another --seed"
+                f"{len(used)} of the roads are in {folder}, too, expected new ones: collect it with another --seed"
             )
 
 
