@@ -28,17 +28,7 @@ from ds_orchestrator.campaign.folder import STAGES, CampaignData, read_campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.maps.feature_map import FeatureMap, MapId, to_json
 from ds_orchestrator.store.store import Store, seconds_of
-from ds_report import sections
-from ds_report.camera_pictures import (
-    CAMERA_PLACE,
-    REPLAY_PICTURES,
-    REPLAYS_OF_LARGE,
-    camera_picture,
-    drive_pictures,
-    plan_pictures,
-    translates,
-    worst_first,
-)
+from ds_report import camera_pictures, sections
 from ds_report.findings import summarise
 from ds_report.first_screen import first_screen
 from ds_report.heatmap import write_maps
@@ -164,18 +154,18 @@ def write_report(
     place = max(tests, key=lambda test: completed[test.test_id], default=None)
     shown = data
     if large := len(tests) > SHOWN_TESTS:
-        kept = set(worst_first(tests, executions)[:SHOWN_TESTS])
+        kept = set(camera_pictures.worst_first(tests, executions)[:SHOWN_TESTS])
         shown = replace(
             data,
             tests=tuple(test for test in tests if test.test_id in kept),
             executions=tuple(execution for execution in executions if execution.test_id in kept),
         )
     on_page = page_data(shown, maps)
-    paired = translates(config.driver)
+    paired = camera_pictures.translates(config.driver)
     # A translated picture stands below the camera's, in an image of twice the size.
-    most = (REPLAYS_OF_LARGE if large else REPLAY_PICTURES) // (2 if paired else 1)
-    plan = plan_pictures(shown.tests, shown.executions, shown.cells, replays=most)
-    pictures = drive_pictures(
+    most = (camera_pictures.REPLAYS_OF_LARGE if large else camera_pictures.REPLAY_PICTURES) // (2 if paired else 1)
+    plan = camera_pictures.plan_pictures(shown.tests, shown.executions, shown.cells, replays=most)
+    pictures = camera_pictures.drive_pictures(
         config.simulators, shown.tests, shown.executions, trusted, config.driver, frames=plan.frames, one_by_one=large
     )
     on_page["pictures"] = {
@@ -197,13 +187,15 @@ def write_report(
         first=first_screen(data, where=findings.headline),
         findings=findings,
         tiles=_tiles(data),
-        cameras=[camera_picture(name, place.scenario, trusted, config.driver) for name in config.simulators]
+        cameras=[
+            camera_pictures.camera_picture(name, place.scenario, trusted, config.driver) for name in config.simulators
+        ]
         if place
         else [],
         paired=paired,
         camera_test=place,
         camera_cell=data.cells.get(place.test_id, ()) if place else (),
-        camera_place=CAMERA_PLACE,
+        camera_place=camera_pictures.CAMERA_PLACE,
         data=on_page,
         plotly=Markup(get_plotlyjs().replace("</script", "<\\/script")),
         plan=plan,

@@ -69,7 +69,7 @@ def _believe(data: CampaignData, failed: Failures) -> str:
     judged = [test for test in split or tests if twin and (test.test_id, twin) in failed]
     if not split:
         return _of_agreement(siblings, twin, tests, judged, failed)
-    disagree = f"{_named(siblings)} disagree on {len(split)} of {count(len(tests), 'test')}"
+    disagree = f"The siblings {listed(siblings)} disagree on {len(split)} of {count(len(tests), 'test')}"
     if not judged or not twin:
         return f"{disagree}; only drives on a twin or on your car can say which to believe."
     right = np.array([[failed[t.test_id, name] == failed[t.test_id, twin] for t in judged] for name in siblings])
@@ -94,7 +94,7 @@ def _of_agreement(
 ) -> str:
     """Say what the outcomes of siblings that never disagree, or of one alone, are worth."""
     alone, who = len(siblings) == 1, siblings[0] if len(siblings) == 1 else "they"
-    start = "" if alone else f"{_named(siblings)} agree on {_all_of(len(tests))}: "
+    start = "" if alone else f"The siblings {listed(siblings)} agree on {_all_of(len(tests))}: "
     outcomes = [(failed[test.test_id, siblings[0]], failed[test.test_id, twin]) for test in judged if twin]
     if not outcomes:
         lost = sum(failed[test.test_id, siblings[0]] for test in tests)
@@ -168,10 +168,6 @@ def _campaign(name: str, config: CampaignConfig, angles: tuple[int, int]) -> str
         f"ds test {shlex.quote(str(config.driver))} --sims {shlex.quote(','.join(names))} "
         f"--size {size} --min-angle {angles[0]} --max-angle {angles[1]} --out {name}"
     )
-
-
-def _named(siblings: Sequence[SimulatorName]) -> str:
-    return f"The siblings {listed(siblings)}"
 
 
 def _all_of(tests: int) -> str:

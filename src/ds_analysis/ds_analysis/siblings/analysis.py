@@ -22,7 +22,6 @@ from ds_analysis.siblings.beyond_features import (
     AddedInformation,
     Baseline,
     ResidualCorrelation,
-    Score,
     baseline_of,
     information_about,
     residual_correlations,
@@ -219,8 +218,12 @@ def analysis_tables(analysis: SiblingAnalysis) -> list[Table]:
     for one in analysis.baselines:
         chosen = ", ".join(f"{name} ({share:.0%})" for name, share in one.chosen.items())
         start = (one.simulator, one.failures, one.roads, one.entropy)
-        scores.append((*start, "best single feature", *_score_row(one.best), chosen))
-        scores.append((*start, "all features", *_score_row(one.all), ""))
+        for predicted_from, score, features in (
+            ("best single feature", one.best, chosen),
+            ("all features", one.all, ""),
+        ):
+            numbers = [None] * 5 if score is None else vars(score).values()
+            scores.append((*start, predicted_from, *numbers, features))
     return [
         Table(
             name="sibling_departures",
@@ -304,9 +307,3 @@ def outcome_rows(table: RoadTable) -> list[dict[str, Any]]:
         }
         for k, road in enumerate(table.roads)
     ]
-
-
-def _score_row(score: Score | None) -> tuple[Any, ...]:
-    if score is None:
-        return (None,) * 5
-    return score.auc, score.auc_interval, score.brier, score.brier_interval, score.bits
