@@ -119,8 +119,6 @@ class PairedDrive:
         return self.candidate.fitness - self.reference.fitness
 
 
-BATCH = 5
-"""Random roads after which a comparison looks whether its answer is sure; chosen: starting workers takes seconds."""
 TOLERANCE = 0.1
 """Increase of the failure probability below which a candidate is not worse for `ds compare --stop-early`; chosen."""
 _STAKES = np.array([0.2, 0.5, 0.95])

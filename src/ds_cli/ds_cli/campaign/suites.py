@@ -93,12 +93,12 @@ def suite_run_command(
 
     Example: ds suite run suite.json --driver next.yaml --out suite_run --fail-on regression
     """
-    from ds_analysis.comparison.paired_drives import BATCH
     from ds_base.folder_files import make_folder
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_sim.registry import received_simulator
+    from ds_studies.comparison.compare import BATCH
     from ds_studies.failure_videos import FailedDrive, write_failure_videos
     from ds_studies.suite import suite_file
 

@@ -10,7 +10,6 @@ from typing import Literal
 
 from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks, is_sure
 from ds_analysis.comparison.paired_drives import (
-    BATCH,
     ComparedTest,
     ComparisonError,
     DriveOutcome,
@@ -35,6 +34,8 @@ from ds_sim.scenario import Scenario
 LOG = logger_of(__name__)
 
 Drives = Mapping[Key, Execution]
+BATCH = 5
+"""Random roads after which a comparison looks whether its answer is sure; chosen: starting workers takes seconds."""
 SAME = ("siblings", "twin", "lane", "conditions", "gates", "maxitwo_compatible", "features", "migration", "search")
 """Keys of the configuration in which two compared campaigns must agree, so that each network is searched alike."""
 
