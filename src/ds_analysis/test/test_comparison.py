@@ -227,9 +227,7 @@ def test_cells_pool_their_own_tests_on_each_simulator() -> None:
 def test_bets_multiply_as_their_definition_says() -> None:
     """Against no difference, a newly failing test pays 1 + c to who bets on it, 1 - c to who bets against it."""
     stakes = (0.2, 0.5, 0.95)
-    capital = [1.0]
-    for n in (1, 2, 3):
-        capital.append(sum((1 + c) ** n + (1 - c) ** n for c in stakes) / 6)
+    capital = [sum((1 + c) ** n + (1 - c) ** n for c in stakes) / 6 for n in range(4)]
     assert sequential_evidence((1, 1, 1))[0] == pytest.approx(1 / max(capital))
     assert sequential_evidence(()) == (1.0, (-1.0, 1.0))
     p, (low, high) = sequential_evidence((-1,) * 12)

@@ -45,7 +45,7 @@ def test_every_road_is_driven_both_ways_and_labelled_by_the_autopilot(data: Path
     assert all(-1.0 <= row["steering"] <= 1.0 and 0.0 <= row["throttle"] <= 1.0 for row in table)
 
 
-def test_a_stopped_collection_resumes_with_the_same_result(data: Path, tmp_path: Path) -> None:
+def test_a_stopped_collection_resumes_with_the_same_result(data: Path) -> None:
     told = ProgressLines()
     first = sorted((data / "donkey").glob("*.parquet"))[1]
     before = {p.name: p.read_bytes() for p in (data / "donkey").glob("*.parquet")}
@@ -151,7 +151,7 @@ def test_training_continues_from_a_network_on_old_and_new_data(data: Path, tmp_p
         train(data, tmp_path / "other", replace(plan, start="dave2_real"), told)
 
 
-def test_unusable_data_is_refused_in_one_line(data: Path, tmp_path: Path) -> None:
+def test_unusable_data_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="no drives"):
         read_samples(tmp_path)
     with pytest.raises(DatasetError, match="damaged"):

@@ -134,11 +134,6 @@ def blank(kind: str) -> Any:
     }[kind]
 
 
-def values(kind: str, message: Any) -> tuple[float, float]:
-    lateral, longitudinal = PATHS[kind]
-    return attrgetter(lateral, longitudinal)(message)
-
-
 def motion_of(kind: str, steering: float, forward: float) -> MotionRequest:
     if KINDS[kind].needs_throttle:
         return MotionRequest(steering, throttle=forward)
@@ -160,7 +155,7 @@ LEFT = {
 def test_left_is_positive_in_messages_and_negative_in_this_project(kind: str) -> None:
     message = blank(kind)
     KINDS[kind].fill(message, motion_of(kind, -0.5, 0.4), CAR)
-    assert values(kind, message) == pytest.approx(LEFT[kind])
+    assert attrgetter(*PATHS[kind])(message) == pytest.approx(LEFT[kind])
     motion = KINDS[kind].read(message, CAR)
     assert motion.steering == pytest.approx(-0.5)
     assert (motion.throttle if KINDS[kind].needs_throttle else motion.speed) == pytest.approx(0.4)

@@ -368,16 +368,13 @@ WITHOUT_THROTTLE = {
 }
 
 
-def unpacked(kind: str, folder: Path) -> tuple[Path, NDArray[np.uint8], NDArray[np.float64]]:
-    with zipfile.ZipFile(FILES) as packed:
-        packed.extract(f"{kind}.onnx", folder)
-        blocks, answers = (np.load(io.BytesIO(packed.read(name))) for name in ("frames.npy", f"{kind}.npy"))
-    return folder / f"{kind}.onnx", np.kron(blocks, np.ones((32, 32, 1), np.uint8)), answers
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_answers_as_in_donkey_car(kind: str, tmp_path: Path) -> None:
-    file, images, answers = unpacked(kind, tmp_path)
+    file = tmp_path / f"{kind}.onnx"
+    with zipfile.ZipFile(FILES) as packed:
+        packed.extract(file.name, tmp_path)
+        blocks, answers = (np.load(io.BytesIO(packed.read(name))) for name in ("frames.npy", f"{kind}.npy"))
+    images = np.kron(blocks, np.ones((32, 32, 1), np.uint8))
     (described,) = forms_of(file)
     assert described.has_memory == (kind in ("memory", "rnn", "3d"))
     pilot = DescribedNetworkPilot(file, described=described)

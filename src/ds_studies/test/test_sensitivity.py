@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The strength at which a driver first fails, against made-up drivers whose thresholds are known."""
+"""The strength at which a driver first fails, by made-up drivers, and what is kept of a stopped comparison."""
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -26,16 +27,25 @@ from ds_analysis.sensitivity import (
     factors_named,
     threshold_of,
 )
+from ds_base.folder_files import StoreError
+from ds_base.progress import LOGGER
 from ds_driver.closed_loop.simulation import DriveRequest
-from ds_driver.networks.driver_name import DriverName
+from ds_driver.networks.driver_name import AUTOPILOT, DriverName
+from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.engine import DriveSettings, Watch
+from ds_orchestrator.campaign.executor import Stopped
+from ds_orchestrator.engines import drive_tests, fingerprint
+from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_orchestrator.engines.start import ENGINES
 from ds_report.sensitivity_page import draw_sensitivity
+from ds_road import Road, generate
+from ds_sim import BULLET, DONKEY
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError
-from ds_sim.registry import BULLET, PANDA, SOFTBODY, SimulatorName
+from ds_sim.registry import PANDA, SOFTBODY, SimulatorName
 from ds_sim.session import RunRecord
-from ds_sim.simulator import Outcome
+from ds_sim.simulator import Command, Outcome, Reason
 from ds_studies import sensitivity
+from ds_studies.same_roads import drive_same_roads
 from ds_studies.sensitivity import GATE, MOST_SEGMENTS, TESTED, candidate_roads, choose_roads, first_failure, measure
 
 X = SimulatorName("x")
@@ -200,7 +210,7 @@ def test_roads_need_steering_and_fewer_roads_are_the_first_ones() -> None:
     assert len(candidate_roads(1, seed=1, segments=MOST_SEGMENTS)[0].road.control_points) == 9
 
 
-class MadeUpEngine:
+class LagEngine:
     """Drives nothing: the driver fails from a lag of 0.3 s on, and the simulator `softbody` from 0.9 s on."""
 
     capacity = 2
@@ -222,9 +232,9 @@ class MadeUpEngine:
 
 
 @pytest.fixture
-def engines(monkeypatch: pytest.MonkeyPatch) -> list[MadeUpEngine]:
+def engines(monkeypatch: pytest.MonkeyPatch) -> list[LagEngine]:
     """Engines to be used, one after the other."""
-    engines: list[MadeUpEngine] = []
+    engines: list[LagEngine] = []
     monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engines.pop(0)))
     monkeypatch.setattr(sensitivity, "preflight", lambda settings: None)
     monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: str(driver))
@@ -232,7 +242,7 @@ def engines(monkeypatch: pytest.MonkeyPatch) -> list[MadeUpEngine]:
 
 
 def test_an_analysis_goes_on_where_it_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engines: list[MadeUpEngine]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engines: list[LagEngine]
 ) -> None:
     realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "panda": ("steering_lag",)}
     monkeypatch.setattr(sensitivity, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
@@ -240,8 +250,8 @@ def test_an_analysis_goes_on_where_it_stopped(
 
     settings = DriveSettings(siblings=(BULLET, SOFTBODY, PANDA), driver=DriverName("dave2"), retries=0)
 
-    def once() -> tuple[Sensitivity, MadeUpEngine]:
-        engine = MadeUpEngine()
+    def once() -> tuple[Sensitivity, LagEngine]:
+        engine = LagEngine()
         engines.append(engine)
         return sensitivity.analyse_sensitivity(settings, factors, roads=3, seed=1, folder=tmp_path), engine
 
@@ -259,8 +269,8 @@ def test_an_analysis_goes_on_where_it_stopped(
     assert image.ndim == 3 and len(np.unique(image.reshape(-1, 3), axis=0)) > 3
 
 
-def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine]) -> None:
-    engines.append(MadeUpEngine(fails_by_default=True))
+def test_too_few_roads_say_nothing_about_conditions(engines: list[LagEngine]) -> None:
+    engines.append(LagEngine(fails_by_default=True))
     settings = DriveSettings(siblings=(BULLET,), driver=DriverName("dave2"))
     found = sensitivity.analyse_sensitivity(settings, [LAG], roads=1, seed=1)
     assert found.thresholds[0, "bullet"].text == "fails by default"
@@ -269,9 +279,9 @@ def test_too_few_roads_say_nothing_about_conditions(engines: list[MadeUpEngine])
 
 @pytest.mark.parametrize(("driver", "translated"), [("dave2", False), ("dave2_real@openvino-bf16", True)])
 def test_thresholds_of_translated_images_say_what_they_are_not(
-    driver: str, translated: bool, engines: list[MadeUpEngine]
+    driver: str, translated: bool, engines: list[LagEngine]
 ) -> None:
-    engines.append(MadeUpEngine())
+    engines.append(LagEngine())
     settings = DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver))
     found = sensitivity.analyse_sensitivity(settings, [LAG], roads=1, seed=1)
     assert found.document()["translated_images"] == translated
@@ -282,3 +292,113 @@ def test_results_name_values_that_json_can_hold() -> None:
     factor = Factor(name="visibility", start=math.inf, end=20.0)
     document = threshold_of(BULLET, factor, [result(0, 1)]).document()
     assert document["start"] is None and document["completes"] is None and document["first_fails"] == 320.0
+
+
+ROADS = tuple(generate(np.random.default_rng(seed)) for seed in range(4))
+ENDS = (Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS, Outcome.SIM_ERROR, Outcome.COMPLETED)
+OUTCOMES = dict(zip(ROADS, ENDS, strict=True))
+SETTINGS = DriveSettings(siblings=(BULLET, DONKEY), driver=AUTOPILOT, retries=0)
+
+
+class RoadsEngine:
+    """Drives nothing, one road at a time; the user stops it after some drives."""
+
+    capacity = 1
+
+    def __init__(self, most: int = 99) -> None:
+        self.driven: list[tuple[str, Road, int]] = []
+        self._most = most
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        if len(self.driven) == self._most:
+            raise KeyboardInterrupt
+        self.driven.append((request.simulator, request.road, request.seed))
+        run = request.ended(OUTCOMES[request.road], "")
+        for step, (x, y) in enumerate(request.road.lane_centre[:40].tolist()):
+            run.observations.append(made_observation(step, x=x, y=y))
+        run.commands.extend([Command(0.0, 0.0)] * 39)
+        return run
+
+    def stop(self) -> None: ...
+
+
+Use = Callable[[RoadsEngine], RoadsEngine]
+
+
+@pytest.fixture
+def use(monkeypatch: pytest.MonkeyPatch) -> Use:
+    """Makes an engine the one that is started next."""
+
+    def used(engine: RoadsEngine) -> RoadsEngine:
+        monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engine))
+        return engine
+
+    return used
+
+
+def test_a_stopped_comparison_drives_only_what_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, use: Use
+) -> None:
+    callbacks = Callbacks()
+    caplog.set_level(logging.INFO, LOGGER)
+    use(RoadsEngine(most=3))
+    with pytest.raises(Stopped):
+        drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", callbacks)
+    engine = use(RoadsEngine())
+    found = drive_same_roads(SETTINGS, ROADS[:3], 7, tmp_path / "drives", callbacks)
+    assert engine.driven == [("donkey", ROADS[1], 8), ("bullet", ROADS[2], 9), ("donkey", ROADS[2], 9)]
+    for runs in found.values():
+        assert [run.outcome for run in runs] == [OUTCOMES[road] for road in ROADS[:3]]
+        assert [run.road for run in runs] == list(ROADS[:3])
+        assert runs[0].max_lateral_position == 0.25 and set(runs[0].profile) == {0.25} and not len(runs[2].profile)
+        np.testing.assert_array_equal(runs[1].path, ROADS[1].lane_centre[:40])
+    # Errors are driven again, and so are other roads and other seeds.
+    engine = use(RoadsEngine())
+    drive_same_roads(SETTINGS, ROADS, 7, tmp_path / "drives", callbacks)
+    assert engine.driven == [(name, ROADS[k], 7 + k) for k in (2, 3) for name in ("bullet", "donkey")]
+    engine = use(RoadsEngine())
+    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", callbacks)
+    assert len(engine.driven) == 2 and not caplog.messages
+    monkeypatch.setattr(drive_tests, "code_sha256", lambda: "0")
+    drive_same_roads(SETTINGS, ROADS[:1], 8, tmp_path / "drives", callbacks)
+    assert len(engine.driven) == 2 and "the code has changed" in caplog.text and len(caplog.messages) == 1
+    assert fingerprint.code_sha256() != "0"
+
+
+def test_drives_of_another_driver_or_of_other_weights_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Use
+) -> None:
+    use(RoadsEngine())
+    network = replace(SETTINGS, driver=DriverName("dave2_short"))
+    drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Callbacks())
+    with pytest.raises(StoreError, match=r"driver.*choose another --out"):
+        drive_same_roads(SETTINGS, ROADS[:1], 7, tmp_path / "drives", Callbacks())
+    monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: "0")
+    with pytest.raises(ConfigError, match=r"the weights of dave2_short have changed since .*: choose another --out"):
+        drive_same_roads(network, ROADS[:1], 7, tmp_path / "drives", Callbacks())
+
+
+def test_without_a_folder_nothing_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Use) -> None:
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        engine = use(RoadsEngine())
+        assert len(drive_same_roads(SETTINGS, ROADS[:1], 7, None, Callbacks())[DONKEY]) == 1
+        assert len(engine.driven) == 2
+    assert not list(tmp_path.iterdir())
+
+
+class RefusingEngine(RoadsEngine):
+    """One of whose simulators cannot realise a road."""
+
+    def drive(self, request: DriveRequest, watch: Watch | None = None) -> RunRecord:
+        if (request.simulator, request.road) == ("donkey", ROADS[0]):
+            return request.ended(Outcome.SIM_ERROR, "no such lane here", Reason.NOT_APPLICABLE)
+        return super().drive(request, watch)
+
+
+def test_roads_stay_in_line_where_a_simulator_cannot_realise_one(tmp_path: Path, use: Use) -> None:
+    use(RefusingEngine())
+    found = drive_same_roads(SETTINGS, ROADS[:2], 7, tmp_path / "drives", Callbacks())
+    assert [run.road for run in found[DONKEY]] == list(ROADS[:2])
+    assert [run.outcome for run in found[DONKEY]] == [Outcome.SIM_ERROR, Outcome.OUT_OF_BOUNDS]
+    assert [run.outcome for run in found[BULLET]] == [Outcome.COMPLETED, Outcome.OUT_OF_BOUNDS]

@@ -74,7 +74,7 @@ def test_evidence_and_probabilities_are_nearly_those_of_quadrature() -> None:
     outcomes = SiblingOutcomes(
         features=np.zeros((12, 0)), failed=failed[:, None] > 0, known=np.ones((12, 1), bool), margins=np.zeros((12, 1))
     )
-    wide = [expert for expert in experts_of(outcomes) if expert.name == "own features"][0]
+    wide = next(expert for expert in experts_of(outcomes) if expert.name == "own features")
     learnt = wide.after(np.arange(12), failed)
     assert learnt.probabilities(np.array([0]))[0] == pytest.approx(rate, abs=0.02)
 

@@ -29,12 +29,6 @@ from ds_sim.session import Session
 TEST = Test("t", Scenario(road(0), seed=1), Origin(BULLET, 0, 0))
 
 
-def picture(text: str) -> np.ndarray:
-    found = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)
-    assert found is not None
-    return cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
-
-
 def test_pictures_are_what_the_simulator_has_shown() -> None:
     """Rendered from the path alone, they equal the frames of the drive except for noise and the body's small tilts."""
     session = Session(make_simulator("bullet"))
@@ -57,7 +51,10 @@ def test_pictures_are_what_the_simulator_has_shown() -> None:
     assert drives == again
     assert drive.times == tuple(step / 20 for step in moments(execution)) and drive.strip == (0, 1, 2, 3, 4)
     for (text, words), step in zip(drive.frames, moments(execution), strict=True):
-        shown, real = picture(text).astype(float), cv2.resize(images[step], SIZE, interpolation=cv2.INTER_AREA)
+        picture = cv2.imdecode(np.frombuffer(base64.b64decode(text), np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        shown = picture[..., ::-1].astype(float)
+        real = cv2.resize(images[step], SIZE, interpolation=cv2.INTER_AREA)
         other = cv2.resize(images[(step + 60) % len(images)], SIZE, interpolation=cv2.INTER_AREA)
         error = np.abs(shown - real).mean()
         assert error < 8 and error < np.abs(shown - other).mean() / 1.5, (step, error)

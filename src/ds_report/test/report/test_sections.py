@@ -169,26 +169,25 @@ def with_outcomes(folder: Path, config: CampaignConfig, failing: dict[str, set[i
     return replace(data, executions=tuple(executions))
 
 
-def test_the_sibling_that_does_as_the_twin_is_believed(tmp_path: Path) -> None:
-    failing = {"a:One": set(range(10)), "b:Two": set(), "c:Three": set(range(9))}
+@pytest.mark.parametrize(
+    ("of_one", "of_twin", "said"),
+    [
+        (10, 9, "with a:One in 9 and with b:Two in 1: where it has not driven, believe a:One"),
+        (8, 4, "with a:One in 4 and with b:Two in 4: too few or too mixed"),
+    ],
+)
+def test_the_sibling_that_does_as_the_twin_more_often_is_believed(
+    tmp_path: Path, of_one: int, of_twin: int, said: str
+) -> None:
+    failing = {"a:One": set(range(of_one)), "b:Two": set(), "c:Three": set(range(of_twin))}
     first = first_screen(with_outcomes(tmp_path, NOWHERE, failing))
-
-    assert "disagree on 10 of 16 tests" in first.believe
-    assert "with a:One in 9 and with b:Two in 1: where it has not driven, believe a:One" in first.believe
+    assert f"disagree on {of_one} of 16 tests" in first.believe and said in first.believe
     assert first.worst and "--failed" in first.command
-
-
-def test_siblings_that_are_right_equally_often_are_not_believed(tmp_path: Path) -> None:
-    failing = {"a:One": set(range(8)), "b:Two": set(), "c:Three": set(range(4))}
-    first = first_screen(with_outcomes(tmp_path, NOWHERE, failing))
-
-    assert "with a:One in 4 and with b:Two in 4: too few or too mixed" in first.believe
 
 
 def test_without_a_twin_nobody_is_believed(tmp_path: Path) -> None:
     config = NOWHERE.model_copy(update={"twin": None})
     first = first_screen(with_outcomes(tmp_path, config, {"a:One": {0, 1}, "b:Two": {1}}))
-
     assert "only drives on a twin or on your car can say" in first.believe and first.command == "ds real propose ."
 
 
@@ -206,7 +205,6 @@ def test_campaigns_in_which_all_or_nothing_fails_read_as_such(
     tmp_path: Path, failing: set[int], where: str, said: str, command: str
 ) -> None:
     first = first_screen(with_outcomes(tmp_path, NOWHERE, dict.fromkeys(NOWHERE.simulators, failing)))
-
     assert f"failed on {where}" in first.where and command in first.command
     assert "The siblings a:One and b:Two agree on all 16 tests: they " in first.believe and said in first.believe
 
@@ -246,6 +244,4 @@ def test_a_road_that_was_driven_twice_counts_once(tmp_path: Path) -> None:
 
 def test_an_unfinished_campaign_is_to_be_finished(tmp_path: Path) -> None:
     data = with_outcomes(tmp_path, NOWHERE, {name: {0} for name in NOWHERE.simulators})
-    first = first_screen(replace(data, executions=data.executions[:-3]))
-
-    assert first.command == "ds campaign resume ."
+    assert first_screen(replace(data, executions=data.executions[:-3])).command == "ds campaign resume ."
