@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from made_networks import write_recorded
 from numpy.typing import NDArray
 from progress_lines import ProgressLines
@@ -96,6 +97,8 @@ def test_kept_tables_come_back(tmp_path: Path) -> None:
 def test_damaged_tables_are_refused(tmp_path: Path, damage: dict[str, object]) -> None:
     table = {"name": "rq1", "title": "t", "columns": [{"name": "a"}, {"name": "b"}], "rows": [["x", 1]], "notes": []}
     path = tmp_path / "rq1.json"
+    path.write_text(json.dumps([table]))
+    assert read_tables(path)[0].texts() == [["x", "1"]]
     path.write_text(json.dumps([table | damage]))
     with pytest.raises(TableError, match=r"rq1\.json cannot be read .*: remove it"):
         read_tables(path)
@@ -216,8 +219,6 @@ def test_a_comparison_needs_errors_of_a_sibling_and_of_the_twin(
 
 def test_predictions_over_a_data_set(tmp_path: Path) -> None:
     """A network whose only non-zero parameter is the last bias predicts that bias everywhere, beyond full lock."""
-    import torch
-
     network = make_network("chauffeur")
     with torch.no_grad():
         for value in network.parameters():

@@ -49,30 +49,20 @@ class Recurrent(nn.Module):
         return self.steer(h), h, c
 
 
-class Stacked(nn.Module):
+def stacked() -> nn.Module:
     """Three images as nine channels."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.see = nn.Conv2d(9, 4, 5, stride=4)
-        self.steer = nn.Linear(4 * 9 * 19, 1)
-
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
-        found: torch.Tensor = self.steer(torch.relu(self.see(image)).flatten(1))
-        return found
+    return nn.Sequential(nn.Conv2d(9, 4, 5, stride=4), nn.ReLU(), nn.Flatten(), nn.Linear(4 * 9 * 19, 1))
 
 
-class Sequence3d(nn.Module):
+class ChannelsFirst(nn.Module):
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        return images.permute(0, 4, 1, 2, 3)
+
+
+def sequence() -> nn.Module:
     """Four images along an axis of time, channels last, as Donkey Car's `3d` and `rnn` pilots take them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.see = nn.Conv3d(3, 4, (2, 5, 5), stride=(1, 4, 4))
-        self.steer = nn.Linear(4 * 3 * 9 * 19, 1)
-
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
-        found: torch.Tensor = self.steer(torch.relu(self.see(image.permute(0, 4, 1, 2, 3))).flatten(1))
-        return found
+    see = nn.Conv3d(3, 4, (2, 5, 5), stride=(1, 4, 4))
+    return nn.Sequential(ChannelsFirst(), see, nn.ReLU(), nn.Flatten(), nn.Linear(4 * 3 * 9 * 19, 1))
 
 
 class Remembering(nn.Module):
@@ -90,7 +80,7 @@ class Remembering(nn.Module):
 
 def network(kind: Callable[[], nn.Module]) -> nn.Module:
     torch.manual_seed(1)
-    return kind().eval()
+    return kind().eval().requires_grad_(False)
 
 
 def written(
@@ -129,10 +119,9 @@ def test_a_state_comes_back_in_the_next_frame_and_begins_afresh_with_a_run(tmp_p
         pytest.importorskip("openvino")
     made, path = recurrent(tmp_path, **RECURRENT)
     h, c, expected = torch.zeros(1, 8), torch.full((1, 8), 0.5), []
-    with torch.inference_mode():
-        for frame in FRAMES:
-            steering, h, c = made(seen(frame), h, c)
-            expected.append(float(steering))
+    for frame in FRAMES:
+        steering, h, c = made(seen(frame), h, c)
+        expected.append(float(steering))
     pilot = DescribedNetworkPilot(path, backend)
     first = answers(pilot)
     assert first == pytest.approx(expected, abs=1e-5) and len(set(np.round(first, 4))) > 5
@@ -151,27 +140,25 @@ def test_a_traced_network_has_inputs_by_position(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", ["oldest_first", "newest_first"])
 def test_a_stack_holds_frames_a_stride_apart_and_begins_with_the_first(tmp_path: Path, order: str) -> None:
-    made = network(Stacked)
+    made = network(stacked)
     stack = {"frames": 3, "stride": 2, "order": order}
     path = written(tmp_path, made, {"image": (1, 9, *SIZE)}, ["steering"], input=stack)
     expected = []
     for step in range(len(FRAMES)):
         back = [FRAMES[max(step - k, 0)] for k in (4, 2, 0)]
         pixels = torch.cat([seen(one) for one in (back if order == "oldest_first" else reversed(back))], 1)
-        with torch.inference_mode():
-            expected.append(float(made(pixels)))
+        expected.append(float(made(pixels)))
     assert answers(DescribedNetworkPilot(path)) == pytest.approx(expected, abs=1e-5)
 
 
 def test_time_is_an_axis_of_its_own(tmp_path: Path) -> None:
-    made = network(Sequence3d)
+    made = network(sequence)
     described = {"frames": 4, "stacked": "time", "layout": "nhwc"}
     path = written(tmp_path, made, {"image": (1, 4, *SIZE, 3)}, ["steering"], input=described)
     expected = []
     for step in range(len(FRAMES)):
         back = [seen(FRAMES[max(step - k, 0)]).permute(0, 2, 3, 1) for k in (3, 2, 1, 0)]
-        with torch.inference_mode():
-            expected.append(float(made(torch.stack(back, 1))))
+        expected.append(float(made(torch.stack(back, 1))))
     assert answers(DescribedNetworkPilot(path)) == pytest.approx(expected, abs=1e-5)
 
 
@@ -182,11 +169,10 @@ def test_commands_and_speed_are_given(tmp_path: Path) -> None:
     shapes = {"image": (1, 3, *SIZE), "mem": (1, 6), "speed": (1, 1)}
     path = written(tmp_path, made, shapes, ["angle", "gas"], inputs=given, outputs=outputs)
     memory, expected = torch.zeros(1, 6), []
-    with torch.inference_mode():
-        for frame in FRAMES:
-            angle, gas = made(seen(frame), memory, torch.full((1, 1), 0.1 * frame.speed))
-            memory = torch.cat([memory[:, 2:], angle, gas], 1)
-            expected.append(float(angle))
+    for frame in FRAMES:
+        angle, gas = made(seen(frame), memory, torch.full((1, 1), 0.1 * frame.speed))
+        memory = torch.cat([memory[:, 2:], angle, gas], 1)
+        expected.append(float(angle))
     assert answers(DescribedNetworkPilot(path)) == pytest.approx(expected, abs=1e-4)
 
 
@@ -201,26 +187,24 @@ def test_runs_of_one_process_share_no_state(tmp_path: Path) -> None:
     simulator.close()
 
 
+def h_is(**described: Any) -> dict[str, Any]:
+    return {"inputs": {"h": described, "c": {"state": "c_out"}}}
+
+
 @pytest.mark.parametrize(
     ("described", "said"),
     [
         ({}, r"has 3 inputs \(image, h, c\), its description gives 1: `input` is the image"),
         ({"inputs": {"h": {"state": "h_out"}}}, "its description gives 2"),
-        ({"inputs": {"h": {"state": "gone"}, "c": {"state": "c_out"}}}, "there is no output 'gone' for the state"),
-        (
-            {"inputs": {"h": {"state": "steering"}, "c": {"state": "c_out"}}},
-            "has 1 numbers, the input that it comes back",
-        ),
-        ({"inputs": {"h": {"state": "h_out", "shape": [1, 9]}, "c": {"state": "c_out"}}}, "expects 1x8 as input h"),
-        ({"inputs": {"h": {"state": "h_out", "shape": [2**20] * 4}, "c": {"state": "c_out"}}}, "is too large"),
-        (
-            {"inputs": {"h": {"value": "speed"}, "c": {"state": "c_out"}}},
-            "it takes 8 numbers, speed of 1 frames gives 1",
-        ),
-        ({"inputs": {"h": {"value": "commands", "last": 4}, "c": {"state": "c_out"}}}, "add outputs.throttle"),
-        ({"inputs": {"h": {}, "c": {"state": "c_out"}}}, "expected one of state, an output that comes back, value"),
-        ({"inputs": {"h": {"stat": 1}, "c": {"state": "c_out"}}}, r"keys of inputs\.h: state, value, constant"),
-        ({"inputs": {"h": {"constant": [1, 2]}, "c": {"state": "c_out"}}}, "it takes 8 numbers, its constant gives 2"),
+        (h_is(state="gone"), "there is no output 'gone' for the state"),
+        (h_is(state="steering"), "has 1 numbers, the input that it comes back"),
+        (h_is(state="h_out", shape=[1, 9]), "expects 1x8 as input h"),
+        (h_is(state="h_out", shape=[2**20] * 4), "is too large"),
+        (h_is(value="speed"), "it takes 8 numbers, speed of 1 frames gives 1"),
+        (h_is(value="commands", last=4), "add outputs.throttle"),
+        (h_is(), "expected one of state, an output that comes back, value"),
+        (h_is(stat=1), r"keys of inputs\.h: state, value, constant"),
+        (h_is(constant=[1, 2]), "it takes 8 numbers, its constant gives 2"),
         ({"inputs": {"x": {"state": "h_out"}, "c": {"state": "c_out"}}}, "has no input 'x': expected image, h, c"),
         ({**RECURRENT, "input": {"frames": 2}}, "expects an input of 1x3x40x80, its description gives 1x6x40x80"),
         ({**RECURRENT, "outputs": {"steering": {"expectation": True}}}, "expectation is over bins"),

@@ -52,8 +52,7 @@ def test_weights_survive_the_round_trip(tmp_path: Path, name: str) -> None:
     save_weights(network, tmp_path / "a.safetensors", architecture=name)
     image = torch.rand(1, 3, 160, 320) * 255
     read = module_of(load_weights(str(tmp_path / "a.safetensors")))
-    with torch.inference_mode():
-        assert read(image).item() == pytest.approx(network(image).item(), abs=1e-3)
+    assert read(image).item() == pytest.approx(network(image).item(), abs=1e-3)
     assert not list(tmp_path.glob("*.partial"))
 
 
@@ -72,8 +71,7 @@ def test_eight_bits_halve_the_file_and_keep_the_steering(tmp_path: Path) -> None
         step = np.abs(value).max(axis=1, keepdims=True) / 127 if key in layers else np.zeros(1)
         assert (np.abs(after[key] - value) <= 0.5001 * step).all()
     images = torch.rand(8, 3, 160, 320) * 255
-    with torch.inference_mode():
-        expected, found = (module_of(load_weights(str(path)))(images) for path in (whole, small))
+    expected, found = (module_of(load_weights(str(path)))(images) for path in (whole, small))
     assert torch.allclose(found, expected, atol=2e-3)
 
 

@@ -52,10 +52,8 @@ POSES: Array = np.stack(
 )
 
 
-TEXTURE = np.random.default_rng(5).normal(0.0, 1.0, (512, 512)).astype(np.float32)
-TEXTURE = cv2.GaussianBlur(TEXTURE, (0, 0), 2.0) * 60.0  # no finer than the pixels that show it
-
-
+GRAIN = np.random.default_rng(5).normal(0.0, 1.0, (512, 512)).astype(np.float32)
+TEXTURE = cv2.GaussianBlur(GRAIN, (0, 0), 2.0) * 60.0  # no finer than the pixels that show it
 PAINTS = {"yellow": (225, 185, 40), "green": (40, 150, 70), "blue": (40, 80, 190)}
 
 

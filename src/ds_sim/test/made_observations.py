@@ -13,12 +13,7 @@ def made_observation(step: int = 0, **of_vehicle: float) -> Observation:
     values = dict.fromkeys(("x", "y", "yaw", "yaw_rate", "steering_angle"), 0.0) | {"speed": 8.0} | of_vehicle
     lane = LaneState(lateral_position=0.25, lateral_distance=1.75, preview_lateral_position=0.25, arc_length=0.0)
     return Observation(
-        image=NO_IMAGE,
-        step=step,
-        time=step / 20,
-        vehicle=VehicleState(**values),
-        lane=lane,
-        outcome=Outcome.RUNNING,
+        image=NO_IMAGE, step=step, time=step / 20, vehicle=VehicleState(**values), lane=lane, outcome=Outcome.RUNNING
     )
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Protocol, TypeVar
 
 import numpy as np
 import pytest
@@ -231,28 +232,34 @@ class LagEngine:
     def stop(self) -> None: ...
 
 
+E = TypeVar("E")
+
+
+class Use(Protocol):
+    def __call__(self, engine: E) -> E: ...
+
+
 @pytest.fixture
-def engines(monkeypatch: pytest.MonkeyPatch) -> list[LagEngine]:
-    """Engines to be used, one after the other."""
-    engines: list[LagEngine] = []
-    monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engines.pop(0)))
+def use(monkeypatch: pytest.MonkeyPatch) -> Use:
+    """Makes an engine the one that is started next, whatever the machine and the weights."""
+
+    def used(engine: E) -> E:
+        monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engine))
+        return engine
+
     monkeypatch.setattr(sensitivity, "preflight", lambda settings: None)
-    monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", lambda driver: str(driver))
-    return engines
+    monkeypatch.setattr("ds_driver.networks.network_driver.driver_sha256", str)
+    return used
 
 
-def test_an_analysis_goes_on_where_it_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engines: list[LagEngine]
-) -> None:
+def test_an_analysis_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Use) -> None:
     realised = {"bullet": tuple(FIELDS), "softbody": tuple(FIELDS), "panda": ("steering_lag",)}
     monkeypatch.setattr(sensitivity, "spec_of", lambda name: SimpleNamespace(conditions=realised[name]))
     factors = factors_named(["line_contrast", "steering_lag"])
-
     settings = DriveSettings(siblings=(BULLET, SOFTBODY, PANDA), driver=DriverName("dave2"), retries=0)
 
     def once() -> tuple[Sensitivity, LagEngine]:
-        engine = LagEngine()
-        engines.append(engine)
+        engine = use(LagEngine())
         return sensitivity.analyse_sensitivity(settings, factors, roads=3, seed=1, folder=tmp_path), engine
 
     found, _ = once()
@@ -269,8 +276,8 @@ def test_an_analysis_goes_on_where_it_stopped(
     assert image.ndim == 3 and len(np.unique(image.reshape(-1, 3), axis=0)) > 3
 
 
-def test_too_few_roads_say_nothing_about_conditions(engines: list[LagEngine]) -> None:
-    engines.append(LagEngine(fails_by_default=True))
+def test_too_few_roads_say_nothing_about_conditions(use: Use) -> None:
+    use(LagEngine(fails_by_default=True))
     settings = DriveSettings(siblings=(BULLET,), driver=DriverName("dave2"))
     found = sensitivity.analyse_sensitivity(settings, [LAG], roads=1, seed=1)
     assert found.thresholds[0, "bullet"].text == "fails by default"
@@ -278,10 +285,8 @@ def test_too_few_roads_say_nothing_about_conditions(engines: list[LagEngine]) ->
 
 
 @pytest.mark.parametrize(("driver", "translated"), [("dave2", False), ("dave2_real@openvino-bf16", True)])
-def test_thresholds_of_translated_images_say_what_they_are_not(
-    driver: str, translated: bool, engines: list[LagEngine]
-) -> None:
-    engines.append(LagEngine())
+def test_thresholds_of_translated_images_say_what_they_are_not(driver: str, translated: bool, use: Use) -> None:
+    use(LagEngine())
     settings = DriveSettings(siblings=(BULLET,), driver=DriverName.parse(driver))
     found = sensitivity.analyse_sensitivity(settings, [LAG], roads=1, seed=1)
     assert found.document()["translated_images"] == translated
@@ -320,20 +325,6 @@ class RoadsEngine:
         return run
 
     def stop(self) -> None: ...
-
-
-Use = Callable[[RoadsEngine], RoadsEngine]
-
-
-@pytest.fixture
-def use(monkeypatch: pytest.MonkeyPatch) -> Use:
-    """Makes an engine the one that is started next."""
-
-    def used(engine: RoadsEngine) -> RoadsEngine:
-        monkeypatch.setitem(ENGINES, "local", lambda *_: nullcontext(engine))
-        return engine
-
-    return used
 
 
 def test_a_stopped_comparison_drives_only_what_is_missing(

@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -30,11 +31,15 @@ MOTION_CAPTURE = (0.001, 0.001, 0.003, 0.005, 0.01)
 """Standard deviation per channel: m, m, rad, m/s, rad/s."""
 
 
-def tub_of(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
+def rows_of(commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> list[dict[str, Any]]:
     driver = "user" if mode == "user" else "pilot"
     columns = {f"{driver}/angle": commands[:, 0], f"{driver}/throttle": commands[:, 1], **extra}
-    rows = pd.DataFrame(columns).assign(**{"user/mode": mode}).to_dict("records")
-    return write_tub(folder, rows, deleted=[3])
+    rows: list[dict[str, Any]] = pd.DataFrame(columns).assign(**{"user/mode": mode}).to_dict("records")
+    return rows
+
+
+def tub_of(folder: Path, commands: np.ndarray, extra: dict[str, np.ndarray], *, mode: str = "user") -> Path:
+    return write_tub(folder, rows_of(commands, extra, mode=mode), deleted=[3])
 
 
 def test_a_window_from_rest_is_the_rollout() -> None:
@@ -117,9 +122,8 @@ def test_parameters_not_determined_by_a_straight_drive_stay_at_their_start(tmp_p
 def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path) -> None:
     commands = random_commands(np.random.default_rng(5), 2.0)
     x = np.arange(40.0)
-    speed = np.full(40, 20.0 * 5.0**0.5)
-    log = read_log(tub_of(tmp_path / "a", commands, {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": speed}))
-    (drive,) = log.drives
+    motion = {"pos/pos_x": x, "pos/pos_z": 2.0 * x, "pos/speed": np.full(40, 20.0 * 5.0**0.5)}
+    (drive,) = read_log(tub_of(tmp_path / "a", commands, motion)).drives
     # The deleted row 3 is bridged: the command before it is held, measurements are interpolated.
     assert drive.commands.shape == (40, 2) and drive.measured[3, :2] == pytest.approx([3.0, 6.0])
     np.testing.assert_array_equal(drive.commands[3], commands[2])
@@ -133,25 +137,19 @@ def test_a_tub_with_positions_is_read_and_one_without_is_refused(tmp_path: Path)
 
 def test_rows_without_numbers_are_left_out(tmp_path: Path) -> None:
     rolling = {"pos/pos_x": np.zeros(60), "pos/pos_z": 0.05 * np.arange(60.0), "pos/speed": np.ones(60)}
-    tub = tub_of(tmp_path / "t", np.tile((0.1, 0.4), (60, 1)), rolling)
-    lines = (tub / "catalog_0.catalog").read_text().splitlines()
-    for row, wrong in ((20, '"user/angle": "left"'), (40, '"user/throttle": Infinity'), (50, '"pos/speed": NaN')):
-        name = wrong.split(":")[0]
-        lines[row] = json.dumps({k: v for k, v in json.loads(lines[row]).items() if k != name.strip('"')})
-        lines[row] = f"{lines[row][:-1]}, {wrong}}}"
-    (tub / "catalog_0.catalog").write_text("\n".join(lines))
-    drives = read_log(tub).drives
+    rows = rows_of(np.tile((0.1, 0.4), (60, 1)), rolling)
+    for row, name, wrong in ((20, "user/angle", "left"), (40, "user/throttle", math.inf), (50, "pos/speed", math.nan)):
+        rows[row][name] = wrong
+    drives = read_log(write_tub(tmp_path / "t", rows, deleted=[3])).drives
     assert [len(drive.commands) for drive in drives] == [20, 19, 19]
     assert [int(np.isnan(drive.measured[:, 3]).sum()) for drive in drives] == [0, 0, 1]
 
 
 def test_a_missing_heading_does_not_affect_later_ones() -> None:
-    times, measured = np.arange(40.0) * FRAME_TIME, np.ones((40, 5))
-    measured[:, 2] = (np.arange(40.0) * 0.3 + np.pi) % (2.0 * np.pi) - np.pi
-    measured[7, 2] = np.nan
-    (drive,) = drives_of(times, np.tile((0.0, 0.3), (40, 1)), measured)
-    expected = np.arange(40.0) * 0.3
+    times, measured, expected = np.arange(40.0) * FRAME_TIME, np.ones((40, 5)), np.arange(40.0) * 0.3
     expected[7] = np.nan
+    measured[:, 2] = (expected + np.pi) % (2.0 * np.pi) - np.pi
+    (drive,) = drives_of(times, np.tile((0.0, 0.3), (40, 1)), measured)
     np.testing.assert_allclose(drive.measured[:, 2], expected, rtol=0, atol=1e-9)
 
 
