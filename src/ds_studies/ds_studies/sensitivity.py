@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -106,11 +107,8 @@ def _needs_steering(road: Road) -> bool:
 
 def choose_roads(count: int, needed: int, fails: Fails) -> tuple[int, ...]:
     """Numbers of the first roads that the driver completes under default conditions, and that the gates let pass."""
-    chosen: list[int] = []
-    for road in range(count):
-        if len(chosen) < needed and not fails(GATE, road, DEFAULT) and not fails(TESTED, road, DEFAULT):
-            chosen.append(road)
-    return tuple(chosen)
+    passed = (road for road in range(count) if not fails(GATE, road, DEFAULT) and not fails(TESTED, road, DEFAULT))
+    return tuple(islice(passed, needed))
 
 
 def measure(factor: Factor, roads: int, fails: Fails, *, levels: int = LEVELS) -> tuple[RoadResult, ...]:

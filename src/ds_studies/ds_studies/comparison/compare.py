@@ -9,13 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from ds_analysis.comparison.analysis import Comparison, Origin, compare_networks, is_sure
-from ds_analysis.comparison.paired_drives import (
-    ComparedTest,
-    ComparisonError,
-    DriveOutcome,
-    Network,
-    PairedDrive,
-)
+from ds_analysis.comparison.paired_drives import ComparedTest, ComparisonError, DriveOutcome, Network, PairedDrive
 from ds_base.installation import ds_command
 from ds_base.progress import logger_of
 from ds_driver.networks.driver_name import DriverName
