@@ -8,18 +8,24 @@ import multiprocessing
 import os
 import signal
 import sqlite3
+import subprocess
+import sys
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 from tests.campaign.engines import EngineHere, MadeUpEngine
+from tests.campaign.own_parts import StraightSearch
 
 from ds_analysis.paper.campaign_contents import maps_of
+from ds_base.extension import installed
 from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -30,8 +36,10 @@ from ds_orchestrator.campaign.folder import read_campaign, store_of
 from ds_orchestrator.campaign.runner import Campaign
 from ds_orchestrator.campaign.status import stages_of
 from ds_orchestrator.graph.session import GraphEngine
+from ds_orchestrator.maps.algebra import operator_of
 from ds_orchestrator.maps.campaign_maps import cells_of, elites_of
 from ds_orchestrator.maps.feature_map import MapId, to_json
+from ds_orchestrator.search.algorithms import search_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
 from ds_road import Road
@@ -405,3 +413,65 @@ def test_stages_say_how_far_a_campaign_is(tmp_path: Path) -> None:
     for executions, state in ((store.count_executions(), "done"), (1, "to do")):
         store.set_result("maps", executions)
         assert {s.name: s.state for s in stages_of(read_campaign(store))}["maps"] == state
+
+
+def config_of(**changes: Any) -> CampaignConfig:
+    raw = {
+        "siblings": CONFIG.siblings,
+        "twin": CONFIG.twin,
+        "driver": "autopilot",
+        "engine": "local",
+        "record": "none",
+        "search": {"population": 2, "iterations": 3, "runs": 1, "method": f"{OWN}:StraightSearch"},
+        "features": ["turns_count", f"{OWN}:EASTING:5"],
+        "operators": {"probability": f"{OWN}:MEDIAN"},
+    }
+    return parse_config({**raw, **changes}, "mine.yaml")
+
+
+@pytest.fixture
+def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An installed package that adds the feature `easting` and the operator `median`."""
+    about = tmp_path / "installed" / "own_parts-1.0.dist-info"
+    about.mkdir(parents=True)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: own-parts\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text(
+        f"[digital_siblings.features]\neasting = {OWN}:EASTING\n[digital_siblings.operators]\nmedian = {OWN}:MEDIAN\n"
+    )
+    monkeypatch.syspath_prepend(about.parent)
+    installed.cache_clear()
+    yield
+    installed.cache_clear()
+
+
+@pytest.mark.usefixtures("package")
+@pytest.mark.parametrize(("feature", "median"), [(f"{OWN}:EASTING:5", f"{OWN}:MEDIAN"), ("easting:5", "median")])
+def test_a_campaign_runs_with_parts_of_the_users_own(tmp_path: Path, feature: str, median: str) -> None:
+    config = config_of(features=["turns_count", feature], operators={"probability": median})
+    data = read_campaign(run(tmp_path / "campaign", MadeUpEngine(), config)[1])
+    assert search_of(f"{OWN}:StraightSearch") is StraightSearch
+    assert all(test.road.curvature < 0.08 for test in data.tests), "drawn by the own search"
+    expected = {test.test_id: (test.road.turns_count, int(test.road.control_points[-1][0]) // 5) for test in data.tests}
+    assert data.cells == expected
+    merged = maps_of(data)[MapId.merged()]
+    values = np.array([[0.0, 0.5], [1.0, 0.5]])
+    assert operator_of(median).combine(values, np.ones(2)).tolist() == [0.5, 0.5]
+    assert merged.cells and set(merged.cells) <= set(expected.values())
+
+
+@pytest.mark.parametrize(("allowed", "status"), [("", 2), (f"{OWN}:MEDIAN,{OWN}:EASTING,{OWN}:StraightSearch", 0)])
+def test_a_received_folder_runs_no_code_that_the_user_has_not_named(tmp_path: Path, allowed: str, status: int) -> None:
+    run(tmp_path, MadeUpEngine(), config_of())[1].close()
+    script = f"import sys; from ds_cli.application import run; code = run(['campaign', 'status', {str(tmp_path)!r}])\n"
+    script += f"print('imported' if {OWN!r} in sys.modules else 'not imported'); sys.exit(code)"
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={"DS_TRUST": allowed, "PYTHONPATH": ":".join(map(str, sys.path)), "PATH": "/usr/bin:/bin"},
+    )
+    assert done.returncode == status, done.stderr
+    assert ("not imported" in done.stdout) == (not allowed)
+    if not allowed:
+        assert "a received file must not run code" in done.stderr and done.stderr.count("\n") == 1

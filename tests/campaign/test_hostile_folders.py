@@ -7,8 +7,11 @@ import json
 import os
 import sqlite3
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -315,3 +318,51 @@ def test_a_store_that_is_only_read_keeps_its_bytes_and_its_folder(campaign: Path
         assert ds(*command(READING[verb], campaign)).returncode == 0, verb
     assert content(campaign) == before and not (campaign / ".lock").exists()
     assert len(Store(campaign / "campaign.sqlite", read_only=True).tests()) == 4
+
+
+BUDGET = 100
+_INSIDE = """
+import sys
+from ds_cli.main import main
+from ds_sim import SimulatorName
+try:
+    main()
+finally:
+    print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")), file=sys.stderr)
+"""
+"""Runs `ds`; its last line tells the most memory that the process held, kB, that of its parent left out."""
+
+
+def large_campaign(folder: Path, runs: int) -> Path:
+    """Create a finished campaign whose executions are copies of a few."""
+    folder.mkdir()
+    search = SearchConfig(population=BUDGET, iterations=0, runs=runs)
+    config = CampaignConfig(siblings=[BULLET, SOFTBODY], twin=DONKEY, driver=AUTOPILOT, search=search)
+    make_campaign(folder, config, 1).close()
+    count = f"WITH n(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM n WHERE n < {runs * BUDGET - 1}) "
+    test_id = f"printf('%s-%d-%04d', sibling, n / {BUDGET}, n % {BUDGET})"
+    with closing(sqlite3.connect(folder / "campaign.sqlite")) as db, db:
+        db.execute(
+            f"INSERT INTO executions {count} SELECT {test_id}, simulator, outcome, message, fitness, "
+            "max_lateral_position, steps, simulated_seconds, trajectory_sha256, bag, trajectory, steering "
+            "FROM n, executions JOIN tests USING (test_id)"
+        )
+        db.execute(
+            f"INSERT INTO tests {count} SELECT {test_id}, sibling, n / {BUDGET}, n % {BUDGET}, road, road_id, "
+            "turns_count, curvature, seed, conditions FROM n, tests"
+        )
+    return folder
+
+
+def memory(*arguments: str | Path) -> float:
+    """Run `ds`, and return the most memory that it held, MB."""
+    command = [sys.executable, "-c", _INSIDE, *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1"})
+    assert done.returncode == 0, done.stderr
+    return int(done.stderr.split()[-2]) / 1024
+
+
+@pytest.mark.parametrize(("verb", "most"), [(("campaign", "status"), 8.0), (("maps",), 60.0)])
+def test_memory_of_a_verb_on_20_000_executions(tmp_path: Path, verb: tuple[str, ...], most: float) -> None:
+    few, many = large_campaign(tmp_path / "few", 1), large_campaign(tmp_path / "many", 34)
+    assert memory(*verb, many, "--json") - memory(*verb, few, "--json") < most

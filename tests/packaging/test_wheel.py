@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
-from tests.python_api_page import short_script
+from tests.test_docs import short_script
 
 from ds_driver.networks.weights import APART
 
