@@ -10,15 +10,14 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import get_args
 
 from ds_base.bounded_file import load_json
 from ds_base.folder_files import StoreError, check_name, make_folder, read_file, write_whole
 from ds_base.installation import versions
 from ds_base.intervals import FailureCount
 from ds_driver.networks.driver_name import DriverName
-from ds_orchestrator.campaign.config import MOST_WORKERS, CampaignConfig, ConfigError, parse_config
-from ds_orchestrator.campaign.engine import DriveSettings, EngineName
+from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, parse_config
+from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.maps.campaign_maps import cells_of
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Execution, Test
@@ -87,12 +86,10 @@ def with_kept_engine(folder: Path, config: CampaignConfig) -> CampaignConfig:
     """Let a campaign be driven by what drove it last; unchanged if that is not known."""
     try:
         kept = load_json(read_file(folder, ENGINE, _ENGINE_BYTES))
-        engine, workers = kept["engine"], kept["workers"]
+        kept = CampaignConfig.model_validate({key: kept[key] for key in ("engine", "workers")})
     except (OSError, ValueError, KeyError, TypeError):
         return config
-    if engine not in get_args(EngineName) or type(workers) is not int or not 1 <= workers <= MOST_WORKERS:
-        return config
-    return config.model_copy(update={"engine": engine, "workers": workers})
+    return config.model_copy(update={"engine": kept.engine, "workers": kept.workers})
 
 
 def config_of(store: Store) -> CampaignConfig:
