@@ -20,7 +20,7 @@ from ds_orchestrator.campaign.engine import DriveSettings
 from ds_orchestrator.campaign.executor import Listener, Stopped
 from ds_orchestrator.engines.drive_tests import Callbacks
 from ds_orchestrator.store.model import Execution, Test
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import read_camera, write_camera
 from ds_recording.sibling.recorded_drive import read_drive, sections
 from ds_sim.gates.gate import Gate

@@ -20,7 +20,7 @@ from benchmarks.recording.halves import moved
 from numpy.typing import NDArray
 
 from ds_driver.data.recordings import Reading
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import read_camera
 from ds_recording.locate import located_of
 from ds_recording.located import Located, write_located

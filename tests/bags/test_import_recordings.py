@@ -21,7 +21,7 @@ from ds_driver.data.dataset import DatasetError, crops_of, decode, read_samples
 from ds_driver.data.recordings import Imported, Reading, import_recordings, open_recording
 from ds_driver.networks.images import Crop, fit_to_network
 from ds_driver.training import TrainingPlan, split
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.located import COLUMNS, Located, write_located
 from ds_recording.real_drive import is_recording, read_recording

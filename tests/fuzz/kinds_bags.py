@@ -31,7 +31,7 @@ from ds_bags.run_writer import write_bag
 from ds_base.bounded_file import FileError
 from ds_base.bounded_yaml import read_yaml
 from ds_driver.data.recordings import Reading, open_recording
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.located import COLUMNS, Located, write_located
 from ds_recording.sibling.recorded_drive import sections

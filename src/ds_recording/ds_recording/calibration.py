@@ -19,7 +19,7 @@ from scipy.sparse import lil_matrix
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.progress import counted
 from ds_driver.networks.images import ImageError, rgb_of_file
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.first_guess import arc_offsets, candidate_shapes
 from ds_recording.floor_camera import MODELS as COEFFICIENTS
 from ds_recording.floor_camera import FloorCamera, Lens

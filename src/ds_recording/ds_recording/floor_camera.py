@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.bounded_yaml import DEFAULT_LIMITS, load_yaml
 from ds_base.folder_files import write_whole
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_road.road import abbreviated
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.progress import SILENT, Progress
+from ds_recording import RecordingError
 from ds_recording.calibration import mount
-from ds_recording.errors import RecordingError
 from ds_recording.first_guess import chained, close_lap, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ds_base.bounded_file import FileError, read_json, read_regular
 from ds_base.folder_files import enter_folder, write_json, write_whole
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera, read_camera, write_camera
 from ds_recording.track import Track, read_track, write_track
 from ds_road.road import abbreviated

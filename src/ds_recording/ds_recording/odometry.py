@@ -23,7 +23,7 @@ from ds_bags.donkey_tub import read_tub
 from ds_bags.reader import BagReader
 from ds_base.words import multiple
 from ds_driver.data.recordings import MOTION, Recording
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.motion import NOTHING, Hint
 from ds_road.road import abbreviated
 

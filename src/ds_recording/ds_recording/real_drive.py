@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.reader import BagReader
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.located import LOCATED, read_located
 from ds_recording.sibling.recorded_drive import driven_side
 from ds_road import Road

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_driver.data.recordings import Reading, Recording, open_recording
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.lines import CENTRES
 from ds_recording.odometry import Source, read_sources
 from ds_road.road import abbreviated

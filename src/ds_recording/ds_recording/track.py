@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 
 from ds_base.bounded_file import FileError, read_regular
 from ds_base.folder_files import write_whole
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_road import RoadError, importing
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
+from ds_recording import RecordingError
 from ds_recording.calibration import calibrate, parse_board
-from ds_recording.errors import RecordingError
 from ds_recording.floor_camera import FloorCamera, Lens, read_camera, write_camera
 
 CAMERA = FloorCamera(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tubs import write_tub
 
 from ds_driver.data.recordings import Reading
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import line_pixels, points_on_floor
 from ds_recording.locate import SolvedStretch, located_of, with_odometry

@@ -18,7 +18,7 @@ from tubs import write_tub
 
 from ds_driver.data.recordings import Reading, Recording
 from ds_driver.networks.images import Crop
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.motion import Hint, HintFinder
 from ds_recording.odometry import AHEAD, TURN, Checked, Source, _rate, check, hints_of, read_sources, stretch, summary

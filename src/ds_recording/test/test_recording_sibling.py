@@ -16,7 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from tubs import write_tub
 
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera, write_camera
 from ds_recording.located import COLUMNS
 from ds_recording.sibling.recorded_drive import read_drive, sections

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.first_guess import close_lap
 from ds_recording.steering import follow_steering
 from ds_recording.track import Track, read_track, write_track

@@ -17,7 +17,7 @@ from ds_bags.layout import BagError
 from ds_base.bounded_file import FileError, read_regular
 from ds_driver.data.recordings import Reading, open_recording
 from ds_driver.networks.images import MAX_IMAGE_FILE, ImageError, rgb_of_file
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.located import ABOUT, CAMERA, LOCATED, MAX_FILE, TRACK, Located, read_located
 from ds_recording.track import Track, wrap

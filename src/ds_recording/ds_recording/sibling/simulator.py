@@ -24,7 +24,7 @@ from pydantic import Field, ValidationError
 
 from ds_base.config_errors import Keys, problems, read_keys
 from ds_driver.networks.images import part_for_network
-from ds_recording.errors import RecordingError
+from ds_recording import RecordingError
 from ds_recording.sibling.recorded_drive import LENGTH, RecordedDrive, check_is_section, read_drive, sections
 from ds_road import Road
 from ds_sim.camera.lens import Vector, optical_axes
