@@ -175,12 +175,12 @@ def splits(size: int, axes: int, effect: Effect, number: int = CAMPAIGNS) -> lis
     names = ["curvature", "turns", *CONDITIONS]
     for searched, axis, failed, _ in campaigns(size, axes, effect, number):
         split = best_split(outcomes_of(searched, failed))
-        if split is None or not split.found.is_clear:
+        if split is None or not split.is_clear:
             continue
         stated += 1
         harder = every[names.index(split.axis)] >= split.threshold * (1.0 if split.is_lower_bound else -1.0)
         rate = np.where(every[axis] > thresholds[axis], marginal[1], marginal[0])
-        for side, share in enumerate(split.found.apart or ()):
+        for side, share in enumerate(split.apart or ()):
             low, high = share.interval
             covered[side] += low <= rate[harder == (side == 0)].mean() <= high
     shares = covered / stated if stated >= FEWEST_STATED else (None, None)
@@ -200,9 +200,9 @@ def second_splits(size: int, axes: int, second: Effect, number: int = CAMPAIGNS)
         rate = np.where(hard, EFFECTS[0].high, EFFECTS[0].low)
         outcomes = outcomes_of(searched, drawn(rate, searched.families, second.spread, rng))
         first = best_split(outcomes)
-        if first is not None and first.found.is_clear:
+        if first is not None and first.is_clear:
             second_split = best_split(outcomes, "road" if kind_of(first.axis) == "conditions" else "conditions")
-            stated += second_split is not None and second_split.found.is_clear
+            stated += second_split is not None and second_split.is_clear
     return ["a second split is stated", second.name, size, axes, number, stated / number, None, None]
 
 

@@ -12,7 +12,7 @@ from made_executions import made_execution
 from statsmodels.stats.proportion import proportion_confint
 
 from ds_analysis import failures
-from ds_analysis.common.selection import ALPHA, Share, choose_split, most_frequent, p_of_leads
+from ds_analysis.common.selection import ALPHA, Axis, Share, choose_split, most_frequent, p_of_leads
 from ds_analysis.common.statistics import Array, Bools, Indices
 from ds_analysis.failures import groups_of, reason_of, reasons_of, where
 from ds_driver.networks.driver_name import AUTOPILOT
@@ -138,6 +138,10 @@ FAMILIES = {sum(sizes): np.repeat(np.arange(len(sizes)), sizes) for sizes in SIZ
 CAMPAIGNS = 300
 
 
+def as_axes(values: Array) -> list[Axis]:
+    return [(str(k), of, 1) for k, of in enumerate(values)]
+
+
 def values_of(families: Indices, axes: int, rng: np.random.Generator) -> Array:
     """Mutants are near their root: nine tenths of the variance lie between families, as in searches."""
     roots = rng.standard_normal((axes, families.max() + 1))
@@ -156,7 +160,7 @@ def test_noise_is_stated_in_at_most_a_twentieth_of_campaigns(tests: int, axes: i
     families, stated = FAMILIES[tests], 0
     for _ in range(CAMPAIGNS):
         rate = rng.choice((0.05, 0.95), families.max() + 1)[families] if alike else np.full(tests, 0.3)
-        split = choose_split(values_of(families, axes, rng), drawn(rate, rng), families, rng)
+        split = choose_split(as_axes(values_of(families, axes, rng)), drawn(rate, rng), families, rng)
         stated += split is not None and split.is_clear
     assert stated / CAMPAIGNS <= ALPHA + 2.0 * np.sqrt(ALPHA * (1.0 - ALPHA) / CAMPAIGNS)
 
@@ -168,12 +172,12 @@ def test_a_clear_effect_is_found_and_its_shares_are_covered() -> None:
         values = values_of(families, 3, rng)
         # An axis of unit variance, and a tenth of it within families; the threshold is in the middle.
         rate = np.where(values[1] > 0.25, 0.9, 0.05)
-        split = choose_split(values, drawn(rate, rng), families, rng)
+        split = choose_split(as_axes(values), drawn(rate, rng), families, rng)
         if split is None or not split.is_clear or split.apart is None:
             continue
         stated += 1
         others = np.sqrt(1.0 + 1.0 / 9.0) * rng.standard_normal(2000)
-        truth = np.where(others > 0.25, 0.9, 0.05) if split.axis == 1 else np.full(2000, 0.4)
+        truth = np.where(others > 0.25, 0.9, 0.05) if split.axis == "1" else np.full(2000, 0.4)
         for side, share in enumerate(split.apart):
             low, high = share.interval
             covered[side] += low <= truth[(others >= split.threshold) == (side == 0)].mean() <= high
@@ -193,7 +197,7 @@ def test_p_is_the_share_of_all_orders_of_the_families() -> None:
         return max(by_place[:k].sum() / 6 - (2 * k - by_place[:k].sum()) / 6 for k in range(1, 6))
 
     every = [largest(order) for order in permutations(range(6))]
-    split = choose_split(place[families][None], failed, families, rng)
+    split = choose_split([("", place[families], 1)], failed, families, rng)
     assert split is not None
     assert split.p == pytest.approx(np.mean(np.array(every) >= every[0] - 1e-9), abs=0.08)
     assert every[0] == largest((0, 1, 2, 3, 4, 5))
@@ -202,8 +206,8 @@ def test_p_is_the_share_of_all_orders_of_the_families() -> None:
 def test_tests_that_end_alike_have_no_split() -> None:
     rng = np.random.default_rng(1)
     for failed in (np.ones(9, np.bool_), np.zeros(9, np.bool_)):
-        assert choose_split(np.arange(9.0)[None], failed, np.arange(9), rng) is None
-    assert choose_split(np.ones((2, 9)), np.arange(9) > 3, np.arange(9), rng) is None
+        assert choose_split([("", np.arange(9.0), 1)], failed, np.arange(9), rng) is None
+    assert choose_split(as_axes(np.ones((2, 9))), np.arange(9) > 3, np.arange(9), rng) is None
 
 
 def test_families_make_intervals_wider() -> None:
@@ -239,7 +243,7 @@ def test_a_label_leads_only_if_the_second_is_clearly_rarer() -> None:
 def test_shares_are_measured_by_the_splits_of_other_families() -> None:
     families = np.arange(20)
     values, failed = np.arange(20.0)[None], np.arange(20) >= 12
-    split = choose_split(values, failed, families, np.random.default_rng(1))
+    split = choose_split(as_axes(values), failed, families, np.random.default_rng(1))
     assert split is not None and split.is_clear and split.apart is not None
     assert split.threshold == 12.0 and split.harder.tolist() == failed.tolist()
     # Without test 12, whose value decides, the others call harder what is 13 or more.

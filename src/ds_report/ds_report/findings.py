@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from scipy.stats import t
 
-from ds_analysis.common.selection import ALPHA, SEED, ChosenSplit, Share, choose_split
+from ds_analysis.common.selection import ALPHA, SEED, Axis, ChosenSplit, Share, choose_split
 from ds_analysis.common.statistics import Indices, families_of
 from ds_analysis.paper.correlation import QUESTIONS, Correlation, PairedDifference
 from ds_analysis.paper.paper_tables import cautions
@@ -35,16 +35,6 @@ from ds_sim.registry import NO_SIMULATOR
 Kind = Literal["road", "conditions"]
 FEW_FAMILIES = 16
 """Random roads below which a clear difference is often not found (docs/claims.md); chosen from that simulation."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Split:
-    """Threshold that separates failing roads from the others."""
-
-    axis: str  # `curvature`, the largest of a road in 1/m, `turns`, or the name of a condition
-    threshold: float  # of the harder roads, the value nearest to the others
-    is_lower_bound: bool  # whether the harder roads have the threshold or more, otherwise the threshold or less
-    found: ChosenSplit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,30 +77,23 @@ def road_outcomes(data: CampaignData) -> RoadOutcomes:
     )
 
 
-def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> Split | None:
+def best_split(outcomes: RoadOutcomes, kind: Kind | None = None) -> ChosenSplit | None:
     """Find the best split, clear or not, on all axes or those of a kind; None without any.
 
     It has the largest Youden index (Cancer 1950, 3: 32-35); among equal ones curvature comes before turns before
     conditions, then the harder threshold.
     """
-    axes = [one for one in _axes(outcomes) if kind in (None, kind_of(one[0]))] if outcomes.tests else []
-    if not axes:
-        return None
-    values = np.array([[sign * value for value in of] for _, of, sign in axes])
-    split = choose_split(values, np.array(outcomes.failed, np.bool_), outcomes.families, np.random.default_rng(SEED))
-    if split is None:
-        return None
-    axis, _, sign = axes[split.axis]
-    return Split(axis=axis, threshold=sign * split.threshold, is_lower_bound=sign > 0, found=split)
+    axes = [one for one in _axes(outcomes) if kind in (None, kind_of(one[0]))]
+    return choose_split(axes, np.array(outcomes.failed, np.bool_), outcomes.families, np.random.default_rng(SEED))
 
 
 def kind_of(axis: str) -> Kind:
-    """Whether an axis of `Split` is about the road or a condition."""
+    """Whether an axis of `best_split` is about the road or a condition."""
     return "conditions" if axis in FIELDS else "road"
 
 
-def _axes(outcomes: RoadOutcomes) -> Iterator[tuple[str, list[float], int]]:
-    """Axes to split on, in order of preference: name, value of each test, and 1 where larger values are harder."""
+def _axes(outcomes: RoadOutcomes) -> Iterator[Axis]:
+    """Axes to split on, in order of preference: largest curvature of a road, 1/m, turns, and conditions."""
     yield "curvature", [test.road.curvature for test in outcomes.tests], 1
     yield "turns", [float(test.road.turns_count) for test in outcomes.tests], 1
     for name in outcomes.varied_conditions:
@@ -182,7 +165,7 @@ def where_it_fails(driver: DriverName, outcomes: RoadOutcomes) -> str:
         return f"No {thing} has an outcome on {outcomes.where} yet, so where {driver} fails is not known."
     total, all_of = outcomes.share, count(len(outcomes.tests), thing)
     split = best_split(outcomes)
-    clear = split is not None and split.found.is_clear
+    clear = split is not None and split.is_clear
     conditions = _conditions(outcomes, but=split.axis if split and clear else "")
     where = f"{outcomes.where}, all {thing}s {listed(conditions)}" if conditions else outcomes.where
     if not total.failures:
@@ -200,7 +183,7 @@ def where_it_fails(driver: DriverName, outcomes: RoadOutcomes) -> str:
         )
     first = f"On {where}, {driver} fails {_harder_than(split, thing)}: {_sides(split, outcomes.failed, thing)}"
     second = best_split(outcomes, "road" if kind_of(split.axis) == "conditions" else "conditions")
-    if second is None or not second.found.is_clear:
+    if second is None or not second.is_clear:
         return first
     return f"{first} It also fails more often {_harder_than(second, thing)}: {_sides(second, outcomes.failed, thing)}"
 
@@ -218,10 +201,10 @@ def _few(outcomes: RoadOutcomes, thing: str) -> str:
     )
 
 
-def _sides(split: Split, failed: Sequence[bool], thing: str) -> str:
+def _sides(split: ChosenSplit, failed: Sequence[bool], thing: str) -> str:
     """State how often the tests on both sides of a split fail: counts, and what is left of them on other tests."""
-    harder, lost = split.found.harder, np.array(failed, np.bool_)
-    rates = " fail, against ".join(_percent(share) for share in split.found.apart or ())
+    harder, lost = split.harder, np.array(failed, np.bool_)
+    rates = " fail, against ".join(_percent(share) for share in split.apart or ())
     return (
         f"{int(lost[harder].sum())} of {int(harder.sum())} such {thing}s failed, and "
         f"{int(lost[~harder].sum()) or 'none'} of the {int((~harder).sum())} others. Among {thing}s that did not "
@@ -234,7 +217,7 @@ def radius(curvature: float) -> str:
     return f"{1.0 / curvature:.1f} m" if curvature > 0 else "straight"
 
 
-def _harder_than(split: Split, thing: str) -> str:
+def _harder_than(split: ChosenSplit, thing: str) -> str:
     if split.axis in FIELDS:
         return conditions_in_words(split.axis, split.threshold, side="or more" if split.is_lower_bound else "or less")
     if split.axis == "turns":

@@ -69,16 +69,16 @@ def _where(table: OutcomeTable, name: SimulatorName) -> str:
     judged = table.select(table.known(name))
     failed = judged.failed(name)
     said = f"{name} fails on {int(failed.sum())} of {len(judged)} tests"
-    values = np.concatenate((judged.features.T, -judged.features.T))
+    columns = list(zip(judged.feature_names, judged.features.T, strict=True))
+    axes = [(feature, values, sign) for sign in (1, -1) for feature, values in columns]
     families = np.unique(judged.families, return_inverse=True)[1]
-    split = choose_split(values, failed, families, np.random.default_rng(SEED)) if len(judged) else None
+    split = choose_split(axes, failed, families, np.random.default_rng(SEED))
     if split is None or split.apart is None or not split.is_clear:
         return f"{said}; no feature divides them better than chance."
-    from_below, axis = divmod(split.axis, len(judged.feature_names))
-    side = f"{-split.threshold:.3g} or less" if from_below else f"{split.threshold:.3g} or more"
     low, high = (f"{one.failures / one.tests:.0%}" for one in split.apart[::-1])
     beyond, harder = int(failed[split.harder].sum()), int(split.harder.sum())
-    where = f"{beyond} of the {harder} where {judged.feature_names[axis]} is {side}"
+    side = f"{split.threshold:.3g} or {'more' if split.is_lower_bound else 'less'}"
+    where = f"{beyond} of the {harder} where {split.axis} is {side}"
     return f"{said}: {where}. On tests that did not choose this threshold, {high} fail beyond it and {low} elsewhere."
 
 

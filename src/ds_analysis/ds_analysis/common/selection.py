@@ -30,6 +30,8 @@ SEED = 55
 """Seed of permutations, signs and parts; any number does."""
 _ROUNDING = 1e-9
 Label = TypeVar("Label", bound=str)
+Axis = tuple[str, Sequence[float] | Array, int]
+"""Name, (tests,) values, and 1 where larger values are harder, -1 where smaller ones are."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +73,10 @@ def _clopper_pearson(failures: float, tests: float) -> Interval:
 class ChosenSplit:
     """The split of tests with the largest Youden index over all axes and thresholds."""
 
-    axis: int  # row of the values
+    axis: str  # its name
     threshold: float  # value of the harder tests that is nearest to the others
-    harder: Bools  # (tests,) whether a test has the threshold or more
+    is_lower_bound: bool  # whether the harder tests have the threshold or more, otherwise the threshold or less
+    harder: Bools  # (tests,)
     # Share of permutations of the families' outcomes among their mean places, the observed one among them, whose
     # largest Youden index is as large.
     p: float
@@ -86,16 +89,22 @@ class ChosenSplit:
         return self.p <= ALPHA and self.apart is not None
 
 
-def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random.Generator) -> ChosenSplit | None:
+def choose_split(
+    axes: Sequence[Axis], failed: Bools, families: Indices, rng: np.random.Generator
+) -> ChosenSplit | None:
     """Choose a split of tests, and say how far it can be trusted; None if all end alike, or no axis has two values.
 
-    `values`, (axes, tests), are larger where a test is harder; among equal splits the first axis counts, and on it the
-    hardest threshold. `families` are numbers from 0; `rng` draws the permutations.
+    Among equal splits the first axis counts, and on it the hardest threshold. `families` are numbers from 0; `rng`
+    draws the permutations.
     """
+    if not axes or failed.all() or not failed.any():
+        return None
+    values = np.array([sign * np.asarray(of) for _, of, sign in axes])
     gains, ranked = _gains(failed), _Ranked(values)
-    if failed.all() or not failed.any() or not ranked.ends.any():
+    if not ranked.ends.any():
         return None
     axis, threshold, _ = ranked.best(gains)
+    name, _, sign = axes[axis]
     size = np.bincount(families)
     places = _Ranked(np.stack([np.bincount(families, of) / size for of in values]))
     of_family = np.asarray(np.bincount(families, gains), np.float64)
@@ -114,8 +123,9 @@ def choose_split(values: Array, failed: Bools, families: Indices, rng: np.random
             called_harder[divided] = failed[chosen_by].any()
     harder = np.asarray(values[axis] >= threshold)
     return ChosenSplit(
-        axis=axis,
-        threshold=threshold,
+        axis=name,
+        threshold=sign * threshold,
+        is_lower_bound=sign > 0,
         harder=harder,
         p=float(np.mean(np.array(best_scores) >= best_scores[0])),
         apart=_apart(failed, families, called_harder, harder) if 0 < called_harder.sum() < len(failed) else None,

@@ -348,7 +348,7 @@ def test_a_condition_that_a_test_leaves_to_the_simulator_has_no_threshold() -> N
 def test_the_headline_claims_no_threshold_that_chance_would_find() -> None:
     mixed = outcomes(*[(0.1 + 0.01 * k, 3, k in (2, 9)) for k in range(12)])
     split = best_split(mixed)
-    assert split is not None and not split.found.is_clear
+    assert split is not None and not split.is_clear
     text = where_it_fails(DriverName("net"), mixed)
     assert text.startswith("net failed on 2 of 12 roads, 17%") and "Neither the tightest bend" in text
     assert "There are 12 roads, which is few: from 16 random roads on" in text
