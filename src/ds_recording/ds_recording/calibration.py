@@ -228,8 +228,6 @@ FAR = 4.0
 """Distance up to which points count, lane widths."""
 MOST = 60
 """Points of an image that count."""
-
-
 IMAGES = 24
 """Images whose lines are used."""
 

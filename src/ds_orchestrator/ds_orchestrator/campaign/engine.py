@@ -19,7 +19,6 @@ from ds_sim.session import RunRecord
 
 EngineName = Literal["auto", "graph", "local", "dask"]
 """What drives. `auto` stands for `graph` where ROS is set up, and for `local` where it is not."""
-Gates = Literal["none", "conditions", "all"]
 Record = Literal["none", "telemetry", "compressed", "raw"]
 BAG_MODULES = ("mcap", "rosbags")
 """What writes bags: the extra `recording`."""
@@ -40,7 +39,7 @@ class DriveSettings:
     twin: SimulatorName | None = None
     driver: DriverName
     conditions: Conditions = DEFAULT
-    gates: Gates = "conditions"
+    gates: Literal["none", "conditions", "all"] = "conditions"
     retries: int = 2
     command_timeout: float = 10.0
     record: Record = "none"
