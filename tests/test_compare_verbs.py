@@ -17,6 +17,7 @@ import pytest
 import typer
 from tests.campaign.engines import MadeUpEngine, use_engines
 from tests.command_line import document, ds, refusal
+from tests.fuzz.kinds_campaigns import suite_of
 
 from ds_analysis.sensitivity import RoadResult, Sensitivity, Threshold, factors_named
 from ds_base.folder_files import locked
@@ -288,6 +289,11 @@ def test_a_suite_with_conditions_drives_no_autopilot(tmp_path: Path, engine: Eng
     assert {test["conditions"] for test in tests} == {"", "visibility=60"}
 
 
+(TEST,) = suite_of(1)["tests"]
+MOVED = TEST | {"control_points": [[x + 1.0, y] for x, y in TEST["control_points"]]}
+OF_CODE = TEST | {"outcomes": TEST["outcomes"] | {"nowhere:Code": TEST["outcomes"]["bullet"]}}
+
+
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
@@ -296,30 +302,16 @@ def test_a_suite_with_conditions_drives_no_autopilot(tmp_path: Path, engine: Eng
         ({"format": "other"}, "no suite, expected a file of `ds suite make`"),
         ({"surprise": 1}, "surprise: there is no such key"),
         ({"tests": []}, "expected at least 1 of them"),
-        ({"siblings": ["nowhere:Code"]}, "--trust"),
+        ({"tests": [MOVED]}, "does not match its digest"),
+        ({"siblings": ["bullet", "nowhere:Code"], "tests": [OF_CODE]}, "--trust"),
     ],
 )
 def test_a_suite_that_cannot_be_run_is_refused_in_one_line(
-    tmp_path: Path, engine: Engines, change: dict[str, Any], problem: str
+    tmp_path: Path, change: dict[str, Any], problem: str
 ) -> None:
-    file = tmp_path / "suite.json"
-    ds("suite", "make", campaign(tmp_path / "old"), "--out", file, "--tests", 2)
-    suite = {**json.loads(file.read_text()), **change}
-    if "siblings" in change:
-        for test in suite["tests"]:
-            test["outcomes"] = {"nowhere:Code": test["outcomes"]["bullet"]}
-    file.write_text(json.dumps(suite))
-    assert problem in refusal("suite", "run", file, "--driver", "autopilot", "--out", tmp_path / "out")
-
-
-def test_a_road_that_was_changed_is_found_by_its_digest(tmp_path: Path, engine: Engines) -> None:
-    file = tmp_path / "suite.json"
-    ds("suite", "make", campaign(tmp_path / "old"), "--out", file)
-    suite = json.loads(file.read_text())
-    suite["tests"][1]["control_points"][4][0] += 1.0
-    file.write_text(json.dumps(suite))
-    said = refusal("suite", "run", file, "--driver", "autopilot", "--out", tmp_path / "out")
-    assert "does not match its digest" in said
+    (tmp_path / "suite.json").write_text(json.dumps(suite_of(1) | change))
+    words = ("suite", "run", tmp_path / "suite.json", "--driver", "autopilot", "--out", tmp_path / "out")
+    assert problem in refusal(*words)
 
 
 @pytest.mark.parametrize("size", SIZES)
