@@ -22,20 +22,12 @@ from ds_sim.registry import STANDARD
 FOLDER = Path(__file__).resolve().parents[1] / "src/ds_bringup/config/simulators"
 
 
-def parameters(name: str) -> dict[str, dict[str, Any]]:
-    nodes = yaml.safe_load((FOLDER / f"{name}.yaml").read_text())
-    return {node.removeprefix("/**/"): values["ros__parameters"] for node, values in nodes.items()}
-
-
-def test_every_simulator_has_a_file_and_every_file_a_simulator() -> None:
-    assert {file.stem for file in FOLDER.glob("*.yaml")} == set(STANDARD)
-
-
-@pytest.mark.parametrize("name", STANDARD)
-def test_a_file_names_its_simulator_and_repeats_nothing_that_drivers_ask_for(name: str) -> None:
-    nodes = parameters(name)
-    assert set(nodes) == {"simulator"}
-    assert nodes["simulator"]["simulator"] == name
+def test_every_simulator_has_a_file_that_names_it_and_repeats_nothing_that_drivers_ask_for() -> None:
+    files = {file.stem: yaml.safe_load(file.read_text()) for file in FOLDER.glob("*.yaml")}
+    assert set(files) == set(STANDARD)
+    for name, nodes in files.items():
+        assert list(nodes) == ["/**/simulator"], name
+        assert nodes["/**/simulator"]["ros__parameters"]["simulator"] == name
 
 
 WATCH = FOLDER.parents[1] / "launch/watch.launch.py"

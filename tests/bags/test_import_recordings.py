@@ -105,14 +105,9 @@ WALL = 1_700_000_000 * 10**9
 
 
 def recorded_bag(folder: Path, *, images: int | None, steering: int | None, stamped: bool, late: float = 0.0) -> Path:
-    """40 images at 20 Hz, and a steering 10 ms after each of them.
+    """40 images at 20 Hz, and a steering 10 ms after each of them, which without a stamp is a Twist.
 
-    Args:
-        folder: bag to write.
-        images: time of the first image's header, ns; None for headers without a stamp.
-        steering: the same of the steering.
-        stamped: whether the steering has a header; otherwise it is a Twist.
-        late: by which the steering is logged later, s.
+    Their first headers have a time, ns, or None; the steering is logged later by `late`, s.
     """
     with foreign_bag(folder, Steer="std_msgs/Header header\nfloat32 angle") as bag:
         for index in range(40):

@@ -40,11 +40,7 @@ class State(ctypes.Structure):
 
 
 class Disk:
-    """What preloaded processes share.
-
-    Args:
-        scratch: folder in which it keeps its own files.
-    """
+    """What preloaded processes share; it keeps its own files in `scratch`."""
 
     def __init__(self, scratch: Path) -> None:
         self._path, self._library, self._record = scratch / "disk.state", scratch / "disk.so", scratch / "disk.record"

@@ -21,13 +21,7 @@ from ds_sim.simulator import Command, Outcome
 
 
 class EngineHere:
-    """Drives in this process.
-
-    Args:
-        runs: number of runs after which it raises `Stopped`.
-        errors: number of runs that end in an error.
-        errors_after: number of runs before the first error.
-    """
+    """Drives in this process, and raises `Stopped` after so many runs; `errors` of them fail after the first ones."""
 
     def __init__(self, *, runs: int = 10_000, errors: int = 0, errors_after: int = 0) -> None:
         self.roads: list[tuple[str, str]] = []

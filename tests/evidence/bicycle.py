@@ -83,10 +83,6 @@ class SingleTrack:
             1.0 / rear.stiffness - rear.compliance
         )
 
-    def steady_yaw_rate(self, speed: float, steering: float) -> float:
-        """Steady yaw rate, rad/s, at a speed (m/s of the model) and a steering angle (rad): Gillespie ch. 6."""
-        return speed * steering / (self.wheelbase + self.understeer_gradient * speed**2)
-
     def yaw_rate(
         self, speed: float, steering: Callable[[float], float], times: NDArray[np.float64]
     ) -> NDArray[np.float64]:

@@ -146,20 +146,15 @@ def damaged_json(text: str, rng: Rng) -> bytes:
 
 
 def damaged_yaml(text: str, rng: Rng) -> bytes:
-    """Damage a YAML document: mostly its values, else its bytes, or add aliases that expand."""
+    """Damage a YAML document: mostly its values, else its bytes, or nest it deeply, or add aliases that expand."""
     if rng.random() < 0.2:
         return damaged_bytes(text.encode(), rng)
     if rng.random() < 0.05:
-        return yaml_bomb(text, rng)
+        if rng.random() < 0.2:
+            return BRACKETS
+        return ALIASES if rng.random() < 0.5 else ALIASES + text.encode()
     value = damaged_value(yaml.safe_load(text), rng)
     return yaml.safe_dump(value, allow_unicode=bool(rng.random() < 0.5), sort_keys=False).encode()
-
-
-def yaml_bomb(text: str, rng: Rng) -> bytes:
-    """Create deeply nested brackets, or aliases that expand to billions of values, alone or before a document."""
-    if rng.random() < 0.2:
-        return BRACKETS
-    return ALIASES if rng.random() < 0.5 else ALIASES + text.encode()
 
 
 def damaged_file(path: Path, rng: Rng) -> None:

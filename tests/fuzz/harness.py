@@ -65,13 +65,7 @@ class Kind:
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """Result of one input.
-
-    Attributes:
-        seed: seed of the damage.
-        refused: whether the reader refused the input as documented.
-        defect: defect in one line, or "".
-    """
+    """Whether a reader refused one input as documented, and its defect in one line, or ""."""
 
     seed: int
     refused: bool
@@ -79,14 +73,7 @@ class Finding:
 
 
 def try_inputs(kind: Kind, base: Path, work: Path, seeds: range) -> Iterator[Finding]:
-    """Damage copies of an undamaged input, read each, and judge the reader.
-
-    Args:
-        kind: kind of file.
-        base: undamaged file or folder.
-        work: empty working folder; empty again afterwards.
-        seeds: seeds of the inputs.
-    """
+    """Damage a copy of an undamaged input for each seed, in a working folder, read it, and judge the reader."""
     inside = work / "inside"
     with _bounded_address_space():
         for seed in seeds:
