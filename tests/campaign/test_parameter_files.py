@@ -25,7 +25,7 @@ from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.engines.cluster import read_cluster
 from ds_report.build import write_all
 from ds_sim.registry import SimulatorName, label_of, make_simulator
-from ds_studies.suite.suite_file import read_suite, write_suite
+from ds_studies.suite_file import read_suite, write_suite
 from ds_studies.whole_campaign import run_campaign
 
 CAR = "format: ds_twin_donkey parameters 1\nparameters: {friction: {value: 0.8}}\n"

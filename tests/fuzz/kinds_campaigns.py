@@ -46,7 +46,7 @@ from ds_sim import BULLET
 from ds_sim.camera.encodings import jpeg
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
-from ds_studies.suite.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
+from ds_studies.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
 from ds_twin_donkey.car_files import ParameterFileError, read_parameters
 
 _CONFIG = """\

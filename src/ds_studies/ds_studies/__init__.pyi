@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-from .comparison.compare import GivenTests, compare, random_tests, tests_of_campaign, tests_of_campaigns
+from .comparison import GivenTests, compare, random_tests, tests_of_campaign, tests_of_campaigns
 from .same_roads import drive_same_roads
 from .sensitivity import analyse_sensitivity
-from .suite.suite_file import (
+from .suite_file import (
     Suite,
     SuiteError,
     SuiteOutcome,

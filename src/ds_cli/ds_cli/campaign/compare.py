@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ds_driver.networks.driver_name import DriverName
     from ds_orchestrator.campaign.folder import CampaignData
     from ds_report.comparison_page import Grid
-    from ds_studies.comparison.compare import GivenTests
+    from ds_studies.comparison import GivenTests
 
 ROADS, SEED = 40, 40
 """Random roads of two networks, and their seed; chosen: those of `ds siblings compare`."""
@@ -45,7 +45,7 @@ Task = tuple[list["GivenTests"], tuple["Network", "Network"], "Origin", str]
 
 def _of_campaign_and_network(campaign: Path, network: DriverName, trust: Sequence[str]) -> Task:
     """The tests of a campaign, to be driven with a network."""
-    from ds_studies.comparison.compare import network_of_campaign, tests_of_campaign
+    from ds_studies.comparison import network_of_campaign, tests_of_campaign
 
     data = _trusted(campaign, trust)
     tests = tests_of_campaign(campaign, data)
@@ -56,7 +56,7 @@ def _of_campaign_and_network(campaign: Path, network: DriverName, trust: Sequenc
 
 def _of_campaigns(reference: Path, candidate: Path, trust: Sequence[str]) -> Task:
     """The tests of two campaigns of one configuration, each of whose networks drives the other's tests, too."""
-    from ds_studies.comparison.compare import network_of_campaign, tests_of_campaigns
+    from ds_studies.comparison import network_of_campaign, tests_of_campaigns
 
     first, second = (_trusted(folder, trust) for folder in (reference, candidate))
     sets = tests_of_campaigns((reference, first), (candidate, second))
@@ -70,7 +70,7 @@ def _of_networks(
 ) -> Task:
     """Random roads for two networks."""
     from ds_driver.data.collection import unseen_roads
-    from ds_studies.comparison.compare import random_tests
+    from ds_studies.comparison import random_tests
 
     twin = TWIN if TWIN in simulators and len(simulators) > 1 else None
     siblings = [name for name in simulators if name != twin]
@@ -253,7 +253,7 @@ def campaign_compare_command(
     from ds_analysis.outcomes.study_results import compare_studies
     from ds_cli.progress import ScreenListener
     from ds_orchestrator.engines.drive_tests import Callbacks
-    from ds_studies.comparison.compare import compare, compare_until_sure
+    from ds_studies.comparison import compare, compare_until_sure
 
     if (second is None) == (driver is None):
         raise ComparisonError("expected one candidate, as in `ds compare A B` or `ds compare A --driver B`")

@@ -35,7 +35,7 @@ def suite_make_command(
     from ds_base.words import count
     from ds_orchestrator.campaign.folder import read_folder
     from ds_orchestrator.search.features import feature_of
-    from ds_studies.suite.suite_file import SuiteError, suite_of, write_suite
+    from ds_studies.suite_file import SuiteError, suite_of, write_suite
 
     options.check_writable(out)
     if out.exists() and not force:
@@ -98,9 +98,9 @@ def suite_run_command(
     from ds_orchestrator.engines.drive_tests import Callbacks
     from ds_orchestrator.engines.fingerprint import code_sha256
     from ds_sim.registry import received_simulator
-    from ds_studies.comparison.compare import BATCH
+    from ds_studies import suite_file
+    from ds_studies.comparison import BATCH
     from ds_studies.failure_videos import FailedDrive, write_failure_videos
-    from ds_studies.suite import suite_file
 
     network = options.driver_named(driver, backend)
     passing.check(passing.markdown, update)

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Drives of a network on the tests of another, and what they show."""
