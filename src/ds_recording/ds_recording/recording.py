@@ -32,7 +32,8 @@ LEAST_ORDERED = 0.95
 """Share of the images that must be later than the one before; chosen: sessions may be mixed, and a clock set once."""
 WIDEST_IMAGE = 320
 """Columns to which wider images are shrunk; chosen: lines are then as many pixels wide as they are checked with."""
-SIZES = (16, 4096)
+LARGEST_SIDE = 4096
+SIZES = (16, LARGEST_SIDE)
 """Least and largest side of an image, px; chosen: cameras of 4K."""
 
 
