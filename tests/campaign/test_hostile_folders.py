@@ -89,6 +89,13 @@ def test_no_verb_opens_a_store_that_is_a_link(verb: str, campaign: Path) -> None
     assert content(campaign.parent) == before
 
 
+def test_a_journal_that_names_another_file_is_not_replayed(campaign: Path) -> None:
+    victim = campaign.parent / "victim"
+    victim.write_bytes(b"nothing\0")
+    (campaign / "campaign.sqlite-journal").write_bytes(super_journal(victim))
+    assert "refers to other files" in refusal("campaign", "status", campaign) and victim.exists()
+
+
 @pytest.mark.parametrize("verb", READING)
 def test_no_verb_waits_for_a_fifo_or_changes_what_it_reads(verb: str, campaign: Path) -> None:
     os.mkfifo(campaign / "campaign.sqlite-wal")
