@@ -81,10 +81,8 @@ def content(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def change(folder: Path, statement: str) -> None:
-    db = sqlite3.connect(folder / "campaign.sqlite", isolation_level=None)
-    db.execute(statement)
-    db.close()
+def change(folder: Path, statement: str, *values: object) -> None:
+    change_store(folder / "campaign.sqlite", statement, *values)
 
 
 def tear(folder: Path) -> None:
@@ -211,10 +209,6 @@ def make(folder: Path, config: CampaignConfig = FINISHED) -> Path:
     return folder
 
 
-def spoil(folder: Path, statement: str, *values: object) -> None:
-    change_store(folder / "campaign.sqlite", statement, *values)
-
-
 @pytest.fixture
 def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An importable module that leaves a trace when it is imported."""
@@ -303,7 +297,7 @@ IMPOSSIBLE: dict[str, tuple[Any, ...]] = {
 def test_content_that_no_campaign_wrote_is_refused_in_one_line(tmp_path: Path, what: str) -> None:
     folder = make(tmp_path / "received")
     statement, reason, *values = IMPOSSIBLE[what]
-    spoil(folder, statement, *values)
+    change(folder, statement, *values)
     before = content(folder)
     said = refusal("report", folder)
     assert reason in said and len(said) < 400, said
@@ -346,7 +340,7 @@ def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path) ->
     packer = zlib.compressobj(9)
     first, again = (packer.compress(bytes(2**22)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))
     bomb = first + again * 255  # no block refers to the previous one
-    spoil(folder, "UPDATE executions SET trajectory=?", bomb)
+    change(folder, "UPDATE executions SET trajectory=?", bomb)
     tracemalloc.start()
     assert "does not hold" in refusal("report", folder)
     assert tracemalloc.get_traced_memory()[1] < 50_000_000
