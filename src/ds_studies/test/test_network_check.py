@@ -360,6 +360,7 @@ def test_drives_decide_by_their_number(more_drives: Drives) -> None:
 
 
 FILES = Path(__file__).parent / "data/donkeycar_pilots.zip"
+"""Made by `benchmarks/donkeycar_pilots.py`, with the answers of Donkey Car's interpreter to the same frames."""
 KINDS = ["linear", "categorical", "inferred", "memory", "behavior", "imu", "localizer", "rnn", "3d"]
 WITHOUT_THROTTLE = {
     "inferred": "Donkey Car computes it from the angle, and here the paper's equation 2 does",
