@@ -270,14 +270,14 @@ class GraphClient:
         if not handle.accepted:
             return "the goal was rejected: is this simulator of another version?"
         result = self._await_result(simulator, handle)
+        if isinstance(result, str):
+            return result
         if result is not None and result.status == GoalStatus.STATUS_UNKNOWN:  # of a node that never had the goal
             return f"the simulator was started anew during the run, {simulator.place}"
         if result is not None:
             return cast(DriveRoad.Result, result.result)
         if handle.status in (GoalStatus.STATUS_ACCEPTED, GoalStatus.STATUS_EXECUTING, GoalStatus.STATUS_UNKNOWN):
             self._thread.call(handle.cancel_goal_async, 1.0)
-        if self._supervisor is not None and (dead := simulator.processes & set(self._supervisor.dead())):
-            return f"{', '.join(sorted(dead))} ended during the run, {simulator.place}"
         self._restart(simulator)
         if self._supervisor is None and not self._thread.stopped:
             seconds = simulator.clock.now() - simulator.alive
@@ -285,7 +285,7 @@ class GraphClient:
         return f"the simulator fell silent during the run, {simulator.place}"
 
     def _await_result(self, simulator: _Simulator, handle: Any) -> Any:
-        """Wait for the result of a goal; None if the simulator has shown no sign of life for too long."""
+        """Wait for the result of a goal; None after too long a silence, one line if its process ended."""
         future = self._thread.send(handle.get_result_async, SERVICE_TIME)
         if future is None:
             return None
@@ -299,8 +299,8 @@ class GraphClient:
             # A result that comes while neither node knows the other is lost.
             if now - max(asked, simulator.alive) > ASK_AGAIN:
                 asked, future = now, self._thread.send(handle.get_result_async, SERVICE_TIME) or future
-            if self._supervisor is not None and simulator.processes & set(self._supervisor.dead()):
-                return None
+            if self._supervisor is not None and (dead := simulator.processes & set(self._supervisor.dead())):
+                return f"{', '.join(sorted(dead))} ended during the run, {simulator.place}"
             self._thread.wait(future, 0.5)
             if self._supervisor is None and not future.done() and not self._answers(simulator):
                 return None
