@@ -62,7 +62,8 @@ def drive_into_fog(folder: Path) -> dict[str, Any]:
     """
     result = folder / "fog.json"
     if result.is_file() and (folder / "fog.mp4").is_file():
-        return dict(read_json(result))
+        earlier = dict(read_json(result))
+        return earlier | {"siblings": [*map(SimulatorName, earlier["siblings"])]}
     road = generate(np.random.default_rng(ROAD_SEED), max_angle=MAX_ANGLE)
     seconds, frames = 0.0, 0
     with closing(make_simulator(TWIN)) as simulator:

@@ -309,7 +309,7 @@ def demo_command(out: options.OutFolder = Path("demo"), *, driving: options.Driv
     from ds_report.sensitivity_page import SensitivityPage
     from ds_studies import demo
 
-    workers = driving.workers or DEMO_WORKERS
+    chosen = {"workers": DEMO_WORKERS} | driving.chosen()
     make_folder(out)
     say("1 of 4: one road, in clear air and in fog")
     fog = demo.drive_into_fog(out)
@@ -320,11 +320,13 @@ def demo_command(out: options.OutFolder = Path("demo"), *, driving: options.Driv
     page = SensitivityPage(place / "sensitivity.html")
     say(f"2 of 4: what else breaks it? Open {page.path} in a browser: it fills while you watch")
     with stopped_in(place):
-        sensitivity = demo.measure_sensitivity(fog, place, workers, progress=ScreenProgress(), watch=page.write)
+        sensitivity = demo.measure_sensitivity(
+            fog, place, chosen["workers"], progress=ScreenProgress(), watch=page.write
+        )
     ranges = demo.searched(sensitivity)
     say(f"3 of 4: a campaign that searches roads and conditions: {demo.searched_in_words(ranges) or 'none broke it'}")
     config = demo.campaign_config(ranges, fog["siblings"])
-    result = campaign(config.model_copy(update={"workers": workers, **driving.chosen()}), out)
+    result = campaign(config.model_copy(update=chosen), out)
     result.document["fog"], result.document["searched"] = fog, ranges
 
     def show() -> None:
