@@ -34,7 +34,7 @@ from ds_sim.parts import VEHICLE_CONDITIONS, Vehicle
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
 from ds_studies.explanation import Experiment, Explanation, Subset, drive_experiments
-from ds_studies.sensitivity import candidate_roads
+from ds_studies.steering_roads import candidate_roads
 
 PLANTS = {
     "raised": ("camera", (2.5, 4.0)),

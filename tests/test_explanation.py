@@ -25,7 +25,7 @@ from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.registry import BULLET, SOFTBODY, SimulatorName
 from ds_sim.simulator import Outcome
 from ds_studies.explanation import Explanation, experiment_on, shapley, subsets
-from ds_studies.sensitivity import candidate_roads
+from ds_studies.steering_roads import candidate_roads
 
 PARTS = ("camera", "look", "vehicle", "delays")
 

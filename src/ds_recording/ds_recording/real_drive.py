@@ -18,7 +18,7 @@ from ds_recording import RecordingError
 from ds_recording.located import LOCATED, read_located
 from ds_recording.sibling.recorded_drive import driven_side
 from ds_road import Road
-from ds_sim.oracle import FINISH_MARGIN, LaneTracker
+from ds_sim.oracle import LaneTracker, OracleLimits
 
 Array = NDArray[np.float64]
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -88,7 +88,7 @@ def _located(path: Path, road: Road, scale: float) -> RecordedOutcome:
     beyond = np.flatnonzero(offsets > road.lane_width / 2)
     end = int(beyond[0]) + 1 if beyond.size else len(offsets)
     along = located.column("along_m")[:end] * scale
-    whole = LaneTracker(road.lane_centre).length - FINISH_MARGIN  # where a simulated drive ends, too
+    whole = LaneTracker(road.lane_centre).length - OracleLimits().finish_margin  # where a simulated drive ends, too
     share = min(float(along.max() - along.min()) / whole, 1.0)
     return RecordedOutcome(
         lateral=float(offsets[:end].max()), share=share, when=_began(path / str(located.about.get("source")))

@@ -9,7 +9,7 @@ from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, Conditions
 from .conditions.text import format_conditions, parse_conditions
 from .gates.gate import Gate, GateState, gate_of
 from .gates.visible_contrast import ContrastProbe, VisibleContrast
-from .oracle import LaneTracker, Oracle
+from .oracle import LaneTracker, Oracle, OracleLimits
 from .parts import Scene, Vehicle
 from .registry import (
     BULLET,
@@ -70,6 +70,7 @@ __all__ = [
     "NotApplicableError",
     "Observation",
     "Oracle",
+    "OracleLimits",
     "Outcome",
     "PaintedScene",
     "ResimulationError",

@@ -70,7 +70,7 @@ class HybridSimulator(RoadSimulator):
                 "whole, so take both from the same simulator"
             )
         scene: Scene = camera.scene if whole else PaintedScene(spec.camera, spec.look)
-        super().__init__(spec, vehicle.vehicle, scene=scene)
+        super().__init__(spec, vehicle.vehicle, scene=scene, limits=vehicle.limits)
         self._dead_time = delays.vehicle.command_delay
         if self.vehicle.delays_commands:
             self.vehicle.command_delay, self._dead_time = self._dead_time, 0.0

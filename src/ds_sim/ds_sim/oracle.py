@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,13 +77,23 @@ class LaneTracker:
         return (-distance if side > 0 else distance), self._arc[best] + place, best
 
 
-FINISH_MARGIN = 2.0
-"""Distance before the end of the lane at which the road counts as completed, m; chosen: about half a car, so that the
-front bumper reaches the last road point (maxitwo stops 8 m short of it)."""
-STUCK_DISTANCE, STUCK_TIME = 1.0, 10.0
-"""A vehicle that covers less than this, m, within that, s, is stuck (maxitwo's detector, SBFT competition)."""
-MAX_STEPS = 2000
-"""Steps after which a run times out (maxitwo)."""
+@dataclass(frozen=True, kw_only=True)
+class OracleLimits:
+    """Thresholds that end a run.
+
+    Attributes:
+        finish_margin: distance before the end of the lane at which the road counts as completed, m; chosen: about half
+            a car, so that the front bumper reaches the last road point (maxitwo stops 8 m short of it).
+        stuck_distance: a vehicle that covers less than this within `stuck_time` is stuck, m (maxitwo's detector, SBFT
+            competition: 1 m).
+        stuck_time: simulated time, s (the same detector: 10 s).
+        max_steps: number of steps after which the run times out (maxitwo: 2000 steps).
+    """
+
+    finish_margin: float = 2.0
+    stuck_distance: float = 1.0
+    stuck_time: float = 10.0
+    max_steps: int = 2000
 
 
 class Oracle:
@@ -90,11 +101,13 @@ class Oracle:
 
     Args:
         lane_length: length of the lane's centre line, m.
+        limits: thresholds that end the run.
     """
 
-    def __init__(self, lane_length: float) -> None:
-        self._finish = lane_length - FINISH_MARGIN
-        self._progress: deque[float] = deque(maxlen=round(STUCK_TIME * FRAME_RATE) + 1)
+    def __init__(self, lane_length: float, limits: OracleLimits | None = None) -> None:
+        self._limits = limits or OracleLimits()
+        self._finish = lane_length - self._limits.finish_margin
+        self._progress: deque[float] = deque(maxlen=round(self._limits.stuck_time * FRAME_RATE) + 1)
 
     def judge(self, *, step: int, lateral_distance: float, arc_length: float) -> Outcome:
         """Judge one frame; out of bounds takes precedence over anything else in the same frame.
@@ -110,8 +123,8 @@ class Oracle:
         if arc_length >= self._finish:
             return Outcome.COMPLETED
         full = len(self._progress) == self._progress.maxlen
-        if full and max(self._progress) - min(self._progress) < STUCK_DISTANCE:
+        if full and max(self._progress) - min(self._progress) < self._limits.stuck_distance:
             return Outcome.STUCK
-        if step >= MAX_STEPS:
+        if step >= self._limits.max_steps:
             return Outcome.TIMEOUT
         return Outcome.RUNNING

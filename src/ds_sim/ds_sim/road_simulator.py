@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ds_road import Road, RoadError
 from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions
-from ds_sim.oracle import LaneTracker, Oracle
+from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
 from ds_sim.parts import Scene, Vehicle
 from ds_sim.simulator import (
     FRAME_TIME,
@@ -80,15 +80,24 @@ class RoadSimulator(Simulator):
         spec: description of the simulator; `conditions` is filled in from what vehicle and scene realise.
         vehicle: physics model.
         scene: what the camera sees; a `PaintedScene` of the spec's camera and look if omitted.
+        limits: thresholds that end a run; the defaults of `OracleLimits` if omitted.
     """
 
     takes_stills = True
 
-    def __init__(self, spec: SimulatorSpec, vehicle: Vehicle, *, scene: Scene | None = None) -> None:
+    def __init__(
+        self,
+        spec: SimulatorSpec,
+        vehicle: Vehicle,
+        *,
+        scene: Scene | None = None,
+        limits: OracleLimits | None = None,
+    ) -> None:
         self.vehicle = vehicle
         self.scene = scene or PaintedScene(spec.camera, spec.look)
         realised = COMMAND_CONDITIONS | vehicle.conditions | self.scene.conditions
         self._spec = replace(spec, conditions=tuple(name for name in FIELDS if name in realised))
+        self.limits = limits or OracleLimits()
         self._run: _Run | None = None
 
     @property
@@ -121,7 +130,7 @@ class RoadSimulator(Simulator):
         self.scene.load(road, np.random.default_rng(sensor_seed), conditions.for_scene(self.scene.conditions))
         run = _Run(
             tracker=tracker,
-            oracle=Oracle(tracker.length),
+            oracle=Oracle(tracker.length, self.limits),
             half_lane=road.lane_width / 2,
             actuation=Actuation(conditions, self._spec.max_steering_angle) if acts else None,
         )

@@ -14,7 +14,7 @@ import pytest
 from ds_road import Road
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import PHRASES, Side, conditions_in_words, format_conditions, from_json, parse_conditions
-from ds_sim.oracle import LaneTracker, Oracle
+from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
 from ds_sim.registry import make_simulator, simulator_of_process
 from ds_sim.road_simulator import Actuation
 from ds_sim.ros.command_monitor import WARN_AFTER, CommandMonitor, FrameJitter
@@ -220,9 +220,9 @@ def test_less_than_a_metre_in_ten_seconds_is_stuck() -> None:
 
 
 def test_reaching_the_maximum_of_steps_is_a_timeout() -> None:
-    oracle = Oracle(100.0)
-    assert oracle.judge(step=1999, lateral_distance=1.0, arc_length=1.0) is Outcome.RUNNING
-    assert oracle.judge(step=2000, lateral_distance=1.0, arc_length=5.0) is Outcome.TIMEOUT
+    for oracle, most in ((Oracle(100.0), 2000), (Oracle(100.0, OracleLimits(max_steps=30)), 30)):
+        assert oracle.judge(step=most - 1, lateral_distance=1.0, arc_length=1.0) is Outcome.RUNNING
+        assert oracle.judge(step=most, lateral_distance=1.0, arc_length=5.0) is Outcome.TIMEOUT
 
 
 def test_outcomes_are_verdicts_or_errors() -> None:

@@ -11,9 +11,6 @@ from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-import shapely
-
 from ds_analysis.sensitivity import LEVELS, Factor, RoadResult, Sensitivity, Threshold, Verdict, threshold_of
 from ds_base.progress import SILENT, Progress, logger_of
 from ds_driver.networks.driver_name import AUTOPILOT
@@ -24,12 +21,11 @@ from ds_orchestrator.engines.drive_tests import open_drives
 from ds_orchestrator.engines.start import preflight, running_engine
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
-from ds_road import Road, generate
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.conditions.text import format_conditions
-from ds_sim.oracle import FINISH_MARGIN
 from ds_sim.registry import SimulatorName, spec_of
 from ds_sim.scenario import Scenario
+from ds_studies.steering_roads import SEGMENTS, candidate_roads
 
 
 def first_failure(fails: Callable[[int], bool], highest: int, near: RoadResult | None = None) -> RoadResult:
@@ -64,45 +60,10 @@ def first_failure(fails: Callable[[int], bool], highest: int, near: RoadResult |
     return RoadResult(completes=low, fails=high if high <= highest else None)
 
 
-SEGMENTS = 4
-"""Segments of a road, 25 m each, of the six of a generated one: a straight one and three bends. Chosen: saves a third
-of the time, and a driver that cannot see fails in its first bends; one that swings up may need more."""
-MOST_SEGMENTS = 6
-"""Segments of a generated road: the spline goes from its second control point to the last but one."""
-MAX_ANGLE = 270
-"""Largest angle of the roads before they are cut, degrees: that of the training roads (paper 4.2.2)."""
-CANDIDATES = 3
-"""Roads tried for each one needed; chosen: a driver that completes fewer needs no conditions to fail."""
-
 TESTED, GATE = "tested", "gate"
 Fails = Callable[[str, int, Conditions], bool]
 """Whether the driver (`TESTED`) fails on the road of a number under conditions; `GATE`: whether no driver can be judged
 there, as the autopilot fails or the lines are invisible (`ds_sim.gates`)."""
-
-
-def candidate_roads(count: int, seed: int, *, segments: int = SEGMENTS) -> list[Scenario]:
-    """Generate candidates for a number of roads; fewer roads have the same first ones.
-
-    Each is the beginning of a random road, 2 to `MOST_SEGMENTS` segments of 25 m, on which a car must steer. The seed
-    is that of the roads, and of the runs on the first one.
-    """
-    rng = np.random.default_rng(seed)
-    candidates: list[Scenario] = []
-    while len(candidates) < CANDIDATES * count:
-        road = Road(generate(rng, max_angle=MAX_ANGLE).control_points[: segments + 3])
-        if road.validity.valid and _needs_steering(road):
-            candidates.append(Scenario(road, seed=(seed + len(candidates)) % 2**32))
-    return candidates
-
-
-def _needs_steering(road: Road) -> bool:
-    """Whether a straight line from the start of the lane leaves it."""
-    lane = road.lane_centre
-    length = float(np.hypot(*np.diff(lane, axis=0).T).sum())
-    ahead = (lane[1] - lane[0]) / np.hypot(*(lane[1] - lane[0]))
-    straight = lane[0] + np.outer(np.arange(0.0, length - FINISH_MARGIN, 1.0), ahead)
-    apart = shapely.distance(shapely.points(straight), shapely.LineString(lane))
-    return bool(np.max(apart) > road.lane_width / 2)
 
 
 def choose_roads(count: int, needed: int, fails: Fails) -> tuple[int, ...]:

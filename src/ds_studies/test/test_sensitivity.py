@@ -28,7 +28,7 @@ from ds_analysis.sensitivity import (
     factors_named,
     threshold_of,
 )
-from ds_base.folder_files import StoreError
+from ds_base.folder_files import StoreError, write_json
 from ds_base.progress import LOGGER
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -46,8 +46,10 @@ from ds_sim.registry import PANDA, SOFTBODY, SimulatorName
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Command, Outcome, Reason
 from ds_studies import sensitivity
+from ds_studies.demo import drive_into_fog
 from ds_studies.same_roads import drive_same_roads
-from ds_studies.sensitivity import GATE, MOST_SEGMENTS, TESTED, candidate_roads, choose_roads, first_failure, measure
+from ds_studies.sensitivity import GATE, TESTED, choose_roads, first_failure, measure
+from ds_studies.steering_roads import MOST_SEGMENTS, candidate_roads
 
 X = SimulatorName("x")
 
@@ -274,6 +276,12 @@ def test_an_analysis_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytes
     assert "the order is that of these 3 roads: on others, another condition may come first" in found.table().notes
     image = draw_sensitivity(found)
     assert image.ndim == 3 and len(np.unique(image.reshape(-1, 3), axis=0)) > 3
+
+
+def test_a_demo_that_goes_on_knows_its_simulators(tmp_path: Path) -> None:
+    (tmp_path / "fog.mp4").touch()
+    write_json(tmp_path / "fog.json", {"siblings": ["bullet", "softbody"]})
+    assert not any(one.is_external for one in drive_into_fog(tmp_path)["siblings"])
 
 
 def test_too_few_roads_say_nothing_about_conditions(use: Use) -> None:

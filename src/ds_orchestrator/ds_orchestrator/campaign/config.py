@@ -137,6 +137,7 @@ class CampaignConfig(Keys, strict=True):
             backend may follow, as in `dave2@onnx`, and generators, as in `dave2+FOLDER`.
         sim2real: generators that translate every image to a pseudo-real one before the network sees it: a shipped set,
             a folder, or `none`; it becomes part of the driver's name. False: those that the driver names, if any.
+        search: search on each sibling.
         maxitwo_compatible: reproduce known quirks of the authors' package (docs/method.md).
         lane: lane in which every road is driven, `right` or `left`.
         conditions: operating conditions of every test, as in `visibility=60,line_contrast=0.4`; `none` for each
@@ -146,6 +147,7 @@ class CampaignConfig(Keys, strict=True):
         features: axes of the feature maps, two or three; `minimum_radius:20` joins twenty bins into one.
         migration: `all` drives every executed test on the other siblings and the twin, `elites` only the elites of
             each search run.
+        operators: merge operators.
         seed: seed from which every other seed is derived.
         engine: what drives: `graph`, nodes of ROS; `local`, processes on this machine without ROS; `auto`, `graph`
             where ROS is set up, else `local`; `dask`, processes on a cluster. Results do not depend on it.

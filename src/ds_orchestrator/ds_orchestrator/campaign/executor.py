@@ -99,6 +99,10 @@ class Executor:
     """Executes tests, as many in parallel as the engine has capacity for; results do not depend on their number.
 
     Finished executions are read from the store, new ones added, and their bags written to the folder.
+
+    Attributes:
+        given_up: tests whose search continued without their outcome, in an earlier session.
+        failed_executions: number of executions that ended in an error after all attempts.
     """
 
     def __init__(self, settings: DriveSettings, folder: Path, store: Store, engine: Engine, listener: Listener) -> None:
@@ -110,8 +114,8 @@ class Executor:
         self._queues: dict[SimulatorName, deque[Callable[[], object]]] = {}
         self._unfinished = 0
         self._unlucky: dict[SimulatorName, int] = dict.fromkeys(settings.simulators, 0)
-        self.given_up = store.given_up()  # tests whose search continued without their outcome, in an earlier session
-        self.failed_executions = 0  # that ended in an error after all attempts
+        self.given_up = store.given_up()
+        self.failed_executions = 0
 
     def stop(self) -> None:
         """Start no further test."""

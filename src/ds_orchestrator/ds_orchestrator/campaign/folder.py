@@ -158,6 +158,7 @@ class CampaignData:
     """Contents of a campaign's store at one moment, finished or not.
 
     Attributes:
+        config: configuration as run.
         tests: every test, by sibling, run and number.
         executions: every execution, by simulator and test.
         gates: test and simulator -> what the gates say; tests that they exclude have no execution there.

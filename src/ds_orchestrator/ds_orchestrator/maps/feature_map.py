@@ -126,6 +126,9 @@ class FeatureMap:
     """Grid of cells, one axis per feature.
 
     Attributes:
+        id: identity: which tests on which simulator.
+        cells: filled cells.
+        features: the axes.
         detail: slice of a map of three features, such as `direction coverage, % 10`; "" for a whole map.
         excluded: number of tests by which no network can be judged on this simulator (`ds_sim.gates`), by cell; they
             are in no other number.

@@ -31,6 +31,8 @@ class SearchedCondition:
     """One condition of a search. Steps and draws are uniform on the condition's scale (`ds_sim.conditions.model`).
 
     Attributes:
+        name: of the condition.
+        low: smallest value.
         high: largest value, finite.
         step: largest mutation, as a share of the range.
 

@@ -84,6 +84,9 @@ class Execution:
     """Outcome of one test on one simulator.
 
     Attributes:
+        test_id: id of the test.
+        simulator: name of the simulator.
+        outcome: how the run ended.
         message: reason in one line, or "" where the outcome alone explains it.
         fitness: smallest lateral distance of the run, m.
         max_lateral_position: largest absolute lateral position of the run, m.

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 
 from ds_base.bounded_file import load_json
 from ds_base.folder_files import StoreError
+from ds_base.intervals import FailureCount
 from ds_orchestrator.store import rows
 from ds_orchestrator.store.model import Execution, Test, execution_of, row_of, test_of
 from ds_orchestrator.store.sqlite_file import SqliteFile
@@ -274,6 +276,25 @@ class Store:
             "JOIN tests USING (test_id) GROUP BY sibling, run, simulator, outcome) ORDER BY simulator, first",
         )
 
+    def failures_of_groups(self) -> dict[tuple[SimulatorName, int, SimulatorName], FailureCount]:
+        """Deprecated, goes in 0.5: sibling and run of a search, and simulator -> failures of its tests there."""
+        warnings.warn("failures_of_groups goes in 0.5: use drive_counts", DeprecationWarning, stacklevel=2)
+        counts: dict[tuple[SimulatorName, int, SimulatorName], FailureCount] = {}
+        for row in self.drive_counts():
+            key = row.sibling, row.run, row.simulator
+            failures, tests = counts.get(key, (0, 0))
+            failures += row.executions * Outcome[row.outcome].is_failure
+            counts[key] = FailureCount(failures, tests + row.executions)
+        return counts
+
+    def outcome_counts(self) -> Counter[tuple[str, str]]:
+        """Deprecated, goes in 0.5: simulator and name of the outcome -> number of executions."""
+        warnings.warn("outcome_counts goes in 0.5: use drive_counts", DeprecationWarning, stacklevel=2)
+        counts: Counter[tuple[str, str]] = Counter()
+        for row in self.drive_counts():
+            counts[row.simulator, row.outcome] += row.executions
+        return counts
+
     def count_excluded(self) -> Counter[tuple[SimulatorName, int, SimulatorName]]:
         """Number of tests that the gates exclude, by sibling and run of their search, and simulator."""
         records = self._file.ask(
@@ -281,12 +302,14 @@ class Store:
             "GROUP BY sibling, run, simulator",
             (GateState.VALID.value,),
         )
-        return Counter({(sibling, run, simulator): count for sibling, run, simulator, count in records})
+        return Counter(
+            {(SimulatorName(sibling), run, SimulatorName(simulator)): n for sibling, run, simulator, n in records}
+        )
 
     def count_tests_by_sibling(self) -> Counter[SimulatorName]:
         """Sibling -> number of tests that its searches generated."""
         records = self._file.ask("SELECT sibling, count(*) FROM tests GROUP BY sibling")
-        return Counter(dict(records))
+        return Counter({SimulatorName(sibling): count for sibling, count in records})
 
     def bags(self) -> list[str]:
         """Bags of all executions, in their order."""

@@ -24,6 +24,7 @@ from ds_sim.registry import SimulatorName, simulator_of_process
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, SimulatorError
+from ds_studies.steering_roads import candidate_roads
 
 if TYPE_CHECKING:
     from ds_analysis.common.statistics import Indices
@@ -109,8 +110,6 @@ def record(
 
     A network with memory is asked about `whole` pieces of drives. `SimulatorError` if a drive ended in an error.
     """
-    from ds_studies.sensitivity import candidate_roads  # its libraries take a worker longer than a drive
-
     roads = [one for one in candidate_roads(ROADS, seed) if one.road.reversed().validity.valid][:ROADS]
     kept = WHOLE if whole else slice(None, None, EVERY)
     scenarios = [replace(one, road=way.in_lane(lane)) for one in roads for way in (one.road, one.road.reversed())]
@@ -132,8 +131,6 @@ def _record(scenarios: Sequence[Scenario], kept: slice, simulator: SimulatorName
 
 def speeds_of_throttle(pilot: Pilot, simulator: SimulatorName, seed: int) -> NDArray[np.float64]:
     """Let the autopilot steer and the network accelerate on the first road; return the speed of each frame, m/s."""
-    from ds_studies.sensitivity import candidate_roads
-
     pilot.start()
     driven = _drive(simulator, candidate_roads(1, seed)[0], slice(None), lambda frame: pilot.predict(frame).throttle)
     return np.array([frame.speed for frame, _ in driven])
