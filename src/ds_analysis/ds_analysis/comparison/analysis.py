@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -182,11 +182,13 @@ def _simulators(
 
 
 def _cells(of: Mapping[SimulatorName, Sequence[PairedDrive]]) -> list[CellComparison]:
-    counts = {
-        (name, cell): PairedCounts.of(drive for drive in drives if drive.test.cell == cell)
-        for name, drives in of.items()
-        for cell in sorted({drive.test.cell for drive in drives if drive.test.cell is not None})
-    }
+    there: dict[tuple[SimulatorName, Cell], list[PairedDrive]] = defaultdict(list)
+    for name, drives in of.items():
+        for drive in drives:
+            if drive.test.cell is not None:
+                there[name, drive.test.cell].append(drive)
+    order = list(of)
+    counts = {key: PairedCounts.of(there[key]) for key in sorted(there, key=lambda key: (order.index(key[0]), key[1]))}
     p = adjusted([one.p for one in counts.values()], "fdr_bh")
     return [
         CellComparison(simulator=name, cell=cell, counts=one, p_adjusted=value)

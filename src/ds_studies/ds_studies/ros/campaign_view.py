@@ -134,8 +134,8 @@ class StateListener(TimedListener):
 
     def finished(self, test: Test, simulator: SimulatorName, execution: Execution | Gate | None, fresh: bool) -> None:
         """See `Listener.finished`."""
-        super().finished(test, simulator, execution, fresh)
         with self._lock:
+            super().finished(test, simulator, execution, fresh)
             self._state.failures += isinstance(execution, Execution) and execution.outcome.is_failure
             self._state.errors += execution is None
         self.outcomes.put(outcome_message(self._state.folder, test.test_id, simulator, execution))
