@@ -225,7 +225,7 @@ def sim2real_train_command(
 
     Example: ds sim2real train --sim bullet --real my_tub --out s2r_bullet
     """
-    from ds_driver.sim2real.preparation import prepare_domains
+    from ds_driver.sim2real.preparation import make_domains
     from ds_driver.sim2real.settings import PRESETS
     from ds_driver.sim2real.trainer import EPOCHS, train
     from ds_driver.training import CHECKPOINT
@@ -234,7 +234,7 @@ def sim2real_train_command(
     settings = replace(settings, epochs=epochs or settings.epochs)
     kept = f"the finished epochs are kept in {out}; the same command continues"
     with stopped(lambda: kept if (out / CHECKPOINT).is_file() else ""):
-        domains = prepare_domains(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
+        domains = make_domains(sim, real, out, settings, ScreenProgress(), data_sets=unlike or [])
         for warning in domains.warnings:
             say(f"warning: {warning}")
         history = train(domains, settings, out, ScreenProgress())

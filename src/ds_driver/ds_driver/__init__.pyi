@@ -15,7 +15,7 @@ from .networks.torch_networks import make_network
 from .networks.weights import WeightsError, shipped_networks
 from .sim2real.generator import Sim2RealError, StoredGenerator, Window, load_generator
 from .sim2real.image_translation import Translator
-from .sim2real.preparation import prepare_domains
+from .sim2real.preparation import Sources, make_domains, prepare_domains, read_sources
 from .sim2real.settings import PRESETS, Sim2RealSettings
 from .training import TrainingError, TrainingPlan, train
 
@@ -40,6 +40,7 @@ __all__ = [
     "Sample",
     "Sim2RealError",
     "Sim2RealSettings",
+    "Sources",
     "SpeedController",
     "StampMatcher",
     "StoredGenerator",
@@ -54,11 +55,13 @@ __all__ = [
     "load_generator",
     "load_pilot",
     "make_driver",
+    "make_domains",
     "make_network",
     "open_recording",
     "prepare",
     "prepare_domains",
     "read_samples",
+    "read_sources",
     "shipped_networks",
     "throttle",
     "train",

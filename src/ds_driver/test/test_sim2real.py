@@ -35,9 +35,11 @@ from ds_driver.sim2real.preparation import (
     FRAMES,
     Domains,
     check_roads_are_new,
+    make_domains,
     network_window,
     prepare_domains,
     read_photographs,
+    read_sources,
     sim2real_roads,
     simulated_frames,
     split,
@@ -411,12 +413,13 @@ def test_from_photographs_to_a_set_of_generators(tmp_path: Path) -> None:
     for index, image in enumerate(np.concatenate(simulated_frames(SOFTBODY, settings, tmp_path / "s.npz", told))):
         (real / f"{index:03d}.jpg").write_bytes(jpeg(image))
     out = tmp_path / "out"
-    data = prepare_domains(BULLET, real, out, settings, told)
+    data = make_domains(BULLET, real, out, settings, told)
     assert data.match.difference < BOUND and not data.warnings
     training, held_out = simulated_frames(BULLET, settings, out / FRAMES, told)
     assert len(training) and len(held_out) and len(training) + len(held_out) == 80
     train(data, settings, out, told)
-    again = prepare_domains(BULLET, real, out, settings, told)
+    with pytest.deprecated_call():
+        again, _ = prepare_domains(read_sources(BULLET, real, out, settings, told), real, out)
     assert again.match == data.match and np.array_equal(again.shown_simulated, data.shown_simulated)
     (tmp_path / "set").mkdir()
     shutil.copy(out / EPOCHS / "epoch_002.safetensors", tmp_path / "set" / "bullet.safetensors")

@@ -107,6 +107,14 @@ def test_names_the_habits_of_the_driver(tmp_path: Path, factor: float, speed: fl
     assert [habit.kind for habit in driver_habits(store_of(tmp_path, 2, factor, speed))] == kinds
 
 
+def test_counts_that_go_still_count(tmp_path: Path) -> None:
+    store = store_of(tmp_path, 3, 0.3, 7.0)
+    with pytest.deprecated_call():
+        assert store.outcome_counts() == {("bullet", "COMPLETED"): 3, ("donkey", "COMPLETED"): 3}
+    with pytest.deprecated_call():
+        assert store.failures_of_groups() == {(BULLET, 0, BULLET): (0, 3), (BULLET, 0, DONKEY): (0, 3)}
+
+
 def test_decodes_a_bounded_sample_of_both_simulators(tmp_path: Path) -> None:
     store = store_of(tmp_path, 60, 0.3, 7.0)
     sample = store.sampled_executions(DRIVES_SAMPLED)

@@ -196,9 +196,9 @@ class NetworkDriver:
         """Return the number of frames that the network takes at once with the bits that each gives alone."""
         return self._pilot.largest_batch
 
-    def rows_seen(self, crop: Crop, height: int, simulator: str) -> tuple[int, int] | None:
+    def rows_seen(self, crop: Crop, height: int, simulator: str | None = None) -> tuple[int, int] | None:
         """Return first row and end of the rows that the driver looks at, None if it may look at all; see `Pilot`."""
-        return self._pilot.rows_seen(crop, height, simulator)
+        return self._pilot.rows_seen(crop, height, simulator or "")
 
     @property
     def translation(self) -> GeneratorSet | None:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -91,6 +92,12 @@ class GeneratorSet:
         self._digests = digests
         self._loaded: dict[str, StoredGenerator] = {}
         self._translator = cache(lambda simulator: Translator(self.generator(simulator), *computed))
+
+    @property
+    def generators(self) -> GeneratorSet:
+        """Deprecated, goes in 0.5: itself."""
+        warnings.warn("generators goes in 0.5: the translation is the set itself", DeprecationWarning, stacklevel=2)
+        return self
 
     def __contains__(self, simulator: str) -> bool:
         return label_of(simulator) in self.files

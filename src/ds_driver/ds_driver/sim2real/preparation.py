@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -62,7 +63,7 @@ class Domains:
         return self.simulated[simulated], align_lane(self.real[real], shown, wanted)
 
 
-def prepare_domains(
+def make_domains(
     simulator: SimulatorName,
     photographs: Path,
     out: Path,
@@ -80,6 +81,7 @@ def prepare_domains(
         Sim2RealError: photographs or settings cannot be used, or too few images show the lane.
         ds_bags.layout.BagError: the tub or bag is damaged.
     """
+    window = network_window(spec_of(simulator))
     check_roads_are_new(settings, data_sets)
     real = read_photographs(photographs, settings.photographs)
     # Before the drives, which take minutes.
@@ -87,7 +89,7 @@ def prepare_domains(
     enter_folder(out)
     simulated, held_out_simulated = simulated_frames(simulator, settings, out / FRAMES, progress)
     view = measure_lane(simulated, f"images of {simulator}")
-    match = match_windows(view, network_window(spec_of(simulator)), real_view)
+    match = match_windows(view, window, real_view)
     positions = view.seen_through(match.simulated), real_view.seen_through(match.real)
     for name, window, position in zip(
         (simulator, "photographs"), (match.simulated, match.real), positions, strict=True
@@ -126,6 +128,38 @@ def prepare_domains(
     }
     write_json(out / CARD, card)
     return domains
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sources:
+    """Deprecated, goes in 0.5: `Domains` that `read_sources` made."""
+
+    domains: Domains
+
+    @property
+    def match(self) -> Match:
+        """Crops that show the lane alike."""
+        return self.domains.match
+
+
+def read_sources(
+    simulator: SimulatorName,
+    source: Path,
+    out: Path,
+    settings: Sim2RealSettings,
+    progress: Progress,
+    *,
+    data_sets: Iterable[Path] = (),
+) -> Sources:
+    """Deprecated, goes in 0.5: `make_domains`."""
+    warnings.warn("read_sources goes in 0.5: use make_domains", DeprecationWarning, stacklevel=2)
+    return Sources(domains=make_domains(simulator, source, out, settings, progress, data_sets=data_sets))
+
+
+def prepare_domains(sources: Sources, source: Path, out: Path) -> tuple[Domains, tuple[str, ...]]:
+    """Deprecated, goes in 0.5: the domains that `read_sources` made, and warnings for their user."""
+    warnings.warn("prepare_domains goes in 0.5: use make_domains", DeprecationWarning, stacklevel=2)
+    return sources.domains, sources.domains.warnings
 
 
 def network_window(spec: SimulatorSpec) -> Window:

@@ -173,6 +173,8 @@ def test_training_on_translated_images_gives_a_network_that_sees_them(folder: Pa
     assert generators_in(str(trained)) == generators_in(str(folder / "real.safetensors"))
     stage = NetworkDriver(str(trained)).translation
     assert stage is not None
+    with pytest.deprecated_call():
+        assert stage.generators is stage
     image = frames(1)[0].image
     assert np.array_equal(stage.translate(image, "softbody"), translator.translate(image))
     shutil.rmtree(real / "bullet")
