@@ -152,7 +152,7 @@ def calibrate_command(
 
     Example: ds recording calibrate photographs/ --squares 8x6 --size 0.025 --out camera.yaml
     """
-    from ds_recording.calibration import calibrate, images_of, parse_board
+    from ds_recording.chessboard import calibrate, images_of, parse_board
     from ds_recording.floor_camera import write_camera
 
     calibration = calibrate(images_of(images), parse_board(squares), size)

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from ds_base.progress import SILENT, Progress
 from ds_recording import RecordingError
-from ds_recording.calibration import mount
-from ds_recording.first_guess import chained, close_lap, guess_track
+from ds_recording.closing import close_lap
+from ds_recording.first_guess import chained, guess_track
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import LinePoints, line_pixels, points_on_floor
 from ds_recording.located import Located
 from ds_recording.motion import Hint, HintFinder, Motion, MotionFinder
+from ds_recording.mounting import mount
 from ds_recording.odometry import Checked, check, hints_of, stretch
 from ds_recording.recording import Views
 from ds_recording.smoother import TURNS, Evidence, Smoother, Solution

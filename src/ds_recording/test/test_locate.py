@@ -16,7 +16,7 @@ from tubs import write_tub
 
 from ds_driver.data.recordings import Reading
 from ds_recording import RecordingError
-from ds_recording.first_guess import close_lap
+from ds_recording.closing import close_lap
 from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import line_pixels, points_on_floor
 from ds_recording.locate import SolvedStretch, located_of, with_odometry

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from tubs import write_tub
 
 from ds_recording import RecordingError
-from ds_recording.calibration import calibrate, parse_board
+from ds_recording.chessboard import calibrate, parse_board
 from ds_recording.floor_camera import FloorCamera, Lens, read_camera, write_camera
 from ds_recording.located import COLUMNS
 from ds_recording.sibling.recorded_drive import read_drive, sections
@@ -411,6 +413,16 @@ def test_chessboards_tell_the_camera(tmp_path: Path, camera: FloorCamera, distan
     views = [np.diff(np.arctan(one.rays(sides)[0]).reshape(2, 2, 2), axis=1) for one in (camera, found.camera)]
     across, down = ([view[0, 0, 0] for view in views], [view[1, 0, 1] for view in views])
     assert across[1] == pytest.approx(across[0], rel=0.025) and down[1] == pytest.approx(down[0], rel=0.025)
+
+
+def test_a_chessboard_needs_nothing_that_reads_recordings() -> None:
+    script = """
+import sys, ds_recording.chessboard
+heavy = {"rosbags", "pyarrow", "mcap", "ds_recording.recording"} & set(sys.modules)
+assert not heavy, heavy
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
 
 
 def test_what_no_lens_explains_is_refused(tmp_path: Path) -> None:
