@@ -10,7 +10,7 @@ import numpy as np
 
 from ds_analysis.common.outcome_table import OutcomeTable, OutcomeTableError
 from ds_analysis.common.selection import SEED, choose_split
-from ds_analysis.failures import nesting
+from ds_analysis.failure_patterns import nesting
 from ds_analysis.outcomes.study import Study
 from ds_analysis.outcomes.study_results import maps_of_study
 from ds_analysis.prediction.car import predict_car

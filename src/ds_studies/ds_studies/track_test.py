@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_base.bounded_file import FileError, open_regular, read_json, read_words
 from ds_base.errors import InputError
 from ds_base.folder_files import make_folder, write_json, write_whole
@@ -32,7 +33,7 @@ from ds_recording.recording import read_views
 from ds_recording.sibling.recorded_drive import RecordedDrive, left_its_lane, near_photographs, read_drive, sections
 from ds_recording.sibling.simulator import SETTINGS
 from ds_recording.track import Track
-from ds_report.recording_pages import TrackAnswer, write_recording_page, write_track_page
+from ds_report.recording_pages import write_recording_page, write_track_page
 from ds_road import Road, write_roads
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario

@@ -17,7 +17,7 @@ from ds_analysis.common.cross_validation import REPEATS
 from ds_analysis.common.driven_road import DrivenRoad
 from ds_analysis.common.outcome_table import RoadTable
 from ds_analysis.common.statistics import Array, r_or_nan
-from ds_analysis.failures import KINDS, Departures, Nesting, departures_of, nestings
+from ds_analysis.failure_patterns import KINDS, Departures, Nesting, departures_of, nestings
 from ds_analysis.siblings.beyond_features import (
     AddedInformation,
     Baseline,

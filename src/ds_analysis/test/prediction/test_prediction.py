@@ -22,7 +22,8 @@ from sklearn.metrics import average_precision_score
 
 from ds_analysis.common.outcome_table import ROAD_FEATURES, OutcomeTable, OutcomeTableError, State, table_of_campaign
 from ds_analysis.common.statistics import Array, Bools, Indices, families_of
-from ds_analysis.prediction.car import ALPHA, Bet, CarPrediction, certify, drives_in_order, drives_until, sibling_help
+from ds_analysis.prediction.car import CarPrediction, drives_in_order, sibling_help
+from ds_analysis.prediction.certificate import ALPHA, Bet, certify, drives_until
 from ds_analysis.prediction.experts import RateExpert, SiblingOutcomes, experts_of, fit_logistic
 from ds_analysis.prediction.mixture import Drive, Prediction, predict
 from ds_analysis.prediction.predictors import compare_predictors, comparison_tables, features_alone

@@ -18,7 +18,7 @@ from statsmodels.stats.proportion import proportion_confint
 from ds_analysis.common.cross_validation import auc_roc_by_ranks, predict_failures
 from ds_analysis.common.driven_road import GRID, DrivenRoad, lateral_profile
 from ds_analysis.common.outcome_table import ROAD_FEATURES, RoadTable, State, table_of_runs
-from ds_analysis.failures import KINDS, Departure, departure, departures_of, nestings
+from ds_analysis.failure_patterns import KINDS, Departure, departure, departures_of, nestings
 from ds_analysis.siblings.analysis import (
     SiblingAnalysis,
     analyse,
@@ -29,11 +29,11 @@ from ds_analysis.siblings.analysis import (
     summary,
 )
 from ds_analysis.siblings.beyond_features import AddedInformation, baseline_of, information_about, residual_correlations
+from ds_analysis.siblings.track_answer import TrackAnswer
 from ds_driver.closed_loop.simulation import drive_road, make_driver
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.store.model import Execution
-from ds_report.recording_pages import TrackAnswer
 from ds_report.sections import draw_failures, draw_matrix
 from ds_road import MutationError, Road, generate, mutate
 from ds_road.geometry import lane_curvature

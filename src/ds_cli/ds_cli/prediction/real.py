@@ -92,7 +92,8 @@ def propose_command(
     Example: ds real propose out --drives 6
     """
     from ds_analysis.outcomes.reading import read_table
-    from ds_analysis.prediction.car import drives_until, predict_car
+    from ds_analysis.prediction.car import predict_car
+    from ds_analysis.prediction.certificate import drives_until
     from ds_analysis.real.proposal import candidates_of, propose
     from ds_base.table import Column, Table
     from ds_report.drives_on_the_car import TO_FILL, write_drives_to_do
