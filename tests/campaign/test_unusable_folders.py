@@ -351,7 +351,7 @@ def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path) ->
     "content", ["secret:x:0:0", "secret: {a: 1}\n", "- secret\n", "'secret", "siblings: [secret]\n"]
 )
 def test_a_goal_that_names_a_file_does_not_get_to_read_it(content: str, tmp_path: Path) -> None:
-    from ds_studies.ros.orchestrator_node import _config_of
+    from ds_studies.ros.goals import _config_of
 
     path = tmp_path / "passwd"
     path.write_text(content)
