@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Conditions on every simulator, against oracles that know nothing of how they are realised.
 
-What the world of `panda` looks like under them is tested with it, in `test_panda_world_conditions.py`.
+What the world of `panda` looks like under them is tested with it, in `src/ds_sim_panda/test/test_panda_conditions.py`.
 
 Scenes are those of the simulators with a perfect sensor (no noise, gain, blur or delay) and, where a law is measured,
 without grain and with wide lines; pixels are decoded by the sRGB curve.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ds check`, `ds sensitivity`, `ds explain`: is a network connected, what conditions make it fail, what parts?"""
+"""`ds check`, `ds sensitivity`, `ds explain`: how a network is connected, which conditions it fails under, and why."""
 
 from __future__ import annotations
 
@@ -50,11 +50,9 @@ def check_command(
 
     Example: ds check my_net.onnx
     """
-    from rich.console import Console
     from rich.table import Table
 
     from ds_base.errors import InputError
-    from ds_base.folder_files import make_folder, write_whole
     from ds_driver.networks.described_network import DescribedNetworkPilot
     from ds_driver.networks.network_driver import load_pilot
     from ds_driver.networks.network_file import KINDS

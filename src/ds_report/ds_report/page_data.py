@@ -129,9 +129,10 @@ def _excluded(data: CampaignData) -> dict[str, list[str]]:
 
 
 def axes_of(config: CampaignConfig, filled: Collection[Cell]) -> list[dict[str, Any]]:
-    """Describe every axis: title, bins from the smallest to the largest filled one, and the edges of all.
+    """Describe every axis: its title, and its bins from `low`, the smallest filled one, to the largest filled one.
 
-    `radii` has these as radii of a bend, or is None. `whole`: each bin is a single whole number.
+    `begins` has the lower edges of these bins and, as one entry more, the upper edge of the last; `radii` has the same
+    edges as radii of a bend, or is None. `whole`: each bin is a single whole number.
     """
     axes = []
     for k, name in enumerate(config.features):

@@ -144,7 +144,7 @@ def write_suite(suite: Suite, path: Path) -> None:
 
 
 def read_suite(path: Path) -> Suite:
-    """Read and check a suite; a `SuiteError` says whether the file is none, of another version, or was changed."""
+    """Read and check a suite; `SuiteError` if the file is no suite, of another version, changed, or unreadable."""
     try:
         raw: Any = read_json(path, LARGEST_FILE)
     except OSError as error:

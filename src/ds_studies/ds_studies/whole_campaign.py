@@ -121,7 +121,10 @@ def run_campaign(
 
 
 def rebuild_report(folder: Path, listener: Listener | None = None, *, trusted: Collection[str] = ()) -> Path:
-    """Write a campaign's results again; returns the report's path. `StoreError` without one, `LockError` if it runs."""
+    """Write a campaign's results again; returns the report's path.
+
+    `StoreError` if the folder holds no campaign or one that cannot be used, `LockError` if another process uses it.
+    """
     with closing(open_store(folder, writable=True)) as store, locked(folder):
         return write_all(folder, store, listener=listener, trusted=trusted)
 

@@ -72,7 +72,7 @@ def places_along(road: Road, trajectory: Array) -> Array:
 
 
 def lateral_profile(arc: Array, lateral: Array, half_lane: float) -> Array:
-    """Lateral positions, m, every `GRID` m along the lane as far as a run went, clipped to the lane's width."""
+    """Lateral positions, m, every `GRID` m of the lane as far as a run went, clipped to `half_lane` on either side."""
     if not len(arc):
         return np.empty(0)
     along = np.maximum.accumulate(arc)

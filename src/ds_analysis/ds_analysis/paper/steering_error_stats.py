@@ -129,7 +129,8 @@ def shares(errors: Array) -> Array:
 def compare_errors(siblings: Mapping[str, Array], twin: Array) -> list[ErrorComparison]:
     """Compare each sibling's absolute steering errors, and those of all siblings together, with the twin's.
 
-    As the authors' package does (its compute_offline_metrics). `OpenLoopError` without errors, or with too large ones.
+    The comparison is that of the authors' package (its compute_offline_metrics). `OpenLoopError` if there is no
+    sibling, or if a simulator has no errors, or only errors above `RANGE`.
     """
     return [_compare(name, errors, twin) for name, errors in _with_merged(siblings, twin).items()]
 

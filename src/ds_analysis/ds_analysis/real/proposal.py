@@ -140,7 +140,8 @@ def propose(
 
     The order of all tests is drawn once, by a seed and their names; each call continues it, past what was `driven`
     meanwhile. So every proposed test is a uniform draw from all that were left, as the certificate needs it. With
-    `spread`, they come from as many groups of equal predicted probability, which tells more, and certifies nothing.
+    `spread`, the tests left are sorted by predicted probability and cut into as many groups of like size as there are
+    `drives`; one of each group is drawn, which tells more, and certifies nothing.
 
     `scale` is metres of the road per metre of the car's, that of earlier proposals, or `SCALE`, if None. `BudgetError`
     if fewer tests are left, `RecordError` if another scale was proposed before, or the file of proposals is damaged.

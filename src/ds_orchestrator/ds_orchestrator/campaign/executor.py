@@ -216,7 +216,7 @@ class Executor:
         """Decide, before a network drives a test, whether it can be judged by it there; None if the test has no gate.
 
         Each test is judged once on each simulator; see `ds_sim.gates`. NoOutcomeError if every attempt of the autopilot
-        ended in an error; Stopped.
+        ended in an error; Stopped if the campaign is stopped before an attempt begins, or during one without a verdict.
         """
         if self._settings.gates == "none" or (test.conditions.is_default and self._settings.gates != "all"):
             return None
