@@ -15,8 +15,8 @@ from tubs import write_tub
 
 from ds_bags.layout import BagError
 from ds_bags.run_writer import write_bag
+from ds_base.left_out import LeftOut
 from ds_base.progress import SILENT
-from ds_base.words import LeftOut
 from ds_driver.data.dataset import DatasetError, crops_of, decode, read_samples
 from ds_driver.data.recordings import Imported, Reading, import_recordings, open_recording
 from ds_driver.networks.images import Crop, fit_to_network

@@ -1,17 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of sentences: lists, counts and durations in words, and what a reader leaves out of a file of others."""
+"""Parts of sentences: lists, counts and durations in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
 from decimal import Decimal
 from difflib import get_close_matches
-
-from ds_base.errors import DsError
-
-NAMED = 3
-"""Items that are named with their reasons; the others are counted."""
 
 
 def listed(parts: Sequence[str], last: str = "and") -> str:
@@ -43,28 +37,3 @@ def did_you_mean(typed: str, names: Iterable[str]) -> str:
     """End of a message about a name that is none: `, did you mean 'dave2'?`, or nothing if no known one is near."""
     near = get_close_matches(typed.lower(), list(names), 1)
     return f", did you mean {near[0]!r}?" if near else ""
-
-
-@dataclass
-class LeftOut:
-    """Collects items that cannot be read."""
-
-    kind: str  # plural noun, such as "roads"
-    strict: bool = False  # raise the first error instead of leaving its item out
-    total: int = 0  # items so far, good ones included
-    items: list[tuple[str, str]] = field(default_factory=list)  # name and reason of each that is left out
-
-    def add(self, name: str, error: DsError | str, kind: type[DsError] = DsError) -> None:
-        """Leave an item out, or raise its error if none may be left out."""
-        if self.strict:
-            raise error if isinstance(error, DsError) else kind(error)
-        self.items.append((name, " ".join(str(error).split())))
-
-    def line(self) -> str:
-        """One line for a person; empty if nothing is left out."""
-        if not self.items:
-            return ""
-        named = "; ".join(f"{name} ({reason})" for name, reason in self.items[:NAMED])
-        rest = len(self.items) - NAMED
-        more = f"; and {rest} more" if rest > 0 else ""
-        return f"{len(self.items)} of {self.total} {self.kind} left out: {named}{more}"

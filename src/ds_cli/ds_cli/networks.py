@@ -86,7 +86,7 @@ def import_command(
 
     Example: ds import my_tub --out data
     """
-    from ds_base.words import LeftOut
+    from ds_base.left_out import LeftOut
     from ds_driver.data.recordings import Reading, import_recordings, open_recording
 
     reading = Reading(

@@ -46,7 +46,7 @@ def outcomes_import_command(
     from ds_analysis.outcomes.study import import_outcomes, write_study
     from ds_analysis.prediction.mixture import FEWEST_TESTS
     from ds_bags.layout import printable
-    from ds_base.words import LeftOut
+    from ds_base.left_out import LeftOut
 
     notes = ImportNotes(rows=LeftOut("rows", strict))
     description = _guessed(tables, out) if columns is None else read_columns(columns)

@@ -217,7 +217,7 @@ def _print_imported(
     sections: tuple[float, float] | None = None,
 ) -> None:
     """Print roads of files, or sections of so much length at such distances, and what was left out."""
-    from ds_base.words import LeftOut
+    from ds_base.left_out import LeftOut
     from ds_road.importing import import_roads
 
     left_out, document = LeftOut("roads", strict), []

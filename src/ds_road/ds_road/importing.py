@@ -25,8 +25,8 @@ from scipy.interpolate import splev, splprep
 
 from ds_base.bounded_file import FileError, load_json, read_regular
 from ds_base.bounded_xml import parse_xml
+from ds_base.left_out import LeftOut
 from ds_base.progress import logger_of
-from ds_base.words import LeftOut
 from ds_road.centre_lines import CentreLine, in_box
 from ds_road.commonroad import WIDTH_SPREAD, constant_width, read_commonroad
 from ds_road.files import LARGEST_FILE, road_from_json, road_object

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ds_base.folder_files import enter_folder, write_whole
-from ds_base.words import LeftOut
+from ds_base.left_out import LeftOut
 from ds_road.centre_lines import CentreLine
 from ds_road.commonroad import constant_width
 from ds_road.geometry import SAMPLES_PER_SEGMENT, apart

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import shapely
 
-from ds_base.words import LeftOut
+from ds_base.left_out import LeftOut
 from ds_road import Road, RoadError, Side, generate, read_roads
 from ds_road.importing import import_roads
 from ds_road.opendrive import SPACING, opendrive, write_all

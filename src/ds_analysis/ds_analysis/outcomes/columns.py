@@ -18,7 +18,7 @@ from ds_analysis.common.statistics import Bools
 from ds_base.bounded_file import FileError
 from ds_base.bounded_yaml import read_yaml
 from ds_base.config_errors import Keys
-from ds_base.words import LeftOut
+from ds_base.left_out import LeftOut
 from ds_sim.registry import SimulatorName
 
 GUIDE = "docs/outcomes.md"

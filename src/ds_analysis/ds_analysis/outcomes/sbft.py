@@ -18,7 +18,7 @@ import pandas as pd
 
 from ds_analysis.common.outcome_table import OutcomeTableError
 from ds_base.bounded_file import read_json
-from ds_base.words import LeftOut
+from ds_base.left_out import LeftOut
 from ds_road.geometry import arc_lengths
 
 LARGEST_FILE, MOST_FILES = 2**26, 100_000

@@ -31,7 +31,7 @@ from ds_analysis.prediction.car import predict_car
 from ds_analysis.prediction.mixture import predict
 from ds_analysis.real.proposal import propose
 from ds_analysis.real.records import read_drives
-from ds_base.words import LeftOut
+from ds_base.left_out import LeftOut
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData
 from ds_orchestrator.maps.feature_map import MapId

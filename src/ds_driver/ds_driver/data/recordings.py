@@ -20,8 +20,8 @@ from ds_bags.donkey_tub import is_tub, read_tub
 from ds_bags.layout import TRANSLATED, BagError
 from ds_bags.reader import COMPRESSED, IMAGE, STATE, BagReader, read_run
 from ds_base.folder_files import place_folder
+from ds_base.left_out import LeftOut
 from ds_base.progress import Progress, counted, logger_of
-from ds_base.words import LeftOut
 from ds_driver.control.autopilot import Autopilot
 from ds_driver.control.bicycle import Geometry
 from ds_driver.data.dataset import DatasetError, drive_path, keep_import, write_drive
