@@ -17,7 +17,7 @@ import pytest
 
 from ds_base.folder_files import StoreError, enter_folder, place_folder, write_whole
 
-DOOR = {"bounded_file", "bounded_tables", "folder_files"}
+DOOR = {"bounded_file", "bounded_memory", "bounded_tables", "folder_files"}
 DOOR_CALLS = {"read_table", "read_parquet", "read_csv"}
 """Functions of this project of the same names as those of libraries, which are called by their module."""
 OPENED = {"whole_file", "open_regular"}

@@ -16,7 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
-from ds_base.bounded_file import FileError, limited_memory, open_regular
+from ds_base.bounded_file import FileError, open_regular
+from ds_base.bounded_memory import limited_memory
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ds_base.bounded_file import limited_memory
+from ds_base.bounded_memory import limited_memory
 from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.description import (
     DescribedNetwork,

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ds_base.bounded_file import limited_memory
+from ds_base.bounded_memory import limited_memory
 from ds_base.installation import ds_command
 from ds_driver.networks.backends import NetworkInput
 from ds_driver.networks.described_network import DescribedNetworkPilot, sizes
