@@ -17,7 +17,8 @@ from ds_sim.conditions.text import PHRASES, Side, conditions_in_words, format_co
 from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
 from ds_sim.registry import make_simulator, simulator_of_process
 from ds_sim.road_simulator import Actuation
-from ds_sim.ros.command_monitor import WARN_AFTER, CommandMonitor, FrameJitter
+from ds_sim.ros.command_monitor import WARN_AFTER, CommandMonitor
+from ds_sim.ros.real_time_loop import FrameJitter
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, Outcome, Reason

@@ -15,7 +15,8 @@ from ds_driver.control.autopilot import ROWS_SEEN, Autopilot
 from ds_driver.ros.simulator_client import Answer, SimulatorClient, SimulatorInfo
 from ds_sim.ros.conversions import gains_of
 from ds_sim.ros.diagnostics import AnswerDiagnostics
-from ds_sim.ros.runtime import declare, run_node
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import AutopilotGains, Command, SimulatorSpec
 
 ASK = -1.0

@@ -23,7 +23,8 @@ from ds_driver.networks.network_driver import NetworkDriver
 from ds_driver.networks.pilot import Frame
 from ds_sim.ros.conversions import MESSAGES
 from ds_sim.ros.diagnostics import STALE, AnswerDiagnostics
-from ds_sim.ros.runtime import declare, run_node
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import MAX_SPEED, Command
 
 OUTPUTS = ("drive_command", *KINDS)

@@ -15,7 +15,8 @@ from rclpy.node import Node
 from rclpy.utilities import remove_ros_args
 
 from ds_sim.registry import SimulatorName
-from ds_sim.ros.runtime import declare, run_node
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.runtime import run_node
 from ds_sim.ros.simulator_node import SimulatorNode
 
 DRIVERS = {

@@ -17,7 +17,9 @@ from ds_driver.control.bicycle import Geometry, MotionError
 from ds_driver.control.other_stacks import KINDS, MotionRequest, SpeedController, StampMatcher
 from ds_driver.ros.simulator_client import SimulatorInfo, refusal
 from ds_sim.ros.diagnostics import AnswerDiagnostics
-from ds_sim.ros.runtime import declare, run_node, subscribe_to_commands
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.runtime import run_node
+from ds_sim.ros.subscriptions import subscribe_to_commands
 
 
 class CmdVelAdapter(Node):

@@ -26,7 +26,8 @@ from ds_driver.sim2real.image_translation import GeneratorSet
 from ds_sim.ros.conversions import MESSAGES, pixels_of
 from ds_sim.ros.diagnostics import AnswerDiagnostics
 from ds_sim.ros.frame_publisher import FRAME_DEPTH
-from ds_sim.ros.runtime import declare, run_node
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.runtime import run_node
 from ds_sim.simulator import Command, SimulatorSpec
 
 TOPIC = "sim2real/image_raw"

@@ -1,27 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a node needs: parameters with ranges, executors, and an end by a signal within a second."""
+"""Runs nodes in a process until a signal stops them, within a second whatever the nodes are doing."""
 
 from __future__ import annotations
 
 import inspect
-import math
 import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
 import rclpy.task
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.context import Context
-from rclpy.event_handler import SubscriptionEventCallbacks
-from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
 from ds_base.errors import InputError
@@ -32,7 +27,6 @@ try:
 except ImportError:  # rclpy before 7.1.5 has none
     EventsExecutor = SingleThreadedExecutor
 
-_TYPE_NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 SPIN_TIME = 0.1
 """Longest wait of an executor before it looks for a signal, s; the events executor ignores a time-out of None."""
 
@@ -104,87 +98,6 @@ def with_info(callback: Callable[[Any, dict[str, Any]], None]) -> Callable[..., 
 
     call.__signature__ = inspect.signature(callback)  # type: ignore[attr-defined]
     return call
-
-
-def subscribe_to_commands(node: Node, kind: Any, topic: str, callback: Callable[..., None], depth: int) -> None:
-    """Subscribe reliably until a publisher offers best effort only, to which no reliable subscription connects.
-
-    ROS's `BEST_AVAILABLE` decides by the publishers that are there already, and drivers come later.
-    """
-
-    def relax(_event: object) -> None:
-        node.get_logger().warning(
-            f"{topic}: a publisher offers best effort only, so commands may be lost: publish reliably"
-        )
-        node.destroy_subscription(reliable)
-        profile = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)
-        node.create_subscription(kind, topic, callback, profile)
-
-    events = SubscriptionEventCallbacks(incompatible_qos=relax)
-    reliable = node.create_subscription(kind, topic, callback, depth, event_callbacks=events)
-
-
-def declare(
-    node: Node,
-    name: str,
-    default: Any,
-    description: str,
-    *,
-    low: float | None = None,
-    high: float | None = None,
-    choices: Sequence[str] = (),
-    length: int | None = None,
-) -> Any:
-    """Declare a read-only parameter of a node and return its value.
-
-    The default decides the type: bool, int, float, str, or a list of one of them. Of a list, the bounds and choices are
-    those of each entry, and the length is that of the node's namespaces. The description has the unit. ValueError for a
-    value of another type or out of range.
-    """
-    kind = type(default[0] if isinstance(default, list) else default)
-    descriptor = ParameterDescriptor(description=description, read_only=True)
-    descriptor.additional_constraints = _constraints(low, high, choices)
-    if not isinstance(default, list) and (low is not None or high is not None):
-        if kind is int:
-            bounds = IntegerRange(from_value=int(low or 0), to_value=2**31 if high is None else int(high), step=1)
-            descriptor.integer_range = [bounds]
-        else:
-            top = sys.float_info.max if high is None else float(high)
-            bottom = -sys.float_info.max if low is None else float(low)
-            descriptor.floating_point_range = [FloatingPointRange(from_value=bottom, to_value=top, step=0.0)]
-    try:
-        value = node.declare_parameter(name, default, descriptor).value
-    except (InvalidParameterTypeException, InvalidParameterValueException):
-        override = node._parameter_overrides[name].value
-        wanted = descriptor.additional_constraints or f"{'a list of ' * isinstance(default, list)}{_TYPE_NAMES[kind]}"
-        hint = ", written with a point such as 5.0" if kind is float and isinstance(override, int | list) else ""
-        raise ValueError(f"parameter {name} is {override!r}: expected {wanted}{hint}") from None
-    values = value if isinstance(default, list) else [value]
-    if length is not None and len(values) != length:
-        raise ValueError(f"parameter {name} has {len(values)} entries: give one for each of the {length} namespaces")
-    for entry in values:
-        if not _fits(entry, low, high, choices):
-            raise ValueError(f"parameter {name} is {entry!r}: expected {descriptor.additional_constraints}")
-    return list(value) if isinstance(default, list) else value
-
-
-def _constraints(low: float | None, high: float | None, choices: Sequence[str]) -> str:
-    """Describe the allowed values of a parameter; "" for any value."""
-    if choices:
-        return "one of " + ", ".join(choices)
-    if low is not None and high is not None:
-        return f"a number from {low:g} to {high:g}"
-    if low is not None:
-        return f"a number of at least {low:g}"
-    return "" if high is None else f"a number of at most {high:g}"
-
-
-def _fits(value: Any, low: float | None, high: float | None, choices: Sequence[str]) -> bool:
-    if choices:
-        return value in choices
-    if isinstance(value, float) and not math.isfinite(value):
-        return False
-    return (low is None or value >= low) and (high is None or value <= high)
 
 
 _failures: list[BaseException] = []

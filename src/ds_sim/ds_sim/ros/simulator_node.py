@@ -23,13 +23,16 @@ from ds_road import Road
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import SimulatorName, make_simulator
 from ds_sim.ros import conversions as messages
-from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog, RealTimeLoop
+from ds_sim.ros.command_monitor import CommandMonitor, CommandWatchdog
 from ds_sim.ros.conversions import command_from_message
 from ds_sim.ros.diagnostics import ERROR, EVERY, OK, WARN, Diagnostics, Report
 from ds_sim.ros.frame_publisher import DrawnRows, FramePublisher
 from ds_sim.ros.neighbours import Neighbours, two_drivers
+from ds_sim.ros.parameters import declare
+from ds_sim.ros.real_time_loop import RealTimeLoop
 from ds_sim.ros.requests import SYNC_MODES, GoalServer, LoadedRoad, RequestRefused, check_goal, no_road
-from ds_sim.ros.runtime import declare, run_node, subscribe_to_commands, with_info
+from ds_sim.ros.runtime import run_node, with_info
+from ds_sim.ros.subscriptions import subscribe_to_commands
 from ds_sim.session import RunRecord, Session
 from ds_sim.simulator import Command, CommandError, Observation, Outcome, Reason
 

@@ -26,8 +26,9 @@ from ds_orchestrator.campaign.executor import Stopped
 from ds_orchestrator.graph.signals import IgnoreSignals, listen
 from ds_sim.ros.neighbours import Presence
 from ds_sim.ros.node_thread import NodeThread
+from ds_sim.ros.parameters import declare
 from ds_sim.ros.requests import GoalServer, RequestRefused
-from ds_sim.ros.runtime import declare, init_ros
+from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Reason
 from ds_studies.ros.campaign_view import CampaignView, StateListener
 from ds_studies.ros.goals import ENGINES, Job, Work, drive_tests_goal, run_campaign_goal
