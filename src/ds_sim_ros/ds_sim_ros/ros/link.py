@@ -31,7 +31,8 @@ from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.runtime import init_ros
 from ds_sim.simulator import Command, SimulatorError
 from ds_sim_ros.roads import write_road
-from ds_sim_ros.ros.clocks import MOST, POLL, AtStart, Inbox, LockStep, Pair, RealTime, Services, Topics
+from ds_sim_ros.ros.clocks import AtStart, LockStep, RealTime
+from ds_sim_ros.ros.topics_and_services import MOST, POLL, Inbox, Pair, Services, Topics
 from ds_sim_ros.settings import RosSettings
 
 TRIGGER = "std_srvs/srv/Trigger"
