@@ -65,7 +65,10 @@ def confirm(names: Iterable[str]) -> None:
 
 
 def load_extension(name: str, kind: type[Part], what: str) -> Part:
-    """Import what `module:NAME` leads to, a `kind` called `what` in messages; an ExtensionError if unconfirmed."""
+    """Import what `module:NAME` leads to, an instance of `kind`, called `what` in messages.
+
+    ExtensionError if nobody confirmed the name, if it cannot be imported, or if it is of another kind.
+    """
     if name not in _confirmed and name not in os.environ.get(TRUST_VARIABLE, "").split(","):
         raise ExtensionError(
             f"{what} {name:.100} is Python code that is not shipped, and a received file must not run code: if you "

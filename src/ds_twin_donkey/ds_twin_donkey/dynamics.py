@@ -288,10 +288,11 @@ def tyre(
 def rollout(
     parameters: DonkeyParameters, commands: ArrayLike, initial_state: CarState | None = None
 ) -> NDArray[np.float64]:
-    """Simulate commands, (n, 2) steering and throttle by steps of 1/20 s, from a state or at rest at the origin.
+    """Simulate commands by steps of 1/20 s, from a state or at rest at the origin.
 
-    Neutral commands are assumed before the first one. Returns (n + 1, 17) states, columns as in `CarState`, the initial
-    one first. ValueError for commands of another shape, CommandError for one that is no number or out of range.
+    The commands are (n, 2): steering in [-1, 1] and throttle in [0, 1]. Neutral ones are assumed before the first.
+    Returns (n + 1, 17) states, columns as in `CarState`, the initial one first. ValueError for commands of another
+    shape, CommandError for one that is no number or out of range.
     """
     rows = np.asarray(commands, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 2:

@@ -137,7 +137,10 @@ class Pilot(ABC):
         return prepare(frame.image, frame.crop), "yuv"
 
     def rows_seen(self, crop: Crop, height: int, simulator: str) -> tuple[int, int] | None:
-        """Return first row and end of the rows that it looks at in a simulator's images; None if it may look at all."""
+        """Return first row and end of the rows that it looks at in a simulator's images; None if it may look at all.
+
+        The images have `height` rows, of which `crop` is what the paper's networks do not see on this simulator.
+        """
         return (crop.top, height - crop.bottom) if self.sees_crop_only else None
 
     def predict_batch(self, frames: Sequence[Frame]) -> list[Prediction | DriverError]:
