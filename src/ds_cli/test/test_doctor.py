@@ -85,6 +85,19 @@ def test_a_healthy_environment_passes() -> None:
     assert [check for check in checks if not check.ok] == []
 
 
+def test_no_advice_deletes_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for file, text in (("project.txt", "torch==2.13.0"), ("dask.txt", "distributed==2026.8.0")):
+        (tmp_path / "requirements").mkdir(exist_ok=True)
+        (tmp_path / "requirements" / file).write_text(text)
+    (tmp_path / ".venv/bin").mkdir(parents=True)
+    (tmp_path / ".venv/bin/python").symlink_to(sys.executable)
+    monkeypatch.setattr(doctor, "look_up", lambda _, wanted, **__: dict.fromkeys(wanted, ("", "no module")))
+    checks = by_name(doctor.diagnose(tmp_path))
+    assert not checks["torch"].ok and checks["torch"].fix == "rm -rf .venv/.setup && make setup"
+    deleting = {check.fix for check in checks.values() if re.search(r"\brm\b", check.fix)}
+    assert deleting == {checks["torch"].fix}
+
+
 def test_an_interpreter_that_dies_is_reported_for_each_library(tmp_path: Path) -> None:
     broken = tmp_path / "python"
     broken.write_text("#!/bin/sh\nexit 139\n")

@@ -32,20 +32,22 @@ def car() -> Iterator[BulletVehicle]:
 
 
 def test_vehicles_in_one_process_are_independent(car: BulletVehicle) -> None:
-    other = BulletVehicle(dataclasses.replace(P, mass=1500.0))
-    slaloms: list[list[VehicleState]] = []
-    for beside in (False, True):
+    def slalom(other: BulletVehicle | None) -> list[VehicleState]:
         car.reset(0.0, 0.0, 0.0, RNG)
         states = []
         for frame in range(60):
             states += drive(car, 1, 0.8 * math.sin(0.07 * frame), 0.5)
-            if beside:
+            if other is not None:
                 drive(other, 1, -1.0, 1.0)
-            if beside and frame % 20 == 10:
-                other.reset(1.0, 2.0, 3.0, RNG)
-        slaloms.append(states)
+                if frame % 20 == 10:
+                    other.reset(1.0, 2.0, 3.0, RNG)
+        return states
+
+    alone = slalom(None)
+    other = BulletVehicle(dataclasses.replace(P, mass=1500.0))
+    beside = slalom(other)
     other.close()
-    assert slaloms[0] == slaloms[1] and len(set(slaloms[0])) == 60
+    assert beside == alone and len(set(alone)) == 60
 
 
 def test_it_starts_where_reset_puts_it_and_stays_there_whatever_the_steering(car: BulletVehicle) -> None:
