@@ -207,3 +207,8 @@ def damaged_parquet(path: Path, rng: Rng) -> None:
         damaged_file(path, rng)  # Parquet refuses this table
     else:
         path.write_bytes(content.getvalue().to_pybytes())
+
+
+def damaged_table(folder: Path, rng: Rng) -> None:
+    """Damage the Parquet file of a folder."""
+    damaged_parquet(next(folder.rglob("*.parquet")), rng)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -206,11 +205,9 @@ def _recover(path: Path) -> None:
     shutil.rmtree(path.parent / "out")
 
 
-def _one_of(*choices: Callable[[Path, Rng], None]) -> Callable[[Path, Rng], None]:
-    return lambda path, rng: choices[int(rng.integers(len(choices)))](path, rng)
+def _damage_bag(path: Path, rng: Rng) -> None:
+    (damaged_one_of, _damage_records)[int(rng.integers(2))](path, rng)
 
-
-_damage_bag = _one_of(damaged_one_of, _damage_records)
 
 _CAMERA = FloorCamera(
     width_px=80, height_px=40, focal_px=(37.5, 37.5), centre_x_px=39.5, centre_y_px=19.5, height_m=0.12, pitch_rad=0.2

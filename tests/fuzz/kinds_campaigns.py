@@ -15,6 +15,8 @@ from typing import Any
 
 import numpy as np
 import yaml
+from made_networks import write_graph, write_network, write_recorded
+from onnx import helper, numpy_helper
 from report_campaigns import make_tests, set_conditions
 from tests.campaign.damaged_stores import lax_tables
 from tests.fuzz.damage import (
@@ -23,7 +25,7 @@ from tests.fuzz.damage import (
     damaged_bytes,
     damaged_file,
     damaged_json,
-    damaged_parquet,
+    damaged_table,
     replace_with_no_file,
 )
 from tests.fuzz.harness import Kind
@@ -31,7 +33,7 @@ from tests.fuzz.kinds_tables import as_text
 
 from ds_analysis.paper.campaign_contents import excluded_table, exclusion_lines, maps_of
 from ds_base.folder_files import StoreError
-from ds_driver.data.dataset import DatasetError, read_samples, write_drive
+from ds_driver.data.dataset import DatasetError, read_samples
 from ds_driver.networks.described_network import DescribedNetworkPilot
 from ds_driver.networks.driver_name import AUTOPILOT
 from ds_driver.networks.pilot import DriverError
@@ -43,7 +45,6 @@ from ds_orchestrator.store.store import Store
 from ds_road import RoadError, generate
 from ds_road.files import read_roads
 from ds_sim import BULLET
-from ds_sim.camera.encodings import jpeg
 from ds_sim.gates.gate import Gate, GateState
 from ds_sim.simulator import Outcome
 from ds_studies.suite_file import Suite, read_suite, road_sha256, settings_of_suite, write_suite
@@ -176,13 +177,7 @@ def _read_store(path: Path) -> object:
 
 
 def _write_weights(folder: Path, n: int) -> Path:
-    import torch
-
-    from ds_driver.networks.torch_networks import make_network, save_weights
-
-    torch.manual_seed(1)
-    save_weights(make_network("chauffeur"), folder / "weights.safetensors", architecture="chauffeur")
-    return folder / "weights.safetensors"
+    return write_network(folder / "weights.safetensors", "chauffeur")
 
 
 def _damage_weights(path: Path, rng: Rng) -> None:
@@ -197,24 +192,14 @@ def _damage_weights(path: Path, rng: Rng) -> None:
 
 
 def _write_network(folder: Path, n: int) -> Path:
-    import onnx
-    from onnx import TensorProto, helper, numpy_helper
-
     weight = numpy_helper.from_array(np.linspace(-1e-3, 1e-3, 512, dtype=np.float32).reshape(512, 1), "weight")
-    graph = helper.make_graph(
-        [
-            helper.make_node("Flatten", ["image"], ["flat"]),
-            helper.make_node("MatMul", ["flat", "weight"], ["0"]),
-            *(helper.make_node("Relu", [f"{k}"], [f"{k + 1}" if k < n - 1 else "steering"]) for k in range(n)),
-        ],
-        "network",
-        [helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 1, 16, 32])],
-        [helper.make_tensor_value_info("steering", TensorProto.FLOAT, [1, 1])],
-        [weight],
-    )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    nodes = [
+        helper.make_node("Flatten", ["image"], ["flat"]),
+        helper.make_node("MatMul", ["flat", "weight"], ["0"]),
+        *(helper.make_node("Relu", [f"{k}"], [f"{k + 1}" if k < n - 1 else "steering"]) for k in range(n)),
+    ]
     (folder / "network").mkdir()
-    onnx.save(model, folder / "network" / "network.onnx")
+    write_graph(folder / "network/network.onnx", nodes, {"image": [1, 1, 16, 32]}, {"steering": [1, 1]}, [weight])
     as_text(lambda n: _DESCRIPTION, "network.yaml")(folder / "network", n)
     return folder / "network"
 
@@ -228,27 +213,9 @@ def _read_network(folder: Path) -> object:
 
 
 def _write_data(folder: Path, n: int) -> Path:
-    image = jpeg(np.zeros((160, 320, 3), np.uint8))
-    rows: list[dict[str, object]] = [
-        {
-            "image": image,
-            "steering": 0.1 * (k % 9),
-            "throttle": 0.5,
-            "speed": 3.0,
-            "lateral_position": 0.1,
-            "step": k,
-            "simulator": "donkey",
-            "road_id": "0123456789ab",
-            "direction": "forward",
-        }
-        for k in range(n)
-    ]
-    write_drive(folder / "data" / "donkey" / "0123456789ab-forward.parquet", rows)
+    image = np.zeros((160, 320, 3), np.uint8)
+    write_recorded(folder / "data", "donkey", [image] * n, [0.1 * (k % 9) for k in range(n)])
     return folder / "data"
-
-
-def _damage_data(folder: Path, rng: Rng) -> None:
-    damaged_parquet(next(folder.glob("*/*.parquet")), rng)
 
 
 def _car(n: int) -> str:
@@ -303,7 +270,7 @@ KINDS = [
     Kind("weights", _write_weights, _damage_weights, lambda path: load_weights(str(path)), (WeightsError,)),
     Kind("network-description", _write_network, _damage_of("network.yaml"), _read_network, (DriverError,), small=1),
     Kind("network-onnx", _write_network, _damage_of("network.onnx"), _read_network, (DriverError,), 200, small=1),
-    Kind("data-set", _write_data, _damage_data, read_samples, (DatasetError,), 200, small=4),
+    Kind("data-set", _write_data, damaged_table, read_samples, (DatasetError,), 200, small=4),
     Kind(
         "twin-parameters", as_text(_car, "car.yaml"), damaged_file, read_parameters, (ParameterFileError,), 100, small=1
     ),

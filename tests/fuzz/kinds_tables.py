@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_parquet
+from tests.fuzz.damage import STRANGE, Rng, damaged_bytes, damaged_file, damaged_one_of, damaged_parquet, damaged_table
 from tests.fuzz.harness import Kind
 
 from ds_analysis.common.outcome_table import SIBLINGS, OutcomeTableError, table_of_comparison
@@ -183,10 +183,6 @@ def _damage_packed(path: Path, rng: Rng) -> None:
     path.write_bytes(packed if rng.random() < 0.5 else damaged_bytes(packed, rng))
 
 
-def _damage_study(folder: Path, rng: Rng) -> None:
-    damaged_parquet(folder / "outcomes.parquet", rng)
-
-
 def dictionary_bomb(path: Path) -> None:
     """Write a Parquet file of some 100 kB whose only text of a megabyte is that of 20,000 rows."""
     texts = pa.DictionaryArray.from_arrays(pa.array(np.zeros(20_000, np.int32)), pa.array(["x" * 2**20]))
@@ -237,7 +233,7 @@ KINDS = [
     Kind("outcomes-csv", as_text(outcomes, "t.csv"), _damage_cells, _import, _OUTCOMES, 2000),
     Kind("outcomes-gz", _packed, _damage_packed, _import, _OUTCOMES, 2000),
     Kind("outcomes-parquet", _parquet, damaged_parquet, _import, _OUTCOMES, 2000),
-    Kind("study", _study, _damage_study, lambda path: read_study(path).table(), _OUTCOMES, 1000),
+    Kind("study", _study, damaged_table, lambda path: read_study(path).table(), _OUTCOMES, 1000),
     Kind("sbft-folder", _sbft, damaged_one_of, lambda path: read_competition([path]), _OUTCOMES, 100),
     Kind("track", as_text(_track, "track.csv"), _damage_cells, import_roads, (RoadError,), 10_000),
     Kind("opendrive", _opendrive, damaged_file, import_roads, (RoadError,), 90),
