@@ -24,6 +24,7 @@ from ds_bags.reader import BagReader
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.data.recordings import Reading, RecordedFrame, open_recording
 from ds_driver.networks.images import Crop, ImageError, fit_to_network, rgb_of, rgb_of_file
+from ds_driver.networks.network_driver import NetworkDriver
 from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.session import RunRecord, resimulate
 
@@ -74,8 +75,6 @@ def test_a_network_answers_a_raw_bag_as_it_answered_in_the_loop(bags: Path, run:
     """Bit by bit for raw images; the autopilot's own answers are what the bag recorded."""
     driver = make_driver("dave2", make_simulator("donkey").spec)
     expected = [driver(seen).steering for seen in resimulate(DONKEY, run)]
-    from ds_driver.networks.network_driver import NetworkDriver
-
     network = NetworkDriver("dave2")
     for truth in ("recorded", "autopilot"):
         recording = open_recording(bags / "raw", Reading(truth=truth))  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from tests.observations import made_observation
+from made_observations import made_observation
 
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.control.autopilot import Autopilot
@@ -74,7 +74,7 @@ class MadeUpEngine(EngineHere):
         run = RunRecord(scenario=request.scenario, outcome=outcome)
         run.commands = [Command(float(s), 0.5) for s in rng.uniform(-0.2, 0.2, 5)]
         run.observations = [
-            made_observation(k, offset, Outcome.RUNNING if k < 5 else outcome, (x, y + k))
+            made_observation(k, lateral=offset, outcome=Outcome.RUNNING if k < 5 else outcome, x=x, y=y + k)
             for k, offset in enumerate(lateral.tolist())
         ]
         return run

@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from installed_package import installed_package, write_package
 from tests.campaign.engines import EngineHere, MadeUpEngine
 from tests.campaign.own_parts import StraightSearch
 
 from ds_analysis.paper.campaign_contents import maps_of
-from ds_base.extension import installed
 from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
@@ -42,12 +42,12 @@ from ds_orchestrator.maps.feature_map import MapId, to_json
 from ds_orchestrator.search.algorithms import search_of
 from ds_orchestrator.store.model import Execution, Test
 from ds_orchestrator.store.store import Store
-from ds_road import Road
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import DONKEY, SimulatorName, label_of
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 from ds_sim.simulator import Outcome
+from ds_sim.testing import STRAIGHT
 
 OWN = "tests.campaign.own_parts"
 DONKEYS = [SimulatorName("ds_twin_donkey.simulator:DonkeySimulator"), DONKEY]
@@ -322,12 +322,11 @@ def test_a_pool_gives_each_run_to_a_worker_that_is_free() -> None:
     workers = [Counting(), Counting()]
     probing = MadeUpEngine()
     pool = GraphEngine(workers, [DONKEY], lambda: probing)
-    road = Road([(125.0, 25.0 * i) for i in range(9)])
     with ThreadPoolExecutor(2) as threads:
-        asked = [DriveRequest(Scenario(road, seed=seed), DriverName("dave2"), DONKEY) for seed in range(6)]
+        asked = [DriveRequest(Scenario(STRAIGHT, seed=seed), DriverName("dave2"), DONKEY) for seed in range(6)]
         list(threads.map(pool.drive, asked))
     assert sum(w.runs for w in workers) == 6
-    pool.drive(DriveRequest(Scenario(road, seed=6), AUTOPILOT, DONKEY, probed=True))
+    pool.drive(DriveRequest(Scenario(STRAIGHT, seed=6), AUTOPILOT, DONKEY, probed=True))
     assert sum(w.runs for w in workers) == 6 and len(probing.roads) == 1
     pool.stop()
     assert all(w.stopped for w in workers)
@@ -430,18 +429,11 @@ def config_of(**changes: Any) -> CampaignConfig:
 
 
 @pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def package(tmp_path: Path) -> Iterator[None]:
     """An installed package that adds the feature `easting` and the operator `median`."""
-    about = tmp_path / "installed" / "own_parts-1.0.dist-info"
-    about.mkdir(parents=True)
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: own-parts\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text(
-        f"[digital_siblings.features]\neasting = {OWN}:EASTING\n[digital_siblings.operators]\nmedian = {OWN}:MEDIAN\n"
-    )
-    monkeypatch.syspath_prepend(about.parent)
-    installed.cache_clear()
-    yield
-    installed.cache_clear()
+    write_package(tmp_path, "features", {"easting": f"{OWN}:EASTING"})
+    with installed_package(tmp_path, "operators", {"median": f"{OWN}:MEDIAN"}):
+        yield
 
 
 @pytest.mark.usefixtures("package")

@@ -8,6 +8,7 @@ import sqlite3
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -334,8 +335,6 @@ def test_a_campaign_of_an_earlier_version_is_read_as_it_is_and_rewritten_when_it
 
 
 def test_a_trajectory_that_opens_to_gigabytes_takes_no_memory(tmp_path: Path) -> None:
-    import tracemalloc
-
     folder = make(tmp_path / "received")
     packer = zlib.compressobj(9)
     first, again = (packer.compress(bytes(2**22)) + packer.flush(zlib.Z_FULL_FLUSH) for _ in range(2))

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from made_observations import made_observation
 from tests.conformance.test_conditions import light as linear
 from tests.conformance.test_conditions import perfect
 from tests.drives import driven
-from tests.observations import made_observation
 
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.driver_name import AUTOPILOT
@@ -135,7 +135,7 @@ def a_run(contrasts: list[float], outcome: Outcome = Outcome.COMPLETED) -> RunRe
     """A run of 1 m a frame, with one contrast in ten frames."""
     run = RunRecord(scenario=Scenario(STRAIGHT, seed=1), outcome=outcome, visible_contrasts=contrasts)
     frames = range(10 * len(contrasts) + 1)
-    run.observations = [made_observation(k, 0.0, Outcome.RUNNING, (0.0, 0.0)) for k in frames]
+    run.observations = [made_observation(k, lateral=0.0) for k in frames]
     return run
 
 

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from tests.observations import made_observation
+from made_observations import made_observation
 
 from ds_driver.networks.pilot import Frame
 from ds_road import LANE_WIDTH, Road
@@ -45,7 +45,7 @@ class QuickSimulator(Simulator):
             outcome = Outcome.OUT_OF_BOUNDS
         image = np.zeros((160, 320, 3), np.uint8)
         x, y = self._road.lane_centre[self._step].tolist()
-        return made_observation(self._step, self._lateral, outcome, (x, y), image)
+        return made_observation(self._step, lateral=self._lateral, outcome=outcome, image=image, x=x, y=y)
 
 
 class SlowSimulator(QuickSimulator):

@@ -12,11 +12,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from made_observations import drive
 from numpy.typing import NDArray
 from tests.evidence.bicycle import GRAVITY, Axle, SingleTrack
 
 from ds_sim.parts import Vehicle
-from ds_sim.simulator import FRAME_TIME, Command, VehicleState
+from ds_sim.simulator import FRAME_TIME, Command
 from ds_sim_bullet.parameters import BulletParameters
 from ds_sim_bullet.vehicle import BulletVehicle
 from ds_sim_panda.simulator import MultiBodyVehicle
@@ -258,15 +259,6 @@ def panda() -> Subject:
 
 
 SUBJECTS = {"bullet": bullet, "softbody": softbody, "donkey": donkey, "panda": panda}
-
-
-def drive(vehicle: Vehicle, frames: int, steering: float, throttle: float) -> list[VehicleState]:
-    """Drive some steps under one command and return the state after each."""
-    states = []
-    for _ in range(frames):
-        vehicle.advance(Command(steering, throttle))
-        states.append(vehicle.state())
-    return states
 
 
 def started(subject: Subject) -> Vehicle:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import TwistStamped
+from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Image
@@ -52,10 +52,6 @@ def adapted(logs: Path, request: pytest.FixtureRequest, join: Callable[[int], No
 @pytest.mark.parametrize("adapted", [("lockstep", {})], indirect=True)
 def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any, spin: Callable[..., None]) -> None:
     """It copies the image's header, and sees the requested speed; turning left, it leaves the lane on the left."""
-    from geometry_msgs.msg import TwistStamped
-    from rclpy.node import Node
-    from sensor_msgs.msg import Image
-
     node = Node("standard_driver")
     publisher = node.create_publisher(TwistStamped, "/ds1/cmd_vel", 1)
     speed, turn = [4.0], [0.0]
@@ -87,10 +83,6 @@ def test_a_stamped_twist_drives_to_the_end_at_the_speed_it_asks_for(adapted: Any
 @pytest.mark.parametrize("adapted", [("realtime", {"message": "twist"})], indirect=True)
 def test_a_twist_without_stamp_drives_in_real_time_and_silence_ends_it(adapted: Any, spin: Callable[..., None]) -> None:
     """The result's message states the jitter; the watchdog ends a run whose driver stops sending."""
-    from geometry_msgs.msg import Twist
-    from rclpy.node import Node
-    from rclpy.qos import qos_profile_sensor_data
-
     node = Node("standard_driver")
     publisher = node.create_publisher(Twist, "/ds1/cmd_vel", qos_profile_sensor_data)  # best effort
     message = Twist()
