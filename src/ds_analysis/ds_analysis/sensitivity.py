@@ -13,10 +13,10 @@ from ds_base.bounded_file import read_json
 from ds_base.table import Column, Table, Value, styled
 from ds_driver.networks.driver_name import DriverName
 from ds_driver.networks.network_driver import sees_translated
+from ds_sim.conditions.actuation import COMMAND_CONDITIONS
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, between
 from ds_sim.conditions.text import check_known, format_3sf
 from ds_sim.registry import SimulatorName
-from ds_sim.road_simulator import COMMAND_CONDITIONS
 from ds_sim.scenario import Scenario
 
 LEVELS = 16

@@ -19,7 +19,7 @@ from ds_orchestrator import executables
 from ds_orchestrator.campaign.config import CampaignConfig, parse_config
 from ds_orchestrator.campaign.folder import BACKEND, DRIVER_SHA256, CampaignData, record_provenance
 from ds_orchestrator.campaign.status import DRIVES_SAMPLED, driver_habits
-from ds_orchestrator.campaign.timed_listener import TimedListener
+from ds_orchestrator.campaign.time_left import TimedListener
 from ds_orchestrator.engines import fingerprint as module
 from ds_orchestrator.engines.fingerprint import PROCESSOR_FEATURES, differences, fingerprint
 from ds_orchestrator.store.model import DriveArrays, Origin, Test

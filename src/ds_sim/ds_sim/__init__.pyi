@@ -5,6 +5,7 @@ from .camera.lens import project
 from .camera.rendered_scene import PaintedScene, Sensor
 from .camera.renderer import Camera
 from .camera.spec import CameraSpec, Look
+from .conditions.actuation import COMMAND_CONDITIONS, Actuation
 from .conditions.model import DEFAULT, FIELDS, Condition, Conditions, ConditionsError, NotApplicableError
 from .conditions.text import format_conditions, parse_conditions
 from .gates.gate import Gate, GateState, gate_of
@@ -24,7 +25,7 @@ from .registry import (
     received_simulator,
     spec_of,
 )
-from .road_simulator import COMMAND_CONDITIONS, Actuation, RoadSimulator
+from .road_simulator import RoadSimulator
 from .run_codec import RunCodecError, decode_run, encode_run
 from .scenario import Scenario
 from .session import ResimulationError, RunRecord, Session, resimulate

@@ -9,10 +9,11 @@ from dataclasses import replace
 from ds_base.errors import InputError
 from ds_road import Road
 from ds_sim.camera.rendered_scene import PaintedScene
+from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, Conditions
 from ds_sim.parts import Scene
 from ds_sim.registry import HYBRID, SimulatorName, make_simulator
-from ds_sim.road_simulator import Actuation, RoadSimulator
+from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import Command, Observation, Simulator
 
 PARTS = ("camera", "look", "vehicle", "delays")

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from ds_road import Road
+from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import PHRASES, Side, conditions_in_words, format_conditions, from_json, parse_conditions
 from ds_sim.oracle import LaneTracker, Oracle, OracleLimits
 from ds_sim.registry import make_simulator, simulator_of_process
-from ds_sim.road_simulator import Actuation
 from ds_sim.ros.command_monitor import WARN_AFTER, CommandMonitor
 from ds_sim.ros.real_time_loop import FrameJitter
 from ds_sim.scenario import Scenario

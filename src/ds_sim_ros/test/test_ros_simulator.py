@@ -14,8 +14,8 @@ import pytest
 import yaml
 
 from ds_road import Road, RoadError
+from ds_sim.conditions.actuation import COMMAND_CONDITIONS
 from ds_sim.registry import UnknownSimulatorError, UntrustedSimulatorError, make_simulator, received_simulator
-from ds_sim.road_simulator import COMMAND_CONDITIONS
 from ds_sim.simulator import MAX_SPEED, Command, SimulatorError
 from ds_sim_ros.roads import check_is_track, read_track, write_road
 from ds_sim_ros.settings import CommandSettings, RosSettings, RosSettingsError, read_settings

@@ -20,7 +20,7 @@ from ds_driver.closed_loop.simulation import DriveRequest
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener
 from ds_orchestrator.campaign.folder import LIVE
-from ds_orchestrator.campaign.timed_listener import TimedListener
+from ds_orchestrator.campaign.time_left import TimedListener
 from ds_orchestrator.store.model import Execution, Test
 from ds_sim.gates.gate import Gate
 from ds_sim.registry import SimulatorName

@@ -24,7 +24,7 @@ from ds_analysis.paper.campaign_contents import maps_of
 from ds_base.folder_files import StoreError
 from ds_orchestrator.campaign.config import ConfigError
 from ds_orchestrator.campaign.folder import CampaignData, open_store, read_campaign
-from ds_orchestrator.campaign.timed_listener import TimedListener
+from ds_orchestrator.campaign.time_left import TimedListener
 from ds_orchestrator.maps.feature_map import FeatureMap, compared_ids
 from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Execution, Test
