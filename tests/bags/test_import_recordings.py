@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from floor_cameras import floor_camera
 from foreign_bags import foreign_bag
 from tests import drives
 from tubs import write_tub
@@ -22,7 +23,6 @@ from ds_driver.data.recordings import Imported, Reading, import_recordings, open
 from ds_driver.networks.images import Crop, fit_to_network
 from ds_driver.training import TrainingPlan, split
 from ds_recording import RecordingError
-from ds_recording.floor_camera import FloorCamera
 from ds_recording.located import COLUMNS, Located, write_located
 from ds_recording.real_drive import is_recording, read_recording
 from ds_recording.track import Track
@@ -189,18 +189,11 @@ def test_a_located_recording_gives_the_offset_from_the_lane_driven(
     swerve = offset * np.sin(np.linspace(0.0, np.pi, 101)) ** 8  # the car leaves its lane and comes back
     table = np.zeros((101, len(COLUMNS)))
     table[:, COLUMNS.index("along_m")], table[:, COLUMNS.index("lateral_m")] = along, 0.125 + swerve
-    camera = FloorCamera(
-        width_px=160,
-        height_px=120,
-        focal_px=(90.0, 90.0),
-        centre_x_px=79.5,
-        centre_y_px=59.5,
-        height_m=0.1,
-        pitch_rad=0.2,
-    )
     track = Track(np.column_stack((along, np.zeros(101))))
     about = {"source": "tub", "lane_width_m": 0.25}
-    write_located(tmp_path, Located(table=table, track=track, lane_width=0.25, camera=camera, about=about))
+    write_located(
+        tmp_path, Located(table=table, track=track, lane_width=0.25, camera=floor_camera(90.0, 0.1, 0.2), about=about)
+    )
     write_tub(tmp_path / "tub", [{"_timestamp_ms": 86_400_000}])
     found = read_recording(tmp_path, ROAD, scale=16.0)
     assert found.outcome(2.0) == outcome and found.lateral == pytest.approx(lateral, abs=0.09)

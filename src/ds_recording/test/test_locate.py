@@ -11,13 +11,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from floor_cameras import floor_camera
 from numpy.typing import NDArray
 from tubs import write_tub
 
 from ds_driver.data.recordings import Reading
 from ds_recording import RecordingError
 from ds_recording.closing import close_lap
-from ds_recording.floor_camera import FloorCamera
 from ds_recording.lines import line_pixels, points_on_floor
 from ds_recording.locate import SolvedStretch, located_of, with_odometry
 from ds_recording.located import COLUMNS, Located, read_located, write_located
@@ -32,16 +32,7 @@ from ds_sim.oracle import LaneTracker
 Array = NDArray[np.float64]
 WIDTH, RADIUS = 0.25, 0.9
 """Lane and radius of the road's centre line, m; driven counter-clockwise."""
-CAMERA = FloorCamera(
-    width_px=160,
-    height_px=120,
-    focal_px=(90.0, 90.0),
-    centre_x_px=79.5,
-    centre_y_px=59.5,
-    height_m=0.12,
-    pitch_rad=0.25,
-    forward_m=0.04,
-)
+CAMERA = floor_camera(90.0, 0.12, 0.25, forward=0.04)
 FRAMES = 130
 TIMES: Array = 0.05 * np.arange(FRAMES, dtype=np.float64)
 SPEED = 0.35

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from floor_cameras import floor_camera
 from foreign_bags import foreign_bag
 from numpy.typing import NDArray
 from tubs import write_tub
@@ -19,7 +20,6 @@ from tubs import write_tub
 from ds_driver.data.recordings import Reading, Recording
 from ds_driver.networks.images import Crop
 from ds_recording import RecordingError
-from ds_recording.floor_camera import FloorCamera
 from ds_recording.motion import Hint, HintFinder
 from ds_recording.odometry import AHEAD, TURN, Checked, Source, _rate, check, hints_of, read_sources, stretch, summary
 
@@ -237,9 +237,7 @@ def test_messages_of_odometry_imu_and_motion_capture_are_read(tmp_path: Path) ->
     assert not read_sources(ours, 100.0) and len(read_sources(ours, 100.0, "/imu")) == 1
 
 
-CAMERA = FloorCamera(
-    width_px=160, height_px=120, focal_px=(90.0,) * 2, centre_x_px=79.5, centre_y_px=59.5, height_m=0.8, pitch_rad=0.3
-)
+CAMERA = floor_camera(90.0, 0.8, 0.3)
 """In lane widths."""
 DRAWN = np.random.default_rng(3)
 WALL = cv2.GaussianBlur(DRAWN.normal(0.0, 1.0, (256, 2048)).astype(np.float32), (0, 0), 4.0) * 600.0 + 120.0

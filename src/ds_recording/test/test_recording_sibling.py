@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pytest
 import yaml
+from floor_cameras import floor_camera
 from numpy.typing import NDArray
 from tubs import write_tub
 
@@ -83,17 +84,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     write_tub(made / "tub", records)
     for name, head, lines in (("located", ",".join(COLUMNS), located), ("track", "# x_m,y_m", track)):
         (made / f"{name}.csv").write_text("\n".join([head, *(",".join(map(str, line)) for line in lines)]) + "\n")
-    camera = FloorCamera(
-        width_px=WIDTH,
-        height_px=HEIGHT,
-        focal_px=(FOCAL, FOCAL),
-        centre_x_px=(WIDTH - 1) / 2,
-        centre_y_px=(HEIGHT - 1) / 2,
-        height_m=HIGH,
-        pitch_rad=PITCH,
-        forward_m=FORWARD,
-    )
-    write_camera(made / "camera.yaml", camera)
+    write_camera(made / "camera.yaml", floor_camera(FOCAL, HIGH, PITCH, forward=FORWARD))
     (made / "recording.json").write_text(json.dumps({"source": "tub", "lane_width_m": LANE}))
     return made
 
@@ -207,16 +198,7 @@ def test_without_a_folder_it_says_what_it_needs() -> None:
         make_simulator("recording")
 
 
-CAMERA = FloorCamera(
-    width_px=160,
-    height_px=120,
-    focal_px=(80.0, 80.0),
-    centre_x_px=79.5,
-    centre_y_px=59.5,
-    height_m=0.2,
-    pitch_rad=0.3,
-    forward_m=0.05,
-)
+CAMERA = floor_camera(80.0, 0.2, 0.3, forward=0.05)
 LENS = Lens("plumb_bob", (-0.2, 0.03, 0.001, -0.002, 0.0))
 
 
