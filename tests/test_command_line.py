@@ -11,13 +11,12 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from made_executions import made_execution
+from report_campaigns import make_execution
 from tests.command_line import document, ds, ds_process, refusal
 from tests.drives import driven
 
@@ -29,13 +28,11 @@ from ds_cli.verbs import VERBS, overview
 from ds_orchestrator.campaign import executor
 from ds_orchestrator.campaign.config import parse_config
 from ds_orchestrator.store.model import Origin, Test
-from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Road, generate, read_roads, write_roads
 from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import BULLET
 from ds_sim.scenario import Scenario
-from ds_sim.simulator import Outcome
 
 DS = [sys.executable, "-m", "ds_cli.main"]
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -53,11 +50,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
         test = Test(f"bullet-0-{number:04d}", scenario, Origin(BULLET, 0, number))
         store.add_test(test)
         for simulator in ("bullet", "softbody", "donkey"):
-            digest = trajectory_sha256(np.zeros((0, 5)))
             failed = number in (1, 2) and simulator != "softbody"
-            outcome = Outcome.OUT_OF_BOUNDS if failed else Outcome.COMPLETED
-            made = made_execution(test.test_id, simulator, outcome, 1.0 + number, steps=0)
-            store.add_execution(replace(made, trajectory_sha256=digest))
+            store.add_execution(make_execution(test, simulator, 2.5 if failed else 0.5))
     store.close()
     return folder
 

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from rich.console import Console
+from tests.command_line import document, ds, refusal
 
 from ds_analysis.outcomes.study import read_study
 from ds_analysis.real.proposal import read_proposed
@@ -158,81 +159,65 @@ def write_comparison(folder: Path, roads: list[Road] = ROADS) -> Path:
     return folder
 
 
-def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    assert run(list(map(str, arguments))) == 2
-    captured = capsys.readouterr()
-    lines = [line for line in captured.err.splitlines() if line.startswith("error")]
-    assert captured.out == "" and len(lines) == 1, captured.err
-    return lines[0]
-
-
 @pytest.fixture
 def compared(tmp_path: Path) -> Path:
     return write_comparison(tmp_path / "compared")
 
 
-def test_a_comparison_is_predicted(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_comparison_is_predicted(compared: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run(["predict", str(compared), "--twin", "donkey", "--out", str(out), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["siblings"] == ["bullet", "softbody", "panda"] and document["twin"] == "donkey"
-    assert document == json.loads((out / "prediction.json").read_text())
-    names = {score["predictor"] for score in document["comparison"]["scores"]}
+    predicted = document("predict", compared, "--twin", "donkey", "--out", out)
+    assert predicted["siblings"] == ["bullet", "softbody", "panda"] and predicted["twin"] == "donkey"
+    assert predicted == json.loads((out / "prediction.json").read_text())
+    names = {score["predictor"] for score in predicted["comparison"]["scores"]}
     assert {"bullet", "softbody", "panda", "product", "mean", "features alone", "prediction"} <= names
-    assert len(document["verdicts"]["tests"]) == 40
+    assert len(predicted["verdicts"]["tests"]) == 40
     written = {path.name for path in out.iterdir()}
     assert {"verdicts.png", "cell_verdicts.csv", "predictors.tex", "predictor_reliability.csv"} <= written
-    assert run(["predict", str(compared), "--twin", "donkey"]) == 0
-    text, said = capsys.readouterr()
-    assert text.startswith("On donkey, never driven, ") and "is meant to be wrong at most 5% of the" in text
+    done = ds("predict", compared, "--twin", "donkey")
+    text, said = done.stdout, done.stderr
+    assert done.returncode == 0 and text.startswith("On donkey, never driven, ")
+    assert "is meant to be wrong at most 5% of the" in text
     assert "\nnext: " in said and len(text.splitlines()) < 25 and "features alone" not in text
-    assert run(["predict", str(compared), "--twin", "donkey", "--tables"]) == 0
-    assert "features alone" in capsys.readouterr().out
+    assert "features alone" in ds("predict", compared, "--twin", "donkey", "--tables").stdout
 
 
-def test_without_a_twin_the_car_is_predicted_and_nothing_compared(
-    compared: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["predict", str(compared), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["twin"] is None and document["comparison"] is None and len(document["siblings"]) == 4
-    assert "there is no twin" in document["no_comparison"]
-    assert all(0.0 < test["probability"] < 1.0 for test in document["verdicts"]["tests"])
+def test_without_a_twin_the_car_is_predicted_and_nothing_compared(compared: Path) -> None:
+    predicted = document("predict", compared)
+    assert predicted["twin"] is None and predicted["comparison"] is None and len(predicted["siblings"]) == 4
+    assert "there is no twin" in predicted["no_comparison"]
+    assert all(0.0 < test["probability"] < 1.0 for test in predicted["verdicts"]["tests"])
 
 
-def test_bad_input_is_one_line(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_is_one_line(compared: Path, tmp_path: Path) -> None:
     former = write_comparison(tmp_path / "former")  # until 0.2 the file had the name of another verb's
     (former / "siblings.json").rename(former / "comparison.json")
-    assert run(["predict", str(former), "--json"]) == 0
-    capsys.readouterr()
-    assert "holds no campaign.sqlite, siblings.json or outcomes.parquet" in refusal(capsys, "predict", tmp_path)
-    assert "no simulator 'carla', expected one of bullet" in refusal(capsys, "predict", compared, "--twin", "carla")
+    assert document("predict", former)
+    assert "holds no campaign.sqlite, siblings.json or outcomes.parquet" in refusal("predict", tmp_path)
+    assert "no simulator 'carla', expected one of bullet" in refusal("predict", compared, "--twin", "carla")
     (former / "comparison.json").write_text('{"outcomes": 3}')
-    assert "holds no comparison: expected" in refusal(capsys, "predict", former)
+    assert "holds no comparison: expected" in refusal("predict", former)
     (former / "comparison.json").write_text('{"version": 1, "tests": [], "simulators": {}}')
-    assert "expected the --out of `ds siblings compare`" in refusal(capsys, "predict", former)
+    assert "expected the --out of `ds siblings compare`" in refusal("predict", former)
 
 
-def test_too_few_tests_still_have_failure_rates(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_few_tests_still_have_failure_rates(tmp_path: Path) -> None:
     few = write_comparison(tmp_path / "few", ROADS[:6])
     counts = {
         name: sum(row["failed"][name] for row in json.loads((few / "siblings.json").read_text())["outcomes"])
         for name in ("bullet", "softbody", "panda", "donkey")
     }
-    assert run(["predict", str(few)]) == 0
-    text = capsys.readouterr().out
+    text = ds("predict", few).stdout
     assert text.startswith("no prediction: 6 tests have a verdict on a sibling, expected at least 10")
     assert all(f"{name} fails {failures} of 6 tests (" in text for name, failures in counts.items())
-    assert run(["predict", str(few), "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)["simulators"]
+    found = document("predict", few)["simulators"]
     assert {name: one["failures"] for name, one in found.items()} == counts
 
 
-def test_drives_are_proposed_recorded_and_used(compared: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drives_are_proposed_recorded_and_used(compared: Path) -> None:
     folder = compared
     before = (folder / "siblings.json").read_bytes()
-    assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
-    proposed = json.loads(capsys.readouterr().out)["drives"]
+    proposed = document("real", "propose", folder, "--drives", 3)["drives"]
     place = folder / "real/round_1"
     assert len(list(place.glob("*.png"))) == 3 and len(list(place.glob("[123]_*.csv"))) == 3
     text = (place / "README.md").read_text()
@@ -242,40 +227,36 @@ def test_drives_are_proposed_recorded_and_used(compared: Path, capsys: pytest.Ca
     filled = place / "filled.csv"
     rows[1:] = [[row[0], "completed", "Ada", "2026-03-01", "0.01", ""] for row in rows[1:]]
     filled.write_text("\n".join(map(",".join, rows)))
-    assert run(["real", "record", str(folder), str(filled), "--json"]) == 0
-    document = json.loads(capsys.readouterr().out)
-    assert document["failures"][1] < document["failures"][0] - 0.05
-    assert document["certificate"]["drawn"] == 3 and document["certificate"]["high"] < document["certificate"]["tests"]
-    assert document["help"]["drives"] == 3 and document["help"]["answer"] == "open" and document["open"] == []
-    driven = {one["test_id"] for one in document["verdicts"]["tests"] if one["driven"]}
+    recorded = document("real", "record", folder, filled)
+    assert recorded["failures"][1] < recorded["failures"][0] - 0.05
+    assert recorded["certificate"]["drawn"] == 3 and recorded["certificate"]["high"] < recorded["certificate"]["tests"]
+    assert recorded["help"]["drives"] == 3 and recorded["help"]["answer"] == "open" and recorded["open"] == []
+    driven = {one["test_id"] for one in recorded["verdicts"]["tests"] if one["driven"]}
     assert driven == {one["test_id"] for one in proposed}
     assert [drive.who for drive in read_drives(folder)] == ["Ada"] * 3
     # A drive decides its test, but alone no cell.
-    cells = [one for one in document["verdicts"]["cells"] if one["driven"] == one["tests"] == 1]
+    cells = [one for one in recorded["verdicts"]["cells"] if one["driven"] == one["tests"] == 1]
     assert all(0.0 < one["rate"] < one["interval"][1] for one in cells)
     assert {"before.png", "after.png", "update.json"} <= {path.name for path in (folder / "real").iterdir()}
     # Again, which changes nothing; then further drives, which are others.
-    assert run(["real", "record", str(folder), str(filled)]) == 0
-    shown = capsys.readouterr().out
+    shown = ds("real", "record", folder, filled).stdout
     assert "The car drove 3 tests and failed 0" in shown and "it is open whether your simulators" in shown
     assert "Certain with 95%, whenever you stop: the car fails on 0 to " in shown
-    assert run(["real", "propose", str(folder), "--drives", "3", "--json"]) == 0
-    more = {one["test_id"] for one in json.loads(capsys.readouterr().out)["drives"]}
+    more = {one["test_id"] for one in document("real", "propose", folder, "--drives", 3)["drives"]}
     assert not more & driven and len(read_proposed(folder).tests) == 6
     assert (folder / "siblings.json").read_bytes() == before
 
 
-def test_bad_requests_are_one_line(compared: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_requests_are_one_line(compared: Path, tmp_path: Path) -> None:
     file = tmp_path / "drives.csv"
     file.write_text("test_id,outcome,who,when\na,completed,Ada,2026-03-01\n")
     propose = ("real", "propose", compared, "--drives")
-    assert "there is no test 'a'" in refusal(capsys, "real", "record", compared, file)
-    assert "40 tests can be proposed, expected a budget of at most 40" in refusal(capsys, *propose, 41)
-    assert "--drives" in refusal(capsys, *propose, 0)
-    assert "has no real drives" in refusal(capsys, "real", "update", compared)
-    assert run(["real", "propose", str(compared), "--drives", "1"]) == 0
-    capsys.readouterr()
-    assert "which test is it? expected --test with one of" in refusal(capsys, "real", "record", compared, tmp_path)
-    assert "drives of a car of 1:16 were proposed before" in refusal(capsys, *propose, 1, "--scale", 10)
+    assert "there is no test 'a'" in refusal("real", "record", compared, file)
+    assert "40 tests can be proposed, expected a budget of at most 40" in refusal(*propose, 41)
+    assert "--drives" in refusal(*propose, 0)
+    assert "has no real drives" in refusal("real", "update", compared)
+    assert ds(*propose, 1).returncode == 0
+    assert "which test is it? expected --test with one of" in refusal("real", "record", compared, tmp_path)
+    assert "drives of a car of 1:16 were proposed before" in refusal(*propose, 1, "--scale", 10)
     (compared / "real/drives.json").write_text("[{}]")
-    assert "drives.json cannot be read" in refusal(capsys, "real", "update", compared)
+    assert "drives.json cannot be read" in refusal("real", "update", compared)
