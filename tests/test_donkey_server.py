@@ -40,9 +40,9 @@ from ds_sim.donkey_protocol.messages import (
 )
 from ds_sim.donkey_protocol.server import Conversation, DonkeyServer
 from ds_sim.simulator import Outcome
+from ds_sim.testing import STRAIGHT
 
 ROAD = generate(np.random.default_rng(21), max_angle=120)
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 OWN_PIXELS = {"msg_type": "cam_config", "img_w": "320", "img_h": "160", "img_d": "3", "img_enc": "PNG", "fov": "0"}
 
 

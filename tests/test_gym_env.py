@@ -13,10 +13,10 @@ from gymnasium.utils.env_checker import check_env
 from tests.drives import driven
 
 import ds_sim.gym_env
-from ds_road import Road, generate
+from ds_road import generate
 from ds_sim import CommandError
+from ds_sim.testing import STRAIGHT
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
 ROAD = generate(np.random.default_rng(21), max_angle=120)
 
 

@@ -3,6 +3,8 @@
 
 What the world of `panda` looks like under them is tested with it, in `src/ds_sim_panda/test/test_panda_conditions.py`.
 
+The straight road's centre line goes from (125, 25) to (125, 175) m, and its edges are 4 m to either side.
+
 Scenes are those of the simulators with a perfect sensor (no noise, gain, blur or delay) and, where a law is measured,
 without grain and with wide lines; pixels are decoded by the sRGB curve.
 """
@@ -18,7 +20,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ds_road import Road
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.rendered_scene import PaintedScene
 from ds_sim.conditions.model import DEFAULT, Conditions
@@ -26,12 +27,10 @@ from ds_sim.conditions.text import parse_conditions
 from ds_sim.registry import make_simulator, spec_of
 from ds_sim.road_simulator import RoadSimulator
 from ds_sim.simulator import FRAME_TIME, Command, VehicleState
-from ds_sim.testing import WINDING, digest, drive, reference_driver
+from ds_sim.testing import STRAIGHT, WINDING, digest, drive, reference_driver
 from ds_sim_panda.simulator import PandaScene
 
 PAINTED = ("bullet", "softbody", "donkey")
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
-"""Driven towards +y; its centre line is at x = 125 m from y = 25 to 175 m, its edges are 4 m to either side."""
 STANDING = {"yaw": math.pi / 2, "speed": 0.0, "yaw_rate": 0.0, "steering_angle": 0.0}
 ALL = parse_conditions(
     "line_contrast=0.5,line_cover=0.3,illuminance=500,veiling_luminance=100,low_sun=2000,sun_azimuth=1.5,"

@@ -15,12 +15,15 @@ from tests.waiting import wait_until
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import RosDomain
 from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
+from ds_road import Road
 from ds_sim.registry import DONKEY, SimulatorName
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord
 
 SPACE = {DONKEY: "/ds1"}
+SHORT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
+"""100 m straight on."""
 
 
 def simulator_processes(

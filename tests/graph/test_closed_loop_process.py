@@ -16,7 +16,7 @@ import torch
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 from tests.drives import driven
-from tests.graph.processes import SPACE, watched_run
+from tests.graph.processes import SHORT, SPACE, watched_run
 from tests.waiting import wait_until
 
 from ds_driver.networks.driver_name import DriverName
@@ -25,7 +25,6 @@ from ds_driver.sim2real.image_translation import Translator
 from ds_driver.sim2real.networks import Generator
 from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.graph.session import running_graph
-from ds_road import Road
 from ds_sim.registry import DONKEY, make_simulator, spec_of
 from ds_sim.ros.conversions import pixels_of
 from ds_sim.scenario import Scenario
@@ -33,7 +32,6 @@ from ds_sim.simulator import Outcome, Reason
 
 pytestmark = pytest.mark.graph
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 LIMIT = 3.0
 """Command timeout of the simulator, s."""
 BUSY = 60.0
@@ -69,12 +67,12 @@ def ordered(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Any, Pat
 def test_rows_that_nobody_sees_are_left_out_and_the_run_is_the_same(tmp_path: Path) -> None:
     """A subscriber that is there before a run gets whole images; without one, the crop is drawn."""
     driver, top = DriverName("dave2_short"), spec_of("donkey").crop_top
-    here = driven("donkey", STRAIGHT, driver=driver)
+    here = driven("donkey", SHORT, driver=driver)
     with running_graph(SPACE, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         # One that comes while a run is under way takes part in the next one.
-        unseen = executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
+        unseen = executor.execute(DONKEY, Scenario(SHORT, seed=1))
         topics = {"/ds1/camera/image_raw": Image}
-        seen, heard = watched_run(executor, DONKEY, Scenario(STRAIGHT, seed=1), "/ds1/simulator", topics)
+        seen, heard = watched_run(executor, DONKEY, Scenario(SHORT, seed=1), "/ds1/simulator", topics)
     (images,) = heard.values()
     assert trajectory_sha256(unseen) == trajectory_sha256(seen) == trajectory_sha256(here)
     assert top > 0 and all(np.any(pixels_of(image)[:top]) for image in images)
@@ -93,25 +91,25 @@ def test_a_hanging_driver_stops_neither_reset_nor_watchdog_and_is_replaced(order
     executor, order = ordered
     order.write_text("hang")
     runs: list[Any] = []
-    drive = threading.Thread(target=lambda: runs.append(executor.execute("donkey", Scenario(STRAIGHT, seed=1))))
+    drive = threading.Thread(target=lambda: runs.append(executor.execute("donkey", Scenario(SHORT, seed=1))))
     drive.start()
     wait_until(lambda: not order.exists())
     assert executor._thread.ask(executor._simulators["donkey"].reset, Trigger.Request(), BUSY).success
     drive.join(LIMIT + BUSY)
     assert (runs[0].outcome, runs[0].reason, runs[0].steps) == (Outcome.CANCELLED, Reason.RESET, 20)
-    silent = executor.execute("donkey", Scenario(STRAIGHT, seed=1))  # it still hangs
+    silent = executor.execute("donkey", Scenario(SHORT, seed=1))  # it still hangs
     assert silent.outcome is Outcome.DRIVER_SILENT and silent.steps == 0
-    assert executor.execute("donkey", Scenario(STRAIGHT, seed=1)).outcome is Outcome.COMPLETED
+    assert executor.execute("donkey", Scenario(SHORT, seed=1)).outcome is Outcome.COMPLETED
 
 
 def test_a_crashing_driver_takes_its_simulator_along_and_both_come_back(ordered: tuple[Any, Path]) -> None:
     executor, order = ordered
     order.write_text("crash")
-    run = executor.execute("donkey", Scenario(STRAIGHT, seed=1))
+    run = executor.execute("donkey", Scenario(SHORT, seed=1))
     assert run.outcome is Outcome.SIM_ERROR and "closed_loop_ds1 ended during the run" in run.message
     # At which it crashes, or the one before.
     assert "after frame 20 " in run.message or "after frame 10 " in run.message
-    assert executor.execute("donkey", Scenario(STRAIGHT, seed=1)).outcome is Outcome.COMPLETED
+    assert executor.execute("donkey", Scenario(SHORT, seed=1)).outcome is Outcome.COMPLETED
 
 
 def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(tmp_path: Path) -> None:
@@ -122,12 +120,12 @@ def test_a_node_drives_with_the_bits_of_this_process_and_publishes_what_it_sees(
     path.parent.mkdir()
     save_generator(path, tensors, simulator="donkey", shape=shape, window=window, real_window=window)
     driver = DriverName("dave2_short", str(path.parent))
-    here = driven("donkey", STRAIGHT, driver=driver)
+    here = driven("donkey", SHORT, driver=driver)
     with closing(make_simulator("donkey")) as simulator:
-        first = simulator.load(STRAIGHT, seed=1).image
+        first = simulator.load(SHORT, seed=1).image
     with running_graph(SPACE, driver, command_timeout=10.0, logs=tmp_path, draw="seen") as executor:
         topics = {"/ds1/sim2real/image_raw": Image}
-        there, heard = watched_run(executor, DONKEY, Scenario(STRAIGHT, seed=1), "/ds1/driver", topics, last=0)
+        there, heard = watched_run(executor, DONKEY, Scenario(SHORT, seed=1), "/ds1/driver", topics, last=0)
     (images,) = heard.values()
     assert trajectory_sha256(there) == trajectory_sha256(here) and len(here.commands) > 20
     assert np.array_equal(pixels_of(images[0]), Translator(load_generator(path)).translate(first))

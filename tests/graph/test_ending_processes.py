@@ -22,10 +22,10 @@ from ds_interfaces.action import RunCampaign
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.node import Node
+from tests.graph.processes import SHORT
 
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.session import RosDomain
-from ds_road import Road
 from ds_sim.registry import DONKEY
 from ds_sim.ros.node_thread import NodeThread
 from ds_sim.ros.runtime import init_ros
@@ -33,7 +33,6 @@ from ds_sim.scenario import Scenario
 
 pytestmark = pytest.mark.graph
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 LIBC = ctypes.CDLL(None)
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 SECOND = 1.0
@@ -227,7 +226,7 @@ def test_a_node_ends_in_the_midst_of_a_run(
     executor = GraphClient({DONKEY: "/a/b"}, domain=domain, command_timeout=20.0)
     try:
         executor.wait_until_ready(30.0)
-        threading.Thread(target=executor.execute, args=("donkey", Scenario(STRAIGHT, seed=1)), daemon=True).start()
+        threading.Thread(target=executor.execute, args=("donkey", Scenario(SHORT, seed=1)), daemon=True).start()
         if simulator == HANGING:
             read_until(process, "hangs")
         else:
@@ -265,6 +264,7 @@ NODE = """
 from ds_sim.ros.runtime import init_ros
 init_ros()
 from rclpy.node import Node
+from tests.graph.processes import SHORT
 node = Node("node")
 print(*(line for line in open("/proc/self/maps") if "/dev/shm/fastrtps" in line))
 """

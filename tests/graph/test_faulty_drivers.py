@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from tests.graph.processes import SPACE, simulator_processes, supervised
+from tests.graph.processes import SHORT, SPACE, simulator_processes, supervised
 
 from ds_cli.campaign.inspection import campaign_status_command
 from ds_orchestrator.campaign.config import parse_config
@@ -17,7 +17,6 @@ from ds_orchestrator.campaign.executor import trajectory_sha256
 from ds_orchestrator.graph import session as running
 from ds_orchestrator.graph.client import GraphClient
 from ds_orchestrator.graph.supervisor import ProcessSpec, Supervisor
-from ds_road import Road
 from ds_sim import DONKEY
 from ds_sim.registry import SimulatorName
 from ds_sim.scenario import Scenario
@@ -26,7 +25,6 @@ from ds_studies.whole_campaign import run_campaign
 
 pytestmark = pytest.mark.graph
 
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(1, 6)])
 LIMIT = 2.0
 """Command timeout of the simulator, s."""
 BUSY, PATIENT = 60.0, 30.0
@@ -47,7 +45,7 @@ class Bench:
         """Drive the straight road with a command timeout; return the run and its wall-clock time, s."""
         self.executor._timeout = limit
         began = time.monotonic()
-        run = self.executor.execute(DONKEY, Scenario(STRAIGHT, seed=1))
+        run = self.executor.execute(DONKEY, Scenario(SHORT, seed=1))
         return run, time.monotonic() - began
 
     def drive_until_completed(self) -> None:

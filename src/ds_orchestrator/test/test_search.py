@@ -27,6 +27,7 @@ from ds_orchestrator.search.features import FEATURES, Cell, FeatureError, cell_o
 from ds_road import Road, generate
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 from ds_sim.scenario import Scenario
+from ds_sim.testing import STRAIGHT
 
 SETTINGS = SearchSettings(population=5, iterations=12, min_angle=60, max_angle=120)
 
@@ -330,9 +331,6 @@ def test_ranges_that_cannot_be_searched_are_refused(
         ConditionSpace(tuple(SearchedCondition(name=n, low=a, high=b) for n, a, b in searched), Conditions(**fixed))
 
 
-STRAIGHT = Road([(125.0, 25.0 * k) for k in range(9)])
-
-
 @dataclass
 class Driven:
     steering: NDArray[np.float64]
@@ -365,6 +363,8 @@ def test_lanes_of_half_a_circle_have_their_own_curvature() -> None:
     assert cell_of(circle(20.0), features=driven) == (0, int(100 / 22), 0, int(100 / 18))
     assert cell_of(circle(20.0).in_lane("left"), features=driven) == (0, int(100 / 18), 0, int(100 / 22))
     assert cell_of(circle(20.0).mirrored(), features=driven) == (int(100 / 22), 0, int(100 / 18), 0)
+    for road, radius in ((circle(20.0), 22), (circle(20.0).in_lane("left"), 18)):
+        assert cell_of(road, features=["lane_curvature", "turns_count"]) == (int(100 / radius), 1)
     assert feature_of("lane_curvature_max_right").label(17) == "0.17"
 
 
@@ -419,6 +419,3 @@ def test_an_axis_of_a_condition_is_even_on_its_scale() -> None:
     assert [feature_of("visibility").label(k) for k in (0, 5, 10)] == ["20", "40", "inf"]
     assert feature_of("line_contrast:5").label(1) == "0.5"
     assert bins("pavement_reflectance") is None  # as each simulator has it: no value, no cell
-    for lane, radius in (("right", 22), ("left", 18)):
-        road = circle(20.0).in_lane(lane)  # type: ignore[arg-type]
-        assert cell_of(road, features=["lane_curvature", "turns_count"]) == (int(100 / radius), 1)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ds_road import Road
 from ds_sim.conditions.actuation import Actuation
 from ds_sim.conditions.model import DEFAULT, FIELDS, Conditions, ConditionsError, NotApplicableError
 from ds_sim.conditions.text import PHRASES, Side, conditions_in_words, format_conditions, from_json, parse_conditions
@@ -22,8 +21,7 @@ from ds_sim.ros.real_time_loop import FrameJitter
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import FRAME_TIME, Command, CommandError, Outcome, Reason
-
-STRAIGHT = Road([(125.0, 25.0 * i) for i in range(9)])
+from ds_sim.testing import STRAIGHT
 
 
 def test_the_default_changes_nothing_and_has_no_text() -> None:

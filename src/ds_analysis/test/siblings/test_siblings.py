@@ -41,6 +41,7 @@ from ds_sim import DONKEY
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import SOFTBODY, SimulatorName, make_simulator
 from ds_sim.simulator import Command, Observation, Outcome
+from ds_sim.testing import STRAIGHT
 
 A_NAME, B_NAME, TWIN = map(SimulatorName, ("a", "b", "twin"))
 
@@ -349,9 +350,6 @@ def test_failures_in_the_lane_stay_in_it_and_the_table_counts_each_failure_once(
     assert found.document()["departures"][0]["counts"]["cuts a right bend"] == 1
 
 
-ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
-
-
 def run(
     outcome: Outcome = Outcome.COMPLETED, lateral: tuple[float, float] = (0.0, 0.0), length: float = 50.0
 ) -> DrivenRoad:
@@ -359,10 +357,10 @@ def run(
     shares = np.linspace(0.0, 1.0, 21) ** 2
     positions = lateral[0] + shares * (lateral[1] - lateral[0])
     return DrivenRoad(
-        road=ROAD,
+        road=STRAIGHT,
         outcome=outcome,
         max_lateral_position=float(np.abs(positions).max()),
-        profile=lateral_profile(shares * length, positions, ROAD.lane_width / 2),
+        profile=lateral_profile(shares * length, positions, STRAIGHT.lane_width / 2),
     )
 
 
