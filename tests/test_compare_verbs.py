@@ -53,6 +53,7 @@ class OfDriver(MadeUpEngine):
         return replace(super().drive(replace(request, scenario=moved)), scenario=request.scenario)
 
 
+DONE = Result(document={}, show=lambda: None, next="ds models")
 Engines = list[OfDriver]
 Configs = list[tuple[CampaignConfig, Path]]
 
@@ -373,7 +374,7 @@ def configs(monkeypatch: pytest.MonkeyPatch) -> Configs:
 
     def run(config: CampaignConfig, out: Path, **_: object) -> Result:
         tested.append((config, out))
-        return Result(document={}, show=lambda: None, next="ds models")
+        return DONE
 
     monkeypatch.setattr("ds_cli.campaign.run.campaign", run)
     return tested
@@ -436,9 +437,8 @@ def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:
     folder, junit = campaign(tmp_path / "old"), tmp_path / "junit.xml"
     with closing(Store(folder / "campaign.sqlite")) as store:
         failures = sum(execution.outcome.is_failure for execution in store.executions())
-    result = Result(document=None, show=lambda: None, next="ds models")
-    assert judged(result, folder, CampaignCriteria()) is result
-    unmet = judged(result, folder, CampaignCriteria(fail_on="failure", junit=junit)).unmet
+    assert judged(DONE, folder, CampaignCriteria()) is DONE
+    unmet = judged(DONE, folder, CampaignCriteria(fail_on="failure", junit=junit)).unmet
     assert len(unmet) == 1 and unmet[0].startswith("tests fail: ")
     root = ElementTree.parse(junit).getroot()
     assert (root.get("tests"), root.get("failures")) == ("24", str(failures))
@@ -447,11 +447,10 @@ def test_a_campaign_is_held_against_criteria(tmp_path: Path) -> None:
 
 
 def test_an_error_prevails_over_a_criterion() -> None:
-    result = Result(document={}, show=lambda: None, next="ds models")
-    end(result, True)
+    end(DONE, True)
     for error, unmet, status in ((False, ["a"], 3), (True, ["a"], 1), (True, [], 1)):
         with pytest.raises(typer.Exit) as exit_:
-            end(replace(result, error=error, unmet=unmet), True)
+            end(replace(DONE, error=error, unmet=unmet), True)
         assert exit_.value.exit_code == status
 
 
@@ -466,13 +465,12 @@ def config(**search: Any) -> CampaignConfig:
 def pasted(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> CampaignConfig:
     """The configuration that a proposed command writes, and would run."""
     monkeypatch.chdir(folder)
-    run = Result(document={}, show=lambda: None, next="ds models")
-    monkeypatch.setattr("ds_cli.campaign.run.campaign", lambda *_, **__: run)
     words = shlex.split(command)
     assert ds(*words[1:]).returncode == 0
     return read_config(folder / words[-1] / "campaign.yaml")
 
 
+@pytest.mark.usefixtures("configs")
 @pytest.mark.parametrize(
     ("tally", "before", "words", "angles"),
     [
@@ -491,6 +489,7 @@ def test_other_roads_are_proposed_where_everything_comes_out_alike(
     assert after.search.conditions == {} and after.simulators == before.simulators
 
 
+@pytest.mark.usefixtures("configs")
 def test_two_siblings_without_a_twin_stay_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = parse_config({"driver": "autopilot", "twin": "none", "search": SMALL}, "here")
     found = proposal(FAIL, before)

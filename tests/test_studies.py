@@ -128,15 +128,13 @@ def test_maps_of_the_study_have_the_papers_r_and_auc_prc(tmp_path: Path) -> None
     maps = maps_of(only(data, drawn))
     block = load("epoch", False, tmp_path)
     # Any of the simulators as the twin: the study's own are driven later.
-    first, second, twin = SIBLINGS
+    first, second, twin = map(SimulatorName, SIBLINGS)
     (case,) = cases_of({"epoch": block}, [(twin, (first, second))], 1, with_auc=True)
-    truth = {MapId.twin(SimulatorName(twin)): maps[MapId.union(SimulatorName(twin))]}
+    truth = {MapId.twin(twin): maps[MapId.union(twin)]}
     campaign = of_runs(read(third_table("epoch").with_name("epoch.parquet")), {0})
     merged = maps_of(only(campaign, drawn))[MapId.merged()]
-    unions = {MapId.union(SimulatorName(one)): maps[MapId.union(SimulatorName(one))] for one in (first, second)}
-    found = evaluate(
-        {**unions, MapId.merged(): merged, **truth}, [SimulatorName(first), SimulatorName(second)], SimulatorName(twin)
-    )
+    unions = {MapId.union(one): maps[MapId.union(one)] for one in (first, second)}
+    found = evaluate({**unions, MapId.merged(): merged, **truth}, [first, second], twin)
     by_r = [one.r or 0.0 for one in found if one.value == "probability"]
     by_auc = [one.auc or 0.0 for one in found if one.value == "probability"]
     assert [case.r[name] for name in ("first", "second", "product")] == pytest.approx(by_r)

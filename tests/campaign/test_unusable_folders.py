@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from report_campaigns import make_campaign, make_tests
+from report_campaigns import make_campaign
 from tests.campaign.damaged_stores import change_store, write_as_version_4
 from tests.campaign.engines import MadeUpEngine
 from tests.campaign.test_campaign import run
@@ -28,6 +28,7 @@ from ds_base.folder_files import StoreError, locked
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName, received_driver
 from ds_orchestrator.campaign.config import CampaignConfig, ConfigError, SearchConfig, read_config
 from ds_orchestrator.campaign.folder import open_store, read_campaign
+from ds_orchestrator.store.model import Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
 from ds_road import Road, Side
@@ -310,14 +311,13 @@ def test_a_campaign_of_an_earlier_version_is_read_as_it_is_and_rewritten_when_it
     tmp_path: Path, lane: Side
 ) -> None:
     config = FINISHED.model_copy(update={"lane": lane})
-    (tmp_path / "new").mkdir()
-    with closing(Store(tmp_path / "new" / "campaign.sqlite", config=config.identity())) as store:
-        for test, executions in make_tests(config, 2):
-            scenario = replace(test.scenario, road=test.road.in_lane(lane))
-            store.add_test(replace(test, scenario=scenario))
-            for execution in executions:
-                store.add_execution(execution)
-    (tmp_path / "old").mkdir()
+    for name in ("new", "old"):
+        (tmp_path / name).mkdir()
+
+    def in_lane(test: Test) -> Test:
+        return replace(test, scenario=replace(test.scenario, road=test.road.in_lane(lane)))
+
+    make_campaign(tmp_path / "new", config, 2, changed=in_lane).close()
     write_as_version_4(tmp_path / "new" / "campaign.sqlite", tmp_path / "old" / "campaign.sqlite")
     before = content(tmp_path / "old")
 

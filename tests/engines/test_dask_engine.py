@@ -112,10 +112,10 @@ def request(simulator: SimulatorName, seed: int) -> DriveRequest:
 
 
 @contextmanager
-def running(cluster: DaskProcesses, folder: Path, lines: Lines) -> Iterator[DaskEngine]:
-    settings = replace(SETTINGS, siblings=(SLOW,), cluster=ClusterOptions(scheduler=cluster.address))
+def running(cluster: DaskProcesses, folder: Path) -> Iterator[tuple[DaskEngine, Lines]]:
+    settings, lines = replace(SETTINGS, siblings=(SLOW,), cluster=ClusterOptions(scheduler=cluster.address)), Lines()
     with lines_to(lines.append), running_dask(settings, folder=folder) as engine:
-        yield engine
+        yield engine, lines
 
 
 def expected(folder: Path, count: int) -> list[bytes]:
@@ -156,9 +156,8 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
         "from ds_base.installation import versions\n"
         "fingerprint.versions = lambda: versions() | {'numpy': '1.0.0'}\n"
     )
-    lines = Lines()
     first = cluster.worker()
-    with running(cluster, tmp_path, lines) as engine:
+    with running(cluster, tmp_path) as (engine, lines):
         drives = Drives(engine, SLOW, 32)
         wait_until(lambda: drives.done > 0)
         late = cluster.worker()
@@ -177,9 +176,8 @@ def test_workers_join_die_and_differ_and_the_bytes_stay(cluster: DaskProcesses, 
 
 @pytest.mark.long
 def test_a_scheduler_that_is_restarted_loses_nothing(cluster: DaskProcesses, tmp_path: Path) -> None:
-    lines = Lines()
     cluster.worker()
-    with running(cluster, tmp_path, lines) as engine:
+    with running(cluster, tmp_path) as (engine, lines):
         drives = Drives(engine, SLOW, 24)
         wait_until(lambda: drives.done > 2)
         cluster.scheduler.kill()
@@ -195,9 +193,8 @@ def test_a_worker_that_hangs_is_given_up(
     cluster: DaskProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dask_engine, "SILENCE", 5.0)
-    lines = Lines()
     first = cluster.worker()
-    with running(cluster, tmp_path, lines) as engine:
+    with running(cluster, tmp_path) as (engine, lines):
         drives = Drives(engine, SLOW, 24)
         wait_until(lambda: drives.done > 0)
         first.send_signal(signal.SIGSTOP)
@@ -210,10 +207,9 @@ def test_a_worker_that_hangs_is_given_up(
 def test_a_worker_without_the_package_is_refused_by_name(cluster: DaskProcesses, tmp_path: Path) -> None:
     hidden = tmp_path / "hide.py"
     hidden.write_text("import sys\nsys.modules['ds_driver.closed_loop.worker_process'] = None\n")
-    lines = Lines()
     cluster.worker("--preload", str(hidden))
     problem = "cannot prepare itself.*is Digital Siblings installed"
-    with pytest.raises(ClusterError, match=problem), running(cluster, tmp_path, lines):
+    with pytest.raises(ClusterError, match=problem), running(cluster, tmp_path):
         pass
 
 

@@ -208,49 +208,44 @@ def test_throttle_defaults_to_equation_2_and_steering_is_clipped(tmp_path: Path)
     assert full.steering == 1.0
 
 
-def change(*keys: str, to: object) -> Callable[[dict[str, Any]], None]:
-    def alter(described: dict[str, Any]) -> None:
-        place = described
-        for key in keys[:-1]:
-            place = place.setdefault(key, {})
-        place[keys[-1]] = to
-
-    return alter
+def altered(described: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    """The description with these keys, also within its parts."""
+    parts = {key: altered(described[key], of) for key, of in changes.items() if isinstance(described.get(key), dict)}
+    return described | changes | parts
 
 
 @pytest.mark.parametrize(
-    ("alter", "said"),
+    ("changes", "said"),
     [
-        (change("output", to=1), r"output: Extra inputs.*keys of the file: file, input, inputs, outputs"),
-        (change("input", "color", to="rgb"), r"input\.color: Extra inputs.*keys of input: size, colour, layout"),
-        (change("input", "colour", to="hsv"), "input.colour: Input should be 'rgb', 'bgr', 'yuv' or 'grey'"),
-        (change("input", "size", to=[0, 160]), r"input\.size\.0: Input should be greater than or equal to 1"),
-        (change("input", "divide", to=0), "divide is 0"),
-        (change("input", "crop", to={"top": 100, "bottom": 59}), "leaves nothing to see"),
-        (change("input", "type", to="uint8"), "leave out subtract and divide"),
-        (change("input", "size", to=[160, 120]), "an input of anyx120x160x3, its description gives 1x160x120x3"),
-        (change("input", "layout", to="nchw"), "its description gives 1x3x120x160: correct size or layout"),
-        (change("outputs", "steering", to={"output": "angle"}), "no output 'angle'.*one of n_outputs0, n_outputs1"),
-        (change("outputs", "steering", to={"output": 2}), "no output 2 for steering: the network has 2, counted"),
-        (change("outputs", "steering", to={"index": 1}), "output for steering has 1 numbers: its description needs 2"),
-        (change("outputs", "steering", to={"scale": float("inf")}), r"outputs\.steering\.scale: .*finite number"),
-        (change("file", to="gone.onnx"), "'gone.onnx' is missing: its path is relative to p.yaml"),
-        (change("file", to="pilot.h5"), r"expected \.onnx, \.pt.*says how to convert"),
-        (change("file", to="cut.onnx"), "cut.onnx cannot be loaded"),
+        ({"output": 1}, r"output: Extra inputs.*keys of the file: file, input, inputs, outputs"),
+        ({"input": {"color": "rgb"}}, r"input\.color: Extra inputs.*keys of input: size, colour, layout"),
+        ({"input": {"colour": "hsv"}}, "input.colour: Input should be 'rgb', 'bgr', 'yuv' or 'grey'"),
+        ({"input": {"size": [0, 160]}}, r"input\.size\.0: Input should be greater than or equal to 1"),
+        ({"input": {"divide": 0}}, "divide is 0"),
+        ({"input": {"crop": {"top": 100, "bottom": 59}}}, "leaves nothing to see"),
+        ({"input": {"type": "uint8"}}, "leave out subtract and divide"),
+        ({"input": {"size": [160, 120]}}, "an input of anyx120x160x3, its description gives 1x160x120x3"),
+        ({"input": {"layout": "nchw"}}, "its description gives 1x3x120x160: correct size or layout"),
+        ({"outputs": {"steering": {"output": "angle"}}}, "no output 'angle'.*one of n_outputs0, n_outputs1"),
+        ({"outputs": {"steering": {"output": 2}}}, "no output 2 for steering: the network has 2, counted"),
+        ({"outputs": {"steering": {"index": 1}}}, "output for steering has 1 numbers: its description needs 2"),
+        ({"outputs": {"steering": {"scale": float("inf")}}}, r"outputs\.steering\.scale: .*finite number"),
+        ({"file": "gone.onnx"}, "'gone.onnx' is missing: its path is relative to p.yaml"),
+        ({"file": "pilot.h5"}, r"expected \.onnx, \.pt.*says how to convert"),
+        ({"file": "cut.onnx"}, "cut.onnx cannot be loaded"),
         (
-            change("file", to="weights.pt"),
+            {"file": "weights.pt"},
             r"weights.pt holds PyTorch weights alone: .*torch\.onnx\.export.*ds check weights\.onnx",
         ),
     ],
 )
 def test_invalid_descriptions_are_refused_in_one_line(
-    tmp_path: Path, linear: Linear, alter: Callable[[dict[str, Any]], None], said: str
+    tmp_path: Path, linear: Linear, changes: dict[str, Any], said: str
 ) -> None:
     linear.to_onnx(tmp_path / "mypilot.onnx")
     (tmp_path / "cut.onnx").write_bytes((tmp_path / "mypilot.onnx").read_bytes()[:5000])
     torch.save(linear.state_dict(), tmp_path / "weights.pt")
-    described = donkey("mypilot.onnx", "n_outputs0", "n_outputs1")
-    alter(described)
+    described = altered(donkey("mypilot.onnx", "n_outputs0", "n_outputs1"), changes)
     (tmp_path / "p.yaml").write_text(yaml.safe_dump(described))
     with pytest.raises(DriverError, match=said) as refused:
         NetworkDriver(str(tmp_path / "p.yaml"))

@@ -174,29 +174,24 @@ def test_every_request_survives_the_round_trip(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("which", [0, 1])
-def test_values_that_are_not_finite_are_refused_by_name(kind: str, bad: float, which: int) -> None:
-    message = blank(kind)
+@pytest.mark.parametrize(
+    ("which", "bad", "said"),
+    [
+        *((which, bad, f"{{}} is {bad}") for which in (0, 1) for bad in (math.nan, math.inf, -math.inf)),
+        (1, -0.5, "reverse"),
+    ],
+)
+def test_values_that_are_not_finite_and_reverse_are_refused(kind: str, which: int, bad: float, said: str) -> None:
+    message, path = blank(kind), PATHS[kind][which]
     KINDS[kind].fill(message, motion_of(kind, 0.1, 0.4), CAR)
-    path = PATHS[kind][which]
     set_part(message, path, bad)
-    with pytest.raises(MotionError, match=f"{path} is (nan|inf|-inf)"):
+    with pytest.raises(MotionError, match=said.format(path)):
         KINDS[kind].read(message, CAR)
 
 
 def test_steering_stops_at_full_lock_and_a_car_cannot_turn_on_the_spot() -> None:
     assert CAR.steering_of(2.0) == -1.0 and CAR.steering_of(-2.0) == 1.0
     assert CAR.angle_for(0.0, 1.0) == 0.0
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_reverse_is_refused(kind: str) -> None:
-    message = blank(kind)
-    KINDS[kind].fill(message, motion_of(kind, 0.0, 0.4), CAR)
-    set_part(message, PATHS[kind][1], -0.5)
-    with pytest.raises(MotionError, match="reverse"):
-        KINDS[kind].read(message, CAR)
 
 
 def test_a_pulse_width_is_not_taken_for_a_throttle() -> None:

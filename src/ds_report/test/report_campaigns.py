@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
@@ -15,7 +16,8 @@ from ds_analysis.paper.campaign_contents import maps_of
 from ds_analysis.paper.correlation import Correlation, evaluate
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
-from ds_orchestrator.maps.feature_map import FeatureMap, MapId
+from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId
+from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import DriveArrays, Execution, Origin, Test
 from ds_orchestrator.store.rows import trajectory_sha256
 from ds_orchestrator.store.store import Store
@@ -75,13 +77,19 @@ def make_tests(config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> l
 
 
 def make_campaign(
-    folder: Path, config: CampaignConfig, per_sibling: int, *, bags: bool = False, roads: int = 8
+    folder: Path,
+    config: CampaignConfig,
+    per_sibling: int,
+    *,
+    bags: bool = False,
+    roads: int = 8,
+    changed: Callable[[Test], Test] = lambda test: test,
 ) -> Store:
-    """Create a store of such tests, with the name of a bag for each execution if `bags`."""
+    """Create a store of such tests, each changed, with the name of a bag for each execution if `bags`."""
     store = Store(folder / "campaign.sqlite", config=config.model_dump_json())
     store.note("version numpy", "1.2.3<b>")
     for test, driven in make_tests(config, per_sibling, roads=roads):
-        store.add_test(test)
+        store.add_test(changed(test))
         for execution in driven:
             bag = f"bags/{test.test_id}-on-{label_of(execution.simulator)}" if bags else ""
             store.add_execution(replace(execution, bag=bag))
@@ -91,6 +99,12 @@ def make_campaign(
 def campaign_data(folder: Path, config: CampaignConfig, per_sibling: int, *, roads: int = 8) -> CampaignData:
     with closing(make_campaign(folder, config, per_sibling, roads=roads)) as store:
         return read_campaign(store)
+
+
+def make_map(map_id: MapId, cells: Mapping[Cell, tuple[float, float]]) -> FeatureMap:
+    """Create a map of these probabilities and qualities, each of two tests."""
+    values = {c: MapCell(tests=2, failures=None, probability=p, quality_loss=q) for c, (p, q) in cells.items()}
+    return FeatureMap(id=map_id, cells=values)
 
 
 def results(data: CampaignData) -> tuple[dict[MapId, FeatureMap], list[Correlation]]:

@@ -10,7 +10,6 @@ import socket
 import sqlite3
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack, closing, suppress
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -20,6 +19,7 @@ from urllib.parse import urlencode, urlsplit
 import numpy as np
 import pytest
 from report_campaigns import EVIL, NOWHERE, make_campaign, make_execution, make_tests, road, set_conditions
+from tests.waiting import wait_until
 
 from ds_base.folder_files import StoreError
 from ds_driver.closed_loop.simulation import DriveRequest
@@ -27,7 +27,7 @@ from ds_driver.networks.driver_name import DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.engine import Watch
 from ds_orchestrator.campaign.executor import Listener
-from ds_orchestrator.campaign.live_file import EVERY, FRESH, LiveFile, read_live
+from ds_orchestrator.campaign.live_file import FRESH, LiveFile, read_live
 from ds_orchestrator.graph.session import GraphEngine
 from ds_orchestrator.store.model import Execution, Origin, Test
 from ds_orchestrator.store.store import Store
@@ -93,13 +93,6 @@ class Server:
 
 def served(folder: Path) -> closing[Server]:
     return closing(Server(folder))
-
-
-def wait_for(happens: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 60.0
-    while not happens():
-        assert time.monotonic() < deadline
-        time.sleep(EVERY)
 
 
 def bytes_of(folder: Path) -> dict[str, bytes]:
@@ -248,7 +241,7 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path, m
 
         thread = threading.Thread(target=drive, daemon=True)
         thread.start()
-        wait_for(lambda: any(one["car"] for one in page_state(CampaignReader(tmp_path).read())["now"]))
+        wait_until(lambda: any(one["car"] for one in page_state(CampaignReader(tmp_path).read())["now"]))
         found = read_live(tmp_path, time.time())
         assert found is not None and (found.stage, found.done, found.total) == ("search", 1, 10)
         assert found.seconds_left is not None
@@ -267,7 +260,7 @@ def test_drives_under_way_are_in_the_live_file_and_on_the_page(tmp_path: Path, m
         right = time.time
         for hour in (3600, -3600):  # somebody sets the clock during the drive
             monkeypatch.setattr(time, "time", lambda hour=hour: right() + hour)
-            wait_for(lambda: read_live(tmp_path, time.time()) is not None)
+            wait_until(lambda: read_live(tmp_path, time.time()) is not None)
             found = read_live(tmp_path, time.time())
             assert found is not None and found.seconds_left is not None and found.seconds_left < 600
             (now,) = page_state(CampaignReader(tmp_path).read())["now"]
@@ -339,7 +332,7 @@ def test_the_server_answers_only_reading_requests_of_this_machine(tmp_path: Path
         store.close()
         with sqlite3.connect(tmp_path / "campaign.sqlite") as db:
             db.execute("UPDATE tests SET road = '', rowid = rowid + 100")
-        wait_for(lambda: "problem" in server.state())
+        wait_until(lambda: "problem" in server.state())
         state = server.state()
         assert "is damaged" in state["problem"] and state["done"] == 12
 
@@ -364,7 +357,7 @@ def test_idle_readers_beyond_the_limit_are_sent_away_until_others_leave(tmp_path
             for _ in range(watch_server.MOST_CONNECTIONS):
                 open_ones.enter_context(server.connect())
             assert open_ones.enter_context(server.connect()).recv(1) == b""
-        wait_for(lambda: answers(server))
+        wait_until(lambda: answers(server))
 
 
 def answers(server: Server) -> bool:

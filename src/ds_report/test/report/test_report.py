@@ -23,6 +23,7 @@ from report_campaigns import (
     campaign_data,
     make_campaign,
     make_execution,
+    make_map,
     make_tests,
     report_of,
     results,
@@ -38,7 +39,7 @@ from ds_base.table import Column, Table
 from ds_driver.networks.driver_name import AUTOPILOT, DriverName
 from ds_orchestrator.campaign.config import CampaignConfig
 from ds_orchestrator.campaign.folder import CampaignData, read_campaign
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, map_ids
+from ds_orchestrator.maps.feature_map import FeatureMap, MapId, map_ids
 from ds_orchestrator.search.features import Cell
 from ds_orchestrator.store.model import Origin, Test
 from ds_orchestrator.store.store import Store
@@ -196,10 +197,7 @@ TIMES = 6
 
 
 def hand_made(map_id: MapId, values: tuple[float, ...], times: int = TIMES) -> FeatureMap:
-    cells: dict[Cell, MapCell] = {
-        (k, 10): MapCell(tests=2, failures=None, probability=v, quality_loss=v) for k, v in enumerate(values * times)
-    }
-    return FeatureMap(id=map_id, cells=cells)
+    return make_map(map_id, {(k, 10): (value, value) for k, value in enumerate(values * times)})
 
 
 def driven(config: CampaignConfig) -> CampaignData:
@@ -409,11 +407,7 @@ def test_a_search_of_conditions_shows_its_maps_over_further_features(tmp_path: P
             "features": ["lane_curvature", "line_contrast"],
         }
     )
-    store = Store(tmp_path / "campaign.sqlite", config=config.identity())
-    for test, driven in make_tests(config, 4):
-        store.add_test(set_conditions(test, Conditions(line_contrast=0.5)))
-        for execution in driven:
-            store.add_execution(execution)
+    store = make_campaign(tmp_path, config, 4, changed=lambda test: set_conditions(test, Conditions(line_contrast=0.5)))
     page = Page(write_all(tmp_path, store).read_text())
     store.close()
     images = [attributes for tag, attributes in page.elements if tag == "img"]

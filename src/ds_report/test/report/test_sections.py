@@ -16,7 +16,7 @@ import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from prediction_tables import real_drive
-from report_campaigns import NOWHERE, campaign_data, make_execution, results, road
+from report_campaigns import NOWHERE, campaign_data, make_execution, make_map, results, road
 
 from ds_analysis.failures import FailureReason
 from ds_analysis.outcomes.columns import Columns
@@ -29,8 +29,8 @@ from ds_driver.networks.driver_name import AUTOPILOT
 from ds_orchestrator.campaign.config import CampaignConfig, SearchConfig
 from ds_orchestrator.campaign.executor import execution_of
 from ds_orchestrator.campaign.folder import CampaignData
-from ds_orchestrator.maps.feature_map import FeatureMap, MapCell, MapId, map_ids
-from ds_orchestrator.search.features import Cell, feature_of
+from ds_orchestrator.maps.feature_map import MapId, map_ids
+from ds_orchestrator.search.features import feature_of
 from ds_orchestrator.store.model import Origin, Test
 from ds_report.build import write_report
 from ds_report.camera_pictures import SIZE, drive_pictures, moments, plan_pictures, telling_tests
@@ -348,14 +348,6 @@ def test_replays_show_failed_drives_first_and_stay_within_their_bound() -> None:
 
 A, T = map(SimulatorName, "at")
 BOUNDS = range(2, 5), range(17, 14, -1)
-
-
-def make_map(map_id: MapId, cells: dict[tuple[int, int], tuple[float, float]]) -> FeatureMap:
-    made: dict[Cell, MapCell] = {
-        cell: MapCell(tests=2, failures=None, probability=probability, quality_loss=quality)
-        for cell, (probability, quality) in cells.items()
-    }
-    return FeatureMap(id=map_id, cells=made)
 
 
 def pixels_of(image: NDArray[np.uint8], colour: tuple[int, int, int]) -> NDArray[np.intp]:
