@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from tests.campaign.disk import KINDS, Disk, damage, differences, needs_compiler
+from tests.campaign.failing_disk import CONFIG
 
 SAMPLE, CUTS = 12, 199
 """Of so many calls, one fails, or is the last before a power cut, in every run of the tests; each one in long ones."""
@@ -68,9 +69,7 @@ def test_every_engine_survives_a_disk_that_fails(engine: str, each: int, scratch
     """Failures are spread over the calls of each kind in all processes, logs included; the report is whole."""
     disk = Disk(scratch)
     whole, tried = scratch / "whole", scratch / "tried"
-    config = "siblings: [donkey, softbody]\ntwin: null\ndriver: autopilot\nseed: 7\nrecord: telemetry\n"
-    config += "search: {population: 1, iterations: 1, runs: 1, min_angle: 40, max_angle: 90}\n"
-    (scratch / "c.yaml").write_text(config)
+    (scratch / "c.yaml").write_text(CONFIG.replace("[donkey]", "[donkey, softbody]"))
 
     def ds(folder: Path) -> tuple[int, str]:
         command = [sys.executable, "-m", "ds_cli.main", "campaign", "run", f"{scratch}/c.yaml", "--out", str(folder)]

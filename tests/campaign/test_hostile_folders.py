@@ -331,7 +331,6 @@ BUDGET = 100
 _INSIDE = """
 import sys
 from ds_cli.main import main
-from ds_sim import SimulatorName
 try:
     main()
 finally:

@@ -395,13 +395,10 @@ class Bomb:
         return (open, ("ran", "w"))
 
 
-def zipped(*members: str) -> Callable[[Path], None]:
-    def write(path: Path) -> None:
-        with zipfile.ZipFile(path, "w") as archive:
-            for member in members:
-                archive.writestr(member, b"{}")
-
-    return write
+def keras(path: Path) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for member in ("metadata.json", "config.json", "model.weights.h5"):
+            archive.writestr(member, b"{}")
 
 
 def holding(content: bytes) -> Callable[[Path], None]:
@@ -422,7 +419,6 @@ def saved(network: Any, *, old: bool = False) -> Callable[[Path], None]:
 
 LINEAR = torch.nn.Linear(3, 1)
 HDF5 = b"\x89HDF\r\n\x1a\n"
-KERAS = zipped("metadata.json", "config.json", "model.weights.h5")
 
 
 @pytest.mark.parametrize(
@@ -441,7 +437,7 @@ KERAS = zipped("metadata.json", "config.json", "model.weights.h5")
         ("n.h5", holding(HDF5 + b"..model_config.."), r"whole Keras model.*--keras \S*n\.h5 --output n"),
         ("n.h5", holding(HDF5), r"weights alone in Keras's HDF5.*load_weights"),
         ("n.onnx", holding(HDF5 + b"model_config"), "n.onnx is a whole Keras model in HDF5"),
-        ("n.keras", KERAS, r"n\.keras is a whole Keras model: .*export\('n\.onnx', format='onnx'\)"),
+        ("n.keras", keras, r"n\.keras is a whole Keras model: .*export\('n\.onnx', format='onnx'\)"),
         ("n.tflite", tflite(b"FlexConv3D\0FlexRelu\0"), r"only TensorFlow runs \(FlexConv3D, FlexRelu\).*tf2onnx"),
         ("n.pkl", holding(pickle.dumps(Bomb())), "is a Python pickle, which is a program"),
         ("n.trt", holding(b"ftrt"), "TensorRT engine, built for one GPU"),

@@ -23,7 +23,7 @@ from ds_orchestrator.search.algorithms import (
     SearchedCondition,
     SearchSettings,
 )
-from ds_orchestrator.search.features import FEATURES, Cell, FeatureError, cell_of, feature_of
+from ds_orchestrator.search.features import Cell, FeatureError, cell_of, feature_of
 from ds_road import Road, generate
 from ds_sim.conditions.model import FIELDS, Conditions, ConditionsError
 from ds_sim.scenario import Scenario
@@ -397,14 +397,6 @@ def test_a_width_makes_bins_of_several() -> None:
 def test_unknown_names_are_refused(name: str) -> None:
     with pytest.raises(FeatureError, match="expected"):
         feature_of(name)
-
-
-def test_maxitwo_compatible_counts_turns_with_its_own_constants() -> None:
-    roads = [generate(np.random.default_rng(s), max_angle=300) for s in range(30)]
-    cells = [cell_of(road, maxitwo_compatible=True) for road in roads]
-    assert cells == [(road.turns_count_maxitwo, int(100 * road.curvature)) for road in roads]
-    assert cells != [cell_of(road) for road in roads]
-    assert set(FEATURES) >= {"turns_count", "curvature"}
 
 
 def test_an_axis_of_a_condition_is_even_on_its_scale() -> None:

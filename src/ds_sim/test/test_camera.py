@@ -14,7 +14,7 @@ import pytest
 from camera_reference import below_horizon, brute_force, directions, ground_of, psnr, seen_from
 
 from ds_base.palette import PASS, SERIES, rgb
-from ds_road import Road, generate
+from ds_road import generate
 from ds_sim.camera.atlas import Ground
 from ds_sim.camera.ground import paint_ground
 from ds_sim.camera.rendered_scene import Sensor
@@ -24,6 +24,7 @@ from ds_sim.registry import DONKEY, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import RunRecord, Session, resimulate
 from ds_sim.simulator import Command, VehicleState
+from ds_sim.testing import STRAIGHT
 from ds_sim.video import VideoError, check_path, write_video
 
 Lens = Literal["pinhole", "equidistant"]
@@ -72,7 +73,7 @@ def horizon_row(spec: CameraSpec) -> int:
 
 @pytest.fixture(scope="module")
 def straight() -> Ground:
-    return paint_ground(Road([(125.0, 25.0 * i) for i in range(9)]), LOOK)
+    return paint_ground(STRAIGHT, LOOK)
 
 
 @pytest.mark.parametrize("lens", ["pinhole", "equidistant"])
@@ -134,7 +135,7 @@ def test_far_lines_do_not_flicker(name: str) -> None:
     """Driving straight at constant speed changes the far rows much less than nearest-neighbour sampling would."""
     spec = CAMERAS[name]
     look = replace(LOOK, asphalt_grain=0.0, grass_grain=0.0)
-    plain = paint_ground(Road([(125.0, 25.0 * i) for i in range(9)]), look)
+    plain = paint_ground(STRAIGHT, look)
     camera = Camera(spec, look)
     first = horizon_row(spec) + 4
     rows = slice(first, first + 14)
@@ -228,14 +229,11 @@ def test_the_skyline_stays_on_the_horizon_and_turns_with_yaw(straight: Ground) -
     assert int(np.argmin(errors)) == pytest.approx(10, abs=1)
 
 
-ROAD = Road([(125.0, 25.0 * i) for i in range(9)])
-
-
 @pytest.fixture(scope="module")
 def run() -> RunRecord:
     """Forty frames on a straight road, ever more to the right."""
     session = Session(make_simulator("donkey"))
-    session.start(Scenario(ROAD, seed=3))
+    session.start(Scenario(STRAIGHT, seed=3))
     for step in range(40):
         session.advance(Command(0.004 * step, 0.8))
     session.simulator.close()
@@ -244,7 +242,7 @@ def run() -> RunRecord:
 
 
 def test_a_video_has_every_frame_and_shows_the_drive(tmp_path: Path, run: RunRecord) -> None:
-    write_video(tmp_path / "run.mp4", "donkey", ROAD, resimulate(DONKEY, run), run.commands)
+    write_video(tmp_path / "run.mp4", "donkey", STRAIGHT, resimulate(DONKEY, run), run.commands)
     assert [p.name for p in tmp_path.iterdir()] == ["run.mp4"]
     video = cv2.VideoCapture(str(tmp_path / "run.mp4"))
     assert video.get(cv2.CAP_PROP_FPS) == 20.0
@@ -267,7 +265,7 @@ def test_the_gauge_of_the_lateral_position_ends_at_the_edge_of_the_lane(
 ) -> None:
     seen = next(resimulate(DONKEY, run))
     seen = replace(seen, lane=replace(seen.lane, lateral_position=1.5))
-    write_video(tmp_path / "run.mp4", "donkey", replace(ROAD, lane_width=lane_width), [seen], [])
+    write_video(tmp_path / "run.mp4", "donkey", replace(STRAIGHT, lane_width=lane_width), [seen], [])
     frame = cv2.VideoCapture(str(tmp_path / "run.mp4")).read()[1][..., ::-1].astype(float)
     assert (np.abs(frame[366, 960 + 208] - rgb(PASS)).max() < 60.0) == full
 
