@@ -215,10 +215,9 @@ def test_too_few_tests_still_have_failure_rates(tmp_path: Path) -> None:
 
 
 def test_drives_are_proposed_recorded_and_used(compared: Path) -> None:
-    folder = compared
-    before = (folder / "siblings.json").read_bytes()
-    proposed = document("real", "propose", folder, "--drives", 3)["drives"]
-    place = folder / "real/round_1"
+    before = (compared / "siblings.json").read_bytes()
+    proposed = document("real", "propose", compared, "--drives", 3)["drives"]
+    place = compared / "real/round_1"
     assert len(list(place.glob("*.png"))) == 3 and len(list(place.glob("[123]_*.csv"))) == 3
     text = (place / "README.md").read_text()
     assert all(one["test_id"] in text and one["drawn"] for one in proposed)
@@ -227,24 +226,24 @@ def test_drives_are_proposed_recorded_and_used(compared: Path) -> None:
     filled = place / "filled.csv"
     rows[1:] = [[row[0], "completed", "Ada", "2026-03-01", "0.01", ""] for row in rows[1:]]
     filled.write_text("\n".join(map(",".join, rows)))
-    recorded = document("real", "record", folder, filled)
+    recorded = document("real", "record", compared, filled)
     assert recorded["failures"][1] < recorded["failures"][0] - 0.05
     assert recorded["certificate"]["drawn"] == 3 and recorded["certificate"]["high"] < recorded["certificate"]["tests"]
     assert recorded["help"]["drives"] == 3 and recorded["help"]["answer"] == "open" and recorded["open"] == []
     driven = {one["test_id"] for one in recorded["verdicts"]["tests"] if one["driven"]}
     assert driven == {one["test_id"] for one in proposed}
-    assert [drive.who for drive in read_drives(folder)] == ["Ada"] * 3
+    assert [drive.who for drive in read_drives(compared)] == ["Ada"] * 3
     # A drive decides its test, but alone no cell.
     cells = [one for one in recorded["verdicts"]["cells"] if one["driven"] == one["tests"] == 1]
     assert all(0.0 < one["rate"] < one["interval"][1] for one in cells)
-    assert {"before.png", "after.png", "update.json"} <= {path.name for path in (folder / "real").iterdir()}
+    assert {"before.png", "after.png", "update.json"} <= {path.name for path in (compared / "real").iterdir()}
     # Again, which changes nothing; then further drives, which are others.
-    shown = ds("real", "record", folder, filled).stdout
+    shown = ds("real", "record", compared, filled).stdout
     assert "The car drove 3 tests and failed 0" in shown and "it is open whether your simulators" in shown
     assert "Certain with 95%, whenever you stop: the car fails on 0 to " in shown
-    more = {one["test_id"] for one in document("real", "propose", folder, "--drives", 3)["drives"]}
-    assert not more & driven and len(read_proposed(folder).tests) == 6
-    assert (folder / "siblings.json").read_bytes() == before
+    more = {one["test_id"] for one in document("real", "propose", compared, "--drives", 3)["drives"]}
+    assert not more & driven and len(read_proposed(compared).tests) == 6
+    assert (compared / "siblings.json").read_bytes() == before
 
 
 def test_bad_requests_are_one_line(compared: Path, tmp_path: Path) -> None:

@@ -28,7 +28,6 @@ from ds_recording.located import COLUMNS
 from ds_recording.sibling.recorded_drive import read_drive, sections
 from ds_recording.sibling.simulator import PhotoScene, RecordingSimulator, network_grid
 from ds_road import Road, RoadError
-from ds_sim.registry import UnknownSimulatorError, make_simulator
 from ds_sim.scenario import Scenario
 from ds_sim.session import Session
 from ds_sim.simulator import Command, Outcome, Reason, VehicleState
@@ -191,11 +190,6 @@ def test_a_broken_folder_is_one_line(folder: Path, tmp_path: Path, name: str, te
     with pytest.raises(RecordingError, match=line) as caught:
         RecordingSimulator.from_file(tmp_path)
     assert "\n" not in str(caught.value)
-
-
-def test_without_a_folder_it_says_what_it_needs() -> None:
-    with pytest.raises(UnknownSimulatorError, match="needs a file or folder: recording@PATH"):
-        make_simulator("recording")
 
 
 CAMERA = floor_camera(80.0, 0.2, 0.3, forward=0.05)

@@ -22,6 +22,7 @@ from ds_road import Road
 from ds_sim.conditions.model import Conditions
 from ds_sim.registry import (
     SIMULATORS,
+    UnknownSimulatorError,
     UntrustedSimulatorError,
     make_simulator,
     received_simulator,
@@ -209,6 +210,12 @@ def test_a_simulator_of_an_installed_package_is_made_by_name_and_no_file_of_it_i
         assert make_simulator("theirs").spec.name == "softbody"
         with pytest.raises(UntrustedSimulatorError, match="opens a file of its own kind"):
             received_simulator("theirs@file")
+
+
+@pytest.mark.parametrize("name", ["recording", "ros"])
+def test_a_simulator_of_files_says_what_it_needs(name: str) -> None:
+    with pytest.raises(UnknownSimulatorError, match=f"simulator '{name}' needs a file or folder: {name}@PATH"):
+        make_simulator(name)
 
 
 def test_a_plugin_of_the_checkout_that_is_not_installed_is_named_with_what_installs_it() -> None:

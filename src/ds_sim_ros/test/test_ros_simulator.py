@@ -15,7 +15,7 @@ import yaml
 
 from ds_road import Road, RoadError
 from ds_sim.conditions.actuation import COMMAND_CONDITIONS
-from ds_sim.registry import UnknownSimulatorError, UntrustedSimulatorError, make_simulator, received_simulator
+from ds_sim.registry import UntrustedSimulatorError, make_simulator, received_simulator
 from ds_sim.simulator import MAX_SPEED, Command, SimulatorError
 from ds_sim_ros.roads import check_is_track, read_track, write_road
 from ds_sim_ros.settings import CommandSettings, RosSettings, RosSettingsError, read_settings
@@ -96,11 +96,9 @@ def test_a_file_that_is_no_mapping_is_one_line(tmp_path: Path, text: str, line: 
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_and_no_file_are_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(RosSettingsError, match=r"cannot be read \(No such file or directory\): check the path"):
         make_simulator(f"ros@{tmp_path / 'absent.yaml'}")
-    with pytest.raises(UnknownSimulatorError, match="simulator 'ros' needs a file or folder: ros@PATH"):
-        make_simulator("ros")
 
 
 def test_a_received_file_does_not_decide_who_is_commanded() -> None:
