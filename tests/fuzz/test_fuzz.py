@@ -7,6 +7,7 @@ DS_FUZZ=1 DS_FUZZ_FIRST=SEED pytest tests/fuzz -k KIND
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from dataclasses import replace
@@ -46,17 +47,18 @@ def test_every_damaged_input_is_accepted_or_refused_in_one_line(
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind.units], ids=lambda kind: kind.name)
 def test_ten_times_the_input_takes_less_than_twenty_times_as_long(kind: Kind, tmp_path: Path) -> None:
-    took = []
+    """By turns and in the fastest of several rounds, as the first loads libraries and others may lose the processor."""
+    paths, took = [], [math.inf, math.inf]
     for units in (kind.units, 10 * kind.units):
         (tmp_path / str(units)).mkdir()
-        path = kind.write(tmp_path / str(units), units)
-        times = []
-        for _ in range(3):  # the first loads libraries, too
+        paths.append(kind.write(tmp_path / str(units), units))
+    rounds = iter(range(10))
+    while took[1] >= 20 * max(took[0], 0.005):
+        assert next(rounds, None) is not None, f"{took[0]:.3f} s for {kind.units} units, {took[1]:.3f} s for tenfold"
+        for at, path in enumerate(paths):
             begun = time.process_time()
             kind.read(path)
-            times.append(time.process_time() - begun)
-        took.append(min(times))
-    assert took[1] < 20 * max(took[0], 0.005), f"{took[0]:.3f} s for {kind.units} units, {took[1]:.3f} s for tenfold"
+            took[at] = min(took[at], time.process_time() - begun)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
