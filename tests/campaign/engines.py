@@ -8,7 +8,7 @@ from contextlib import nullcontext
 
 import numpy as np
 import pytest
-from made_observations import made_observation
+from tests.observations import made_observation
 
 from ds_driver.closed_loop.simulation import DriveRequest
 from ds_driver.control.autopilot import Autopilot

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from made_observations import made_observation
 from tests.conformance.test_conditions import light as linear
 from tests.conformance.test_conditions import perfect
 from tests.drives import driven
+from tests.observations import made_observation
 
 from ds_driver.closed_loop.simulation import make_driver
 from ds_driver.networks.driver_name import AUTOPILOT

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from made_observations import made_observation
+from tests.observations import made_observation
 
 from ds_driver.networks.pilot import Frame
 from ds_road import LANE_WIDTH, Road

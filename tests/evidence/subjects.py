@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from made_observations import drive
 from numpy.typing import NDArray
 from tests.evidence.bicycle import GRAVITY, Axle, SingleTrack
+from tests.observations import drive
 
 from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, Command

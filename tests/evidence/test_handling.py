@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from made_observations import drive
 from tests.evidence.bicycle import GRAVITY
 from tests.evidence.conftest import Compare
 from tests.evidence.subjects import SUBJECTS, Subject, settled, started, times
+from tests.observations import drive
 
 from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME

@@ -8,9 +8,9 @@ import math
 import numpy as np
 import pytest
 from benchmarks import physics
-from made_observations import drive
 from numpy.typing import NDArray
 from tests.evidence.subjects import Subject
+from tests.observations import drive
 
 from ds_sim.parts import Vehicle
 from ds_sim.simulator import FRAME_TIME, Command, Outcome, VehicleState

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from installed_package import installed_package
-from made_observations import made_observation
+from tests.observations import made_observation
 
 from ds_road import Road
 from ds_sim.conditions.model import Conditions
@@ -64,7 +64,7 @@ def runs(draw: st.DrawFn) -> RunRecord:
     )
 
 
-def a_run(**of_vehicle: float) -> RunRecord:
+def a_run(**of_vehicle: Any) -> RunRecord:
     return RunRecord(
         scenario=Scenario(ROAD, seed=7),
         observations=[made_observation(step, **of_vehicle) for step in range(2)],
@@ -82,7 +82,7 @@ def test_a_run_arrives_with_every_bit(run: RunRecord) -> None:
 
 
 def test_numbers_of_numpy_arrive_as_python_numbers() -> None:
-    run = a_run(x=np.float64(0.1), y=np.float32(0.1))  # type: ignore[arg-type]
+    run = a_run(x=np.float64(0.1), y=np.float32(0.1))
     vehicle = decode_run(encode_run(run), Scenario(ROAD, seed=7)).observations[0].vehicle
     assert (repr(vehicle.x), repr(vehicle.y)) == ("0.1", repr(float(np.float32(0.1))))
 
@@ -164,7 +164,7 @@ def test_what_nobody_could_read_is_not_sent() -> None:
     with pytest.raises(RunCodecError, match="expected at most"):
         encode_run(RunRecord(scenario=Scenario(ROAD, seed=1), message="x" * 70_000))
     with pytest.raises(RunCodecError, match="cannot be sent: must be real number, not str"):
-        encode_run(a_run(roll="0"))  # type: ignore[arg-type]
+        encode_run(a_run(roll="0"))
 
 
 def test_shipped_names_pass_with_and_without_a_parameter_file() -> None:

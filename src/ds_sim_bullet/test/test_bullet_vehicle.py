@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from made_observations import drive
+from tests.observations import drive
 
 from ds_base.installation import missing_module
 from ds_sim.registry import BULLET, SOFTBODY, UnknownSimulatorError, make_simulator, with_libraries

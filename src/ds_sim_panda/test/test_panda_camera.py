@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_observations import drive
 from numpy.typing import NDArray
 from panda_views import CAMERA, STRAIGHT, lane_pose, pose, project
 from scipy.spatial import cKDTree
+from tests.observations import drive
 from vehiclemodels.vehicle_dynamics_mb import vehicle_dynamics_mb
 
 from ds_road import Road, generate

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_observations import drive
 from scipy.linalg import eigh
+from tests.observations import drive
 
 from ds_sim.simulator import FRAME_TIME, Command, SimulatorError
 from ds_sim_softbody.lattice import NODES, Lattice, blueprint

@@ -15,7 +15,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 import pytest
-from made_observations import made_observation
+from tests.observations import made_observation
 
 from ds_analysis.sensitivity import (
     LEVELS,

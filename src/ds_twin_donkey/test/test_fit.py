@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from benchmarks.twin_drives import coast, hard_bends, hidden_and_start, manoeuvres, random_commands, simulated_recording
-from made_observations import drive
 from progress_lines import ProgressLines
+from tests.observations import drive
 from tubs import write_tub
 
 from ds_bags.rosbag2_writer import Rosbag2Writer, topic_of
