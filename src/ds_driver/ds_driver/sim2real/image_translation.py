@@ -121,7 +121,7 @@ class GeneratorSet:
                 raise DriverError(f"{path} translates images of {generator.simulator}, not of {simulator}: rename it")
             if generator.window.bottom > IMAGE_HEIGHT or generator.window.right > IMAGE_WIDTH:
                 raise DriverError(f"{path} has a crop, {generator.window}, beyond the image: train the generator again")
-            if generator.sha256 != self._digests.get(simulator, generator.sha256):
+            if self._digests and generator.sha256 != self._digests.get(simulator):
                 raise DriverError(f"{path} has changed: put back the generator that {self.name} was trained with")
             self._loaded[label] = generator
         return self._loaded[label]
